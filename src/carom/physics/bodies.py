@@ -1,0 +1,117 @@
+"""The bodies: a structure of arrays for the kernels, and a view of one body for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.placement import Start
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Bodies:
+    """State of n spheres; every array is C-contiguous float64 in SI units and is updated in place."""
+
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; (0, 4) where nothing spins, like the three below
+    angular_velocity: FloatArray  # (n, 3) rad/s
+    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step
+    torque: FloatArray  # (n, 3) N m, Σ r × J / dt of the last step
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
+    inertia: FloatArray  # (n,) kg m²
+
+    @classmethod
+    def at_start(cls, start: Start, spins: bool) -> Bodies:
+        """Build the state of time 0; spin takes no memory where the scene does not require it."""
+        n = len(start.mass)
+        turning = n if spins else 0
+        orientation = np.zeros((turning, 4))
+        orientation[:, 3] = 1.0
+        return cls(
+            position=start.position.copy(),
+            velocity=start.velocity.copy(),
+            acceleration=np.zeros((n, 3)),
+            orientation=orientation,
+            angular_velocity=start.angular_velocity[:turning].copy(),
+            angular_acceleration=np.zeros((turning, 3)),
+            torque=np.zeros((turning, 3)),
+            mass=start.mass.copy(),
+            radius=start.radius.copy(),
+            inertia=start.inertia.copy(),
+        )
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+
+class BodyProxy:
+    """A view of one body: reading and writing it reads and writes the arrays."""
+
+    __slots__ = ("_bodies", "index")
+
+    def __init__(self, bodies: Bodies, index: int) -> None:
+        self._bodies = bodies
+        self.index = index
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) m."""
+        return self._bodies.position[self.index]
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(3,) m/s."""
+        return self._bodies.velocity[self.index]
+
+    @property
+    def angular_velocity(self) -> FloatArray:
+        """(3,) rad/s; zeros that nothing reads where the scene requires no spin."""
+        return self._bodies.angular_velocity[self.index] if self.spins else np.zeros(3)
+
+    @property
+    def orientation(self) -> FloatArray:
+        """(4,) xyzw."""
+        return self._bodies.orientation[self.index] if self.spins else np.array([0.0, 0.0, 0.0, 1.0])
+
+    @property
+    def mass(self) -> float:
+        """Mass in kg."""
+        return float(self._bodies.mass[self.index])
+
+    @property
+    def radius(self) -> float:
+        """Radius in m."""
+        return float(self._bodies.radius[self.index])
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia in kg m²."""
+        return float(self._bodies.inertia[self.index])
+
+    @property
+    def spins(self) -> bool:
+        """Whether the scene requires spin."""
+        return len(self._bodies.angular_velocity) > 0
+
+    def apply_impulse(self, impulse: FloatArray, arm: FloatArray) -> None:
+        """Apply an impulse at a point of the body.
+
+        Δv = J / m, Δω = I⁻¹ (r × J).
+
+        Parameters
+        ----------
+        impulse
+            (3,) N s.
+        arm
+            (3,) m, from the centre to the point.
+        """
+        self.velocity[:] += impulse / self.mass
+        if self.spins:
+            self.angular_velocity[:] += np.cross(arm, impulse) / self.inertia

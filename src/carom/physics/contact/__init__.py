@@ -1,0 +1,1 @@
+"""What happens where spheres touch: found, ordered, resolved."""

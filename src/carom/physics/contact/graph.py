@@ -1,0 +1,130 @@
+"""The collision graph: which bodies touch in a step, how deeply, and in which order the contacts are resolved.
+
+The seed colours *bodies* so that neighbours differ, and then resolves "all collisions of a colour"; two contacts of
+one colour can share a body. carom colours *contacts* so that no two contacts of a colour share a body: each stage is
+independent. Body colouring is kept for comparison.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.kernel import kernel
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+OVERFLOW = 64  # colour of what does not fit into 64 stages: resolved last, one by one
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionGraph:
+    """The contacts of one step. A body is a node, a contact an edge.
+
+    ``pairs`` are sorted by (i, j) with i < j, so that the graph does not depend on how it was found.
+    """
+
+    pairs: IntArray  # (m, 2) body indices
+    normals: FloatArray  # (m, 3) unit vectors from i to j
+    overlaps: FloatArray  # (m,) m, r_i + r_j - distance
+    colours: IntArray  # (m,) stage in which the contact is resolved
+    body_colours: IntArray | None = None  # (n,) the seed's colouring of the nodes, -1: touches nobody
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def adjacency(self, n: int) -> tuple[IntArray, IntArray]:
+        """Return the graph of n bodies in CSR form.
+
+        Returns
+        -------
+        offsets, neighbours
+            Body i touches ``neighbours[offsets[i]:offsets[i + 1]]``, in rising order.
+        """
+        return adjacency(self.pairs, n)
+
+
+def empty_graph() -> CollisionGraph:
+    """Return the graph of a step in which nothing touches."""
+    return CollisionGraph(
+        pairs=np.empty((0, 2), dtype=np.int64),
+        normals=np.empty((0, 3)),
+        overlaps=np.empty(0),
+        colours=np.empty(0, dtype=np.int64),
+    )
+
+
+def adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
+    """Return (m, 2) pairs as CSR offsets, (n + 1,), and neighbours, (2 m,), each body's in rising order."""
+    ends = np.concatenate((pairs, pairs[:, ::-1]))
+    ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
+    offsets = np.concatenate(([0], np.cumsum(np.bincount(ends[:, 0], minlength=n)))).astype(np.int64)
+    return offsets, np.ascontiguousarray(ends[:, 1])
+
+
+def colour_contacts(pairs: IntArray, n: int) -> IntArray:
+    """Colour contacts greedily, in order, so that no two of a colour share a body.
+
+    Equal spheres touch at most 12 others, so 23 colours are enough for them; past 64 the rest is `OVERFLOW`.
+    """
+    colours = np.empty(len(pairs), dtype=np.int64)
+    _colour_contacts(pairs, np.zeros(n, dtype=np.uint64), colours)
+    return colours
+
+
+def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
+    """Colour bodies greedily, in order, so that no two that touch share a colour: the seed's rule.
+
+    Returns
+    -------
+    contact_colours
+        (m,) the lower of the two bodies' colours: each contact belongs to one stage.
+    body_colours
+        (n,), -1 for a body that touches nobody.
+    """
+    offsets, neighbours = adjacency(pairs, n)
+    bodies = np.full(n, -1, dtype=np.int64)
+    _colour_bodies(offsets, neighbours, bodies)
+    return np.minimum(bodies[pairs[:, 0]], bodies[pairs[:, 1]]), bodies
+
+
+def stage_order(colours: IntArray) -> IntArray:
+    """Return the order in which contacts are resolved: by colour, then by pair."""
+    return np.argsort(colours, kind="stable")
+
+
+@kernel
+def _colour_contacts(pairs: IntArray, used: NDArray[np.uint64], colours: IntArray) -> None:
+    one = np.uint64(1)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        taken = used[i] | used[j]
+        colour = 0
+        while colour < OVERFLOW and (taken >> np.uint64(colour)) & one:
+            colour += 1
+        colours[c] = colour
+        if colour < OVERFLOW:
+            bit = one << np.uint64(colour)
+            used[i] |= bit
+            used[j] |= bit
+
+
+@kernel
+def _colour_bodies(offsets: IntArray, neighbours: IntArray, bodies: IntArray) -> None:
+    for i in range(len(bodies)):
+        first, last = offsets[i], offsets[i + 1]
+        if first == last:
+            continue
+        colour = 0
+        free = False
+        while not free:
+            free = True
+            for k in range(first, last):
+                if bodies[neighbours[k]] == colour:
+                    free = False
+                    colour += 1
+                    break
+        bodies[i] = colour

@@ -1,0 +1,73 @@
+"""One collision in the readable form: what the kernel in `solver` does to a pair, said once with vectors.
+
+    v_n = (v_j - v_i)·n                              normal velocity, negative on approach
+    J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
+    u_t = (v_j - v_i) - v_n n - (ρ_i ω_i + ρ_j ω_j) × n     slip at the contact point
+    J_t = |u_t| / (1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j)     if that is at most μ_s J_n, else μ_k J_n
+
+Both bodies share one contact point on the line of centres, at ρ_i = d r_i/(r_i + r_j) from i and ρ_j = d - ρ_i from
+j. Lever arms r_i and r_j of overlapping spheres would not add up to d, and each friction impulse would then create
+angular momentum, overlap × J_t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import BodyProxy
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CollisionContext:
+    """All that is needed to resolve one collision."""
+
+    b1: BodyProxy
+    b2: BodyProxy
+    n_vec: FloatArray  # (3,) unit vector from b1 to b2
+    r1_vec: FloatArray  # (3,) m, from the centre of b1 to the contact point
+    r2_vec: FloatArray  # (3,) m, from the centre of b2 to the contact point
+    v_rel: FloatArray  # (3,) m/s, of b2's contact point as seen from b1's
+    overlap: float  # m
+
+    @classmethod
+    def from_bodies(cls, b1: BodyProxy, b2: BodyProxy) -> CollisionContext | None:
+        """Describe the collision of two bodies in open space; None when they do not touch."""
+        separation = b2.position - b1.position
+        distance = float(np.sqrt(separation @ separation))
+        reach = b1.radius + b2.radius
+        if distance > reach:
+            return None
+        n_vec = separation / distance if distance > 0.0 else np.array([1.0, 0.0, 0.0])
+        r1_vec = n_vec * (distance * b1.radius / reach)
+        r2_vec = -n_vec * (distance * b2.radius / reach)
+        v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
+        v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
+        return cls(b1, b2, n_vec, r1_vec, r2_vec, v2 - v1, reach - distance)
+
+    def resolve(self, restitution: float, static_friction: float, kinetic_friction: float, bias: float = 0.0) -> None:
+        """Apply the normal and the friction impulse to both bodies.
+
+        Parameters
+        ----------
+        bias
+            m/s, extra separation speed (Baumgarte).
+        """
+        b1, b2, n = self.b1, self.b2, self.n_vec
+        inverse_mass = 1.0 / b1.mass + 1.0 / b2.mass
+        normal_speed = float(self.v_rel @ n)
+        normal = max(0.0, -(1.0 + restitution) * normal_speed + bias) / inverse_mass
+        slip = self.v_rel - normal_speed * n
+        slip_speed = float(np.sqrt(slip @ slip))
+        impulse = normal * n
+        if slip_speed > 0.0 and b1.spins:
+            turning = self.r1_vec @ self.r1_vec / b1.inertia + self.r2_vec @ self.r2_vec / b2.inertia
+            sticking = slip_speed / (inverse_mass + turning)
+            tangential = sticking if sticking <= static_friction * normal else kinetic_friction * normal
+            impulse = impulse - tangential / slip_speed * slip
+        b1.apply_impulse(-impulse, self.r1_vec)
+        b2.apply_impulse(impulse, self.r2_vec)

@@ -1,0 +1,139 @@
+"""Staged impulses: the contacts of a step, colour by colour, in sweeps until nothing approaches.
+
+The equations stand in `impulse`. What each impulse does to the energy follows from the impulse itself,
+
+    ΔE_n = J_n (v_n + ½ J_n / m_r),    1/m_r = 1/m_i + 1/m_j
+    ΔE_t = -J_t (|u_t| - ½ J_t K_t),   K_t = 1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j
+
+and is summed for each contact: the loss by restitution, the loss by friction, and what the bias put in.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+RESTITUTION, FRICTION, STABILISATION = 0, 1, 2  # columns of a contact's ledger
+
+CONVERGED = 1e-9  # a sweep whose largest velocity change is this part of the first sweep's is the last
+
+
+@kernel
+def resolve_contacts(
+    order: IntArray,
+    pairs: IntArray,
+    normals: FloatArray,
+    distances: FloatArray,
+    overlaps: FloatArray,
+    velocity: FloatArray,
+    angular_velocity: FloatArray,
+    mass: FloatArray,
+    radius: FloatArray,
+    inertia: FloatArray,
+    restitution: float,
+    static_friction: float,
+    kinetic_friction: float,
+    rest_speed: float,
+    bias_rate: float,
+    most_sweeps: int,
+    ledger: FloatArray,
+    approach: FloatArray,
+    angular_impulse: FloatArray,
+) -> int:
+    """Resolve the contacts of a step and return the number of sweeps.
+
+    Parameters
+    ----------
+    order
+        (m,) contacts in the order of their stages.
+    pairs, normals, distances, overlaps
+        Geometry of the contacts, (m, 2), (m, 3), (m,), (m,).
+    angular_velocity
+        (n, 3) rad/s, or (0, 3) where the scene requires no spin: then there is no friction.
+    rest_speed
+        m/s; an approach up to this speed is a contact at rest and does not bounce.
+    bias_rate
+        1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
+    ledger
+        (m, 3) J, added to: what left by restitution and by friction, what the bias put in.
+    approach
+        (m,) m/s, overwritten: the speed at which each contact closed when it was first visited.
+    angular_impulse
+        (n, 3) N m s, added to: Σ r × J of each body; (0, 3) without spin.
+    """
+    spins = len(angular_velocity) > 0
+    first_change = 0.0
+    for sweep in range(most_sweeps):
+        largest_change = 0.0
+        for c in order:
+            i, j = pairs[c, 0], pairs[c, 1]
+            nx, ny, nz = normals[c, 0], normals[c, 1], normals[c, 2]
+            vx = velocity[j, 0] - velocity[i, 0]
+            vy = velocity[j, 1] - velocity[i, 1]
+            vz = velocity[j, 2] - velocity[i, 2]
+            vn = vx * nx + vy * ny + vz * nz
+            if sweep == 0:
+                approach[c] = max(0.0, -vn)
+            e = restitution if -vn > rest_speed else 0.0
+            change = -(1.0 + e) * vn
+            biased = change + bias_rate * max(0.0, overlaps[c])
+            if biased <= 0.0:
+                continue
+            largest_change = max(largest_change, biased)
+            inverse_mass = 1.0 / mass[i] + 1.0 / mass[j]
+            Jn = biased / inverse_mass
+            Jn_unbiased = max(0.0, change) / inverse_mass
+            lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * inverse_mass)
+            ledger[c, RESTITUTION] += lost
+            ledger[c, STABILISATION] += Jn * (vn + 0.5 * Jn * inverse_mass) + lost
+            Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
+            if spins:
+                share = distances[c] / (radius[i] + radius[j])
+                ri, rj = share * radius[i], share * radius[j]
+                wx = ri * angular_velocity[i, 0] + rj * angular_velocity[j, 0]
+                wy = ri * angular_velocity[i, 1] + rj * angular_velocity[j, 1]
+                wz = ri * angular_velocity[i, 2] + rj * angular_velocity[j, 2]
+                ux = vx - vn * nx - (wy * nz - wz * ny)
+                uy = vy - vn * ny - (wz * nx - wx * nz)
+                uz = vz - vn * nz - (wx * ny - wy * nx)
+                slip = np.sqrt(ux * ux + uy * uy + uz * uz)
+                if slip > 0.0:
+                    Kt = inverse_mass + ri * ri / inertia[i] + rj * rj / inertia[j]
+                    Jt = slip / Kt
+                    if Jt > static_friction * Jn:
+                        Jt = kinetic_friction * Jn
+                    ledger[c, FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
+                    Jx -= Jt * (ux / slip)
+                    Jy -= Jt * (uy / slip)
+                    Jz -= Jt * (uz / slip)
+                    # r × J is -ρ n × J for both bodies: the arms point in opposite directions, and so do the impulses
+                    tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
+                    angular_impulse[i, 0] += ri * tx
+                    angular_impulse[i, 1] += ri * ty
+                    angular_impulse[i, 2] += ri * tz
+                    angular_impulse[j, 0] += rj * tx
+                    angular_impulse[j, 1] += rj * ty
+                    angular_impulse[j, 2] += rj * tz
+                    si, sj = ri / inertia[i], rj / inertia[j]
+                    angular_velocity[i, 0] += si * tx
+                    angular_velocity[i, 1] += si * ty
+                    angular_velocity[i, 2] += si * tz
+                    angular_velocity[j, 0] += sj * tx
+                    angular_velocity[j, 1] += sj * ty
+                    angular_velocity[j, 2] += sj * tz
+            velocity[i, 0] -= Jx / mass[i]
+            velocity[i, 1] -= Jy / mass[i]
+            velocity[i, 2] -= Jz / mass[i]
+            velocity[j, 0] += Jx / mass[j]
+            velocity[j, 1] += Jy / mass[j]
+            velocity[j, 2] += Jz / mass[j]
+        if sweep == 0:
+            first_change = largest_change
+        if largest_change <= CONVERGED * first_change:
+            return sweep + 1
+    return most_sweeps

@@ -1,0 +1,165 @@
+"""The contacts of a step, from the search to the last impulse: what `Space` calls, in this order.
+
+1. `find`: which bodies touch, colours, and overlaps of contacts at rest undone
+2. `resolve`: impulses, once forces have acted on the final positions
+3. `turn`: the torques and angular accelerations that the impulses amount to
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.graph import (
+    OVERFLOW,
+    CollisionGraph,
+    colour_bodies,
+    colour_contacts,
+    empty_graph,
+    stage_order,
+)
+from carom.physics.contact.search import contact_geometry, find_pairs
+from carom.physics.contact.solver import resolve_contacts
+from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, rest_speed, work_of_pushes
+from carom.physics.kernel import kernel
+from carom.physics.profile import Profile
+from carom.scene.requirements import Requirements
+from carom.scene.schema import Contact
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class ContactStage:
+    """Finds and resolves the contacts of each step."""
+
+    def __init__(
+        self, contact: Contact, bodies: Bodies, requirements: Requirements, box: FloatArray, field: FloatArray
+    ) -> None:
+        self._contact = contact
+        self._bodies = bodies
+        self._box = box
+        self._field = field
+        self._broad_phase = requirements.search.modelled
+        self._friction = requirements.friction.modelled
+        self._warned: set[str] = set()
+        self._angular_impulse = np.zeros_like(bodies.torque)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as before the first step."""
+        self._graph: CollisionGraph = empty_graph()
+        self._order: IntArray = np.empty(0, dtype=np.intp)
+        self._pushes: FloatArray = np.empty((0, 3))
+        self._angular_impulse[:] = 0.0
+        self.contributions: FloatArray = np.zeros((0, 3))  # (m, 3) J, the ledger of each contact in this step
+        self.approach: FloatArray = np.zeros(0)  # (m,) m/s, closing speed before the impulses
+        self.rest_speed = 0.0  # m/s
+        self.sweeps = 0
+
+    def find(self, dt: float, profile: Profile) -> CollisionGraph:
+        """Find the contacts at the present positions, order them, and push those at rest apart."""
+        bodies, contact = self._bodies, self._contact
+        pairs = find_pairs(bodies.position, bodies.radius, self._box, self._broad_phase)
+        m, n = len(pairs), len(bodies)
+        self.contributions, self.approach, self._pushes = np.zeros((m, 3)), np.zeros(m), np.zeros((m, 3))
+        self.sweeps = 0
+        profile.mark("search")
+        if m == 0:
+            self._graph = empty_graph()
+            return self._graph
+        normals, _, overlaps = contact_geometry(pairs, bodies.position, bodies.radius, self._box)
+        body_colours = None
+        if contact.colouring == "bodies":
+            colours, body_colours = colour_bodies(pairs, n)
+        else:
+            colours = colour_contacts(pairs, n)
+        self._order = stage_order(colours)
+        self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
+        profile.mark("colouring")
+        self.rest_speed = rest_speed(pairs, bodies.acceleration, self._field, dt)
+        if contact.stabilisation == "split":
+            self._push()
+        profile.mark("stabilisation")
+        return self._graph
+
+    def resolve(self, dt: float) -> None:
+        """Apply the impulses of the contacts found, with forces and velocities of the final positions."""
+        if len(self._graph) == 0:
+            return
+        bodies, contact = self._bodies, self._contact
+        graph = self._graph
+        normals, distances, overlaps = contact_geometry(graph.pairs, bodies.position, bodies.radius, self._box)
+        if contact.stabilisation == "split":
+            work_of_pushes(graph.pairs, self._pushes, bodies.acceleration, bodies.mass, self.contributions)
+        spinning = bodies.angular_velocity if self._friction else bodies.angular_velocity[:0]
+        self.sweeps = resolve_contacts(
+            self._order,
+            graph.pairs,
+            normals,
+            distances,
+            overlaps,
+            bodies.velocity,
+            spinning,
+            bodies.mass,
+            bodies.radius,
+            bodies.inertia,
+            contact.restitution,
+            contact.static_friction,
+            contact.kinetic_friction,
+            self.rest_speed,
+            BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0,
+            contact.sweeps,
+            self.contributions,
+            self.approach,
+            self._angular_impulse,
+        )
+
+    def turn(self, dt: float) -> None:
+        """Write torques, Σ r × J / dt, and angular accelerations, τ / I, of this step."""
+        if self._friction:
+            bodies = self._bodies
+            _turn(self._angular_impulse, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+
+    def limits_reached(self) -> list[str]:
+        """Say, the first time each, which limit of the method this step met."""
+        reached = []
+        if self._contact.colouring == "contacts" and self._graph.colours.max() == OVERFLOW:
+            reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
+        if self.sweeps == self._contact.sweeps:
+            reached.append(
+                f"Contacts were still closing after contact.sweeps = {self._contact.sweeps} passes; "
+                "what is left is resolved in later steps."
+            )
+        fresh = [text for text in reached if text not in self._warned]
+        self._warned.update(fresh)
+        return fresh
+
+    def _push(self) -> None:
+        bodies, contact, graph = self._bodies, self._contact, self._graph
+        push_apart(
+            self._order,
+            graph.pairs,
+            bodies.position,
+            bodies.velocity,
+            bodies.mass,
+            bodies.radius,
+            self._box,
+            contact.restitution,
+            self.rest_speed,
+            contact.sweeps,
+            self.contributions,
+            self._pushes,
+        )
+
+
+@kernel
+def _turn(
+    angular_impulse: FloatArray, inertia: FloatArray, dt: float, torque: FloatArray, angular_acceleration: FloatArray
+) -> None:
+    for i in range(len(inertia)):
+        for k in range(3):
+            torque[i, k] = angular_impulse[i, k] / dt
+            angular_acceleration[i, k] = torque[i, k] / inertia[i]
+            angular_impulse[i, k] = 0.0

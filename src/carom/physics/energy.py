@@ -1,0 +1,132 @@
+"""Energy terms and the ledger: what the run has, what contacts took out, what stabilisation put in.
+
+    E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / r_ij - Σ m g·x
+    E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
+from carom.physics.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """Energy moved by contacts since the start of the run, summed from the impulses themselves, in joules.
+
+    Dissipation counts positive when energy left the bodies; stabilisation counts positive when it entered them.
+    """
+
+    restitution: float = 0.0  # taken out by the normal impulses
+    friction: float = 0.0  # taken out by the tangential impulses
+    stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
+
+    def plus(self, contacts: FloatArray) -> Ledger:
+        """Return the ledger after a step, given the contacts' own, (m, 3) J."""
+        step = np.zeros(3)
+        _sum_rows(contacts, step)
+        return Ledger(
+            self.restitution + float(step[RESTITUTION]),
+            self.friction + float(step[FRICTION]),
+            self.stabilisation + float(step[STABILISATION]),
+        )
+
+    @property
+    def balance(self) -> float:
+        """What left less what entered."""
+        return self.restitution + self.friction - self.stabilisation
+
+
+@dataclass(frozen=True, slots=True)
+class Energy:
+    """The terms of the total energy at one moment, in joules.
+
+    ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0): what the integrator, and nothing else, got wrong.
+    """
+
+    translational: float  # Σ ½ m v²
+    rotational: float  # Σ ½ I ω²
+    gravitational: float  # -Σ G m_i m_j / r_ij
+    field: float  # -Σ m g·x, of the uniform field
+    ledger: Ledger
+    integration_error: float
+    scale: float  # largest kinetic + |gravitational| so far, to compare the error with
+
+    @property
+    def total(self) -> float:
+        """Sum of the four terms."""
+        return self.translational + self.rotational + self.gravitational + self.field
+
+    @property
+    def relative_error(self) -> float:
+        """|integration error| over the energy scale; 0 where there is no energy."""
+        return abs(self.integration_error) / self.scale if self.scale > 0.0 else 0.0
+
+
+class EnergyAccount:
+    """Turns the state into an `Energy`, remembering where the run began and the largest scale so far."""
+
+    def __init__(self, field: FloatArray) -> None:
+        self._field = field
+        self._initial: float | None = None
+        self._scale = 0.0
+
+    def balance(self, bodies: Bodies, gravitational: float, ledger: Ledger) -> Energy:
+        """Take stock. The first call is the start of the run."""
+        translational = float(_translational(bodies.velocity, bodies.mass))
+        rotational = float(_rotational(bodies.angular_velocity, bodies.inertia))
+        field = float(_field_energy(bodies.position, bodies.mass, self._field))
+        total = translational + rotational + gravitational + field
+        if self._initial is None:
+            self._initial = total
+        self._scale = max(self._scale, translational + rotational + abs(gravitational))
+        return Energy(
+            translational=translational,
+            rotational=rotational,
+            gravitational=gravitational,
+            field=field,
+            ledger=ledger,
+            integration_error=total - self._initial + ledger.balance,
+            scale=self._scale,
+        )
+
+
+@kernel
+def _translational(velocity: FloatArray, mass: FloatArray) -> float:
+    total = 0.0
+    for i in range(len(mass)):
+        vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
+        total += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
+    return total
+
+
+@kernel
+def _rotational(angular_velocity: FloatArray, inertia: FloatArray) -> float:
+    total = 0.0
+    for i in range(len(angular_velocity)):
+        wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
+        total += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
+    return total
+
+
+@kernel
+def _field_energy(position: FloatArray, mass: FloatArray, g: FloatArray) -> float:
+    total = 0.0
+    for i in range(len(mass)):
+        total -= mass[i] * (g[0] * position[i, 0] + g[1] * position[i, 1] + g[2] * position[i, 2])
+    return total
+
+
+@kernel
+def _sum_rows(rows: FloatArray, total: FloatArray) -> None:
+    for c in range(len(rows)):
+        for k in range(3):
+            total[k] += rows[c, k]

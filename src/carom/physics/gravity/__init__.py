@@ -1,0 +1,1 @@
+"""How bodies pull each other."""

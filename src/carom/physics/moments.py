@@ -1,0 +1,74 @@
+"""The moments of a run worth looking at: where it was hardest, deepest, fullest and least exact."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.graph import CollisionGraph
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """An extreme of the run: its value, when, and which bodies."""
+
+    value: float
+    step: int
+    time: float  # s
+    bodies: tuple[int, ...] = ()
+
+
+@dataclass(slots=True)
+class Moments:
+    """Extremes so far; None where there was nothing to measure."""
+
+    energy_error: Moment | None = None  # |integration error| / scale, of the checked steps
+    impact: Moment | None = None  # J, largest ½ μ v_n² of a contact that was closing
+    overlap: Moment | None = None  # deepest overlap / smaller radius
+    contacts: Moment | None = None  # most contacts in a step
+    momentum_error: float = 0.0
+    angular_momentum_error: float | None = 0.0
+    total_contacts: int = 0  # summed over the steps
+    impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
+
+    def see_contacts(
+        self, step: int, time: float, graph: CollisionGraph, approach: FloatArray, rest_speed: float, bodies: Bodies
+    ) -> int:
+        """Take note of a step's contacts; return how many of them were impacts."""
+        i, j = graph.pairs.T
+        reduced = bodies.mass[i] * (bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]))
+        energy = 0.5 * reduced * approach * approach
+        depth = graph.overlaps / np.minimum(bodies.radius[i], bodies.radius[j])
+        self.impact = _larger(self.impact, energy, step, time, graph)
+        self.overlap = _larger(self.overlap, depth, step, time, graph)
+        if self.contacts is None or len(graph) > self.contacts.value:
+            self.contacts = Moment(len(graph), step, time)
+        impacts = int(np.count_nonzero(approach > rest_speed))
+        self.total_contacts += len(graph)
+        self.impacts += impacts
+        return impacts
+
+    def see_energy_error(self, step: int, time: float, error: float) -> None:
+        """Take note of a checked energy."""
+        if self.energy_error is None or error > self.energy_error.value:
+            self.energy_error = Moment(error, step, time)
+
+    def see_momentum_error(self, linear: float, angular: float | None) -> None:
+        """Take note of checked momenta."""
+        self.momentum_error = max(self.momentum_error, linear)
+        if angular is None or self.angular_momentum_error is None:
+            self.angular_momentum_error = None
+        else:
+            self.angular_momentum_error = max(self.angular_momentum_error, angular)
+
+
+def _larger(known: Moment | None, values: FloatArray, step: int, time: float, graph: CollisionGraph) -> Moment | None:
+    worst = int(np.argmax(values))
+    if known is not None and values[worst] <= known.value:
+        return known
+    return Moment(float(values[worst]), step, time, tuple(int(body) for body in graph.pairs[worst]))

@@ -1,0 +1,92 @@
+"""Momentum and angular momentum, and how far they are from what they should be.
+
+    p = Σ m v,    L = Σ (m x × v + I ω)
+
+Contacts and direct gravity conserve both to round-off. A uniform field g changes them, in closed form, since the
+centre of mass X moves on a parabola:
+
+    p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Momentum:
+    """Momentum at one moment and its relative errors."""
+
+    linear: FloatArray  # (3,) kg m/s
+    angular: FloatArray  # (3,) kg m²/s about the origin
+    linear_error: float  # over the largest Σ m |v| so far
+    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None in a periodic box
+
+
+class MomentumAccount:
+    """Compares momentum with its value at the start."""
+
+    def __init__(self, bodies: Bodies, field: FloatArray, periodic: bool) -> None:
+        self._field = field
+        self._periodic = periodic
+        self._linear, self._angular, self._linear_scale, self._angular_scale = _sums(bodies)
+        self._mass = float(bodies.mass.sum())
+        self._centre = (bodies.mass @ bodies.position) / self._mass
+
+    def balance(self, bodies: Bodies, time: float) -> Momentum:
+        """Take stock at a time since the start, in seconds."""
+        linear, angular, linear_scale, angular_scale = _sums(bodies)
+        self._linear_scale = max(self._linear_scale, linear_scale)
+        self._angular_scale = max(self._angular_scale, angular_scale)
+        weight = self._mass * self._field
+        path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time
+        return Momentum(
+            linear=linear,
+            angular=angular,
+            linear_error=_relative(linear - self._linear - weight * time, self._linear_scale),
+            angular_error=None
+            if self._periodic
+            else _relative(angular - self._angular - np.cross(path, weight), self._angular_scale),
+        )
+
+
+def _relative(difference: FloatArray, scale: float) -> float:
+    return float(np.sqrt(difference @ difference)) / scale if scale > 0.0 else 0.0
+
+
+def _sums(bodies: Bodies) -> tuple[FloatArray, FloatArray, float, float]:
+    sums = np.zeros(8)
+    _add_momentum(bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, sums)
+    return sums[0:3], sums[3:6], float(sums[6]), float(sums[7])
+
+
+@kernel
+def _add_momentum(
+    x: FloatArray, v: FloatArray, omega: FloatArray, mass: FloatArray, inertia: FloatArray, sums: FloatArray
+) -> None:
+    """Add p, L, Σ m |v| and Σ (m |x| |v| + I |ω|) of all bodies to ``sums``, (8,)."""
+    for i in range(len(mass)):
+        m = mass[i]
+        sums[0] += m * v[i, 0]
+        sums[1] += m * v[i, 1]
+        sums[2] += m * v[i, 2]
+        sums[3] += m * (x[i, 1] * v[i, 2] - x[i, 2] * v[i, 1])
+        sums[4] += m * (x[i, 2] * v[i, 0] - x[i, 0] * v[i, 2])
+        sums[5] += m * (x[i, 0] * v[i, 1] - x[i, 1] * v[i, 0])
+        speed = np.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
+        sums[6] += m * speed
+        sums[7] += m * speed * np.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
+    for i in range(len(omega)):
+        I = inertia[i]  # noqa: E741 - the symbol of the equation
+        sums[3] += I * omega[i, 0]
+        sums[4] += I * omega[i, 1]
+        sums[5] += I * omega[i, 2]
+        sums[7] += I * np.sqrt(omega[i, 0] * omega[i, 0] + omega[i, 1] * omega[i, 1] + omega[i, 2] * omega[i, 2])

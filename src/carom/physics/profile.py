@@ -1,0 +1,31 @@
+"""Where the time of a step goes."""
+
+from __future__ import annotations
+
+from time import perf_counter_ns
+
+
+class Profile:
+    """Sums wall time by part of the step. Parts are marked as they end: one clock reading each."""
+
+    def __init__(self) -> None:
+        self._nanoseconds: dict[str, int] = {}
+        self._last = 0
+
+    def start(self) -> None:
+        """Begin a step."""
+        self._last = perf_counter_ns()
+
+    def mark(self, part: str) -> None:
+        """Book the time since the last mark to a part."""
+        now = perf_counter_ns()
+        self._nanoseconds[part] = self._nanoseconds.get(part, 0) + now - self._last
+        self._last = now
+
+    def clear(self) -> None:
+        """Forget all: the warm-up, which compiles, is not part of the run."""
+        self._nanoseconds.clear()
+
+    def seconds(self) -> dict[str, float]:
+        """Return the seconds spent in each part, in the order of the step."""
+        return {part: spent * 1e-9 for part, spent in self._nanoseconds.items()}

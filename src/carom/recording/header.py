@@ -1,0 +1,44 @@
+"""What is known of a run before its first frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Scalar = str | int | float | bool
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """Everything static about a run: who the bodies are, and which parts of the model the scene requires.
+
+    A part that is not required (a flag below is false) leaves no entity and no byte in the recording.
+    """
+
+    title: str
+    description: str  # Markdown, for people
+    scene_toml: str  # the exact text
+    seed: int
+    run_id: str  # a UUID; the recording id
+    names: list[str]  # (n,)
+    group: NDArray[np.int64]  # (n,) bodies of one group share a hue
+    mass: NDArray[np.float64]  # (n,) kg
+    radius: NDArray[np.float64]  # (n,) m
+    inertia: NDArray[np.float64]  # (n,) kg m²
+    spins: bool
+    gravitates: bool
+    collides: bool
+    has_field: bool
+    body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
+    duration: float  # s of simulated time, as asked for
+    shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
+    box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
+    properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
+
+    @property
+    def bodies(self) -> int:
+        """How many bodies there are."""
+        return len(self.mass)

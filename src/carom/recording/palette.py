@@ -1,0 +1,72 @@
+"""Colours, as 0xRRGGBBAA: Okabe and Ito's palette, told apart by colour-blind readers, on a dark ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+ORANGE = 0xE69F00FF
+SKY = 0x56B4E9FF
+GREEN = 0x009E73FF
+YELLOW = 0xF0E442FF
+BLUE = 0x0072B2FF
+VERMILION = 0xD55E00FF
+PURPLE = 0xCC79A7FF
+GREY = 0x9A9A9AFF
+WHITE = 0xFFFFFFFF
+BACKGROUND = 0x0B0E14FF
+
+# Neighbouring stages must be told apart at a glance, so the order alternates warm and cold.
+STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
+STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
+SERIAL_STAGE = 64  # contacts past so many colours share one last, serial stage; drawn white
+
+BODIES = (SKY, ORANGE, GREEN, YELLOW, PURPLE, BLUE, VERMILION)
+BODY_NAMES = ("sky blue", "orange", "green", "yellow", "purple", "blue", "vermilion")
+
+PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
+DT_LIMITS = {
+    "start": GREY,
+    "acceleration": PURPLE,
+    "velocity": ORANGE,
+    "cap": SKY,
+    "growth": YELLOW,
+    "fixed": BLUE,
+    "end": GREEN,
+}
+
+_GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) evenly in any prefix
+_SHADE = 0.45  # how much darker the darkest body of a group is than its hue
+
+
+def stage_colours(stages: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Colours of contacts by the stage they are resolved in; the serial stage is white."""
+    cycle = np.array(STAGES, dtype=np.uint32)
+    colours = cycle[stages % len(cycle)]
+    return np.where(stages >= SERIAL_STAGE, np.uint32(WHITE), colours)
+
+
+def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Colours of bodies by their colour in the collision graph; grey touches nobody."""
+    cycle = np.array(BODIES, dtype=np.uint32)
+    return np.where(body_colours < 0, np.uint32(GREY), cycle[body_colours % len(cycle)])
+
+
+def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Colours of bodies that stay: a hue per group, a shade per body.
+
+    With a single group of few bodies each body has a hue of its own.
+    """
+    count = len(group)
+    few = count <= len(BODIES)
+    hue = np.array(BODIES, dtype=np.uint32)[(np.arange(count) if few else group) % len(BODIES)]
+    shade = np.ones(count) if few else 1.0 - _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
+    return _shaded(hue, shade)
+
+
+def _shaded(colours: NDArray[np.uint32], shade: NDArray[np.float64]) -> NDArray[np.uint32]:
+    result = np.full(len(colours), 0xFF, dtype=np.uint32)
+    for shift in (24, 16, 8):
+        channel = ((colours >> np.uint32(shift)) & np.uint32(0xFF)) * shade
+        result |= channel.astype(np.uint32) << np.uint32(shift)
+    return result

@@ -1,0 +1,25 @@
+"""Room kept free on the disk, so that a recording can still be closed properly when the disk is full."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+
+class Reserve:
+    """An unnamed file of the wanted size beside the recording. Dropping it makes room for the last words."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it lives as long as the recording
+        self.size = 0
+
+    def grow(self, size: int) -> None:
+        """Hold at least ``size`` bytes. OSError (ENOSPC) if the disk has not got them."""
+        if size > self.size:
+            os.posix_fallocate(self._file.fileno(), self.size, size - self.size)
+            self.size = size
+
+    def release(self) -> None:
+        """Give the room back to the disk."""
+        self._file.close()

@@ -1,0 +1,1 @@
+"""What to simulate: validated data, and where the bodies start."""

@@ -1,0 +1,7 @@
+"""The one exception that a person's mistake in a scene raises."""
+
+from __future__ import annotations
+
+
+class SceneError(ValueError):
+    """A scene that cannot be simulated as written. The message names the place, what is wrong and what would be right."""

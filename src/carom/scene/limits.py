@@ -1,0 +1,58 @@
+"""What is refused before anything is allocated: what this version does not model, and what the machine cannot hold."""
+
+from __future__ import annotations
+
+import os
+
+from carom.scene.error import SceneError
+from carom.scene.schema import Scene
+
+BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
+
+
+def memory_estimate(scene: Scene) -> int:
+    """Estimate the memory of a run without its contacts, in bytes."""
+    return scene.count * BYTES_PER_BODY
+
+
+def refuse_impossible(scene: Scene) -> None:
+    """Refuse a scene that cannot run here.
+
+    Raises
+    ------
+    SceneError
+        Naming the key and what would be right.
+    """
+    if scene.gravity.method == "tree":
+        raise SceneError('gravity.method = "tree": this version sums directly; use "auto" or "direct"')
+    if scene.domain.boundary == "walls":
+        raise SceneError('domain.boundary = "walls": this version has no walls; use "open" or "periodic"')
+    if scene.contact.timing == "time-of-impact":
+        raise SceneError('contact.timing = "time-of-impact": this version resolves contacts at the "end-of-step"')
+    needed, there = memory_estimate(scene), _memory()
+    if needed > there:
+        raise SceneError(
+            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
+            f"{there / 1e9:.3g} GB; lower the count"
+        )
+    _refuse_narrow_box(scene)
+
+
+def _refuse_narrow_box(scene: Scene) -> None:
+    """In a periodic box a body may meet another once, not also its image or itself."""
+    if scene.domain.boundary != "periodic" or scene.domain.size is None:
+        return
+    largest = max([body.radius for body in scene.body] + [group.radius.max for group in scene.group])
+    if min(scene.domain.size) < 4 * largest:
+        raise SceneError(
+            f"domain.size = {list(scene.domain.size)}: a periodic box must be at least four times the largest "
+            f"radius wide ({4 * largest:g} m), or a body meets another and its image at once"
+        )
+
+
+def _memory() -> int:
+    """Return the physical memory of this machine in bytes; all that an address can name where it is not known."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return 2**47

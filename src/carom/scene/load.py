@@ -1,0 +1,252 @@
+"""From TOML to a `Scene`: files, bundled scenes, overrides, and errors that name file, line and key."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+import tomlkit.exceptions
+from pydantic import BaseModel, ValidationError
+
+from carom.scene.bundled import bundled_scenes
+from carom.scene.error import SceneError
+from carom.scene.lines import KeyPath, line_of
+from carom.scene.schema import Scene
+
+LARGEST_FILE = 4_000_000  # bytes; a scene is a page or two, whatever is larger is not one
+MOST_MESSAGES = 8
+
+
+def load_scene(source: str | Path, overrides: list[str]) -> Scene:
+    """Load a scene.
+
+    Parameters
+    ----------
+    source
+        A path to a TOML file, or the name of a bundled scene.
+    overrides
+        ``key=value`` strings as given to ``--set``, e.g. ``gravity.method=direct`` or ``body.0.radius=2``.
+
+    Raises
+    ------
+    SceneError
+        Naming file, line and key.
+    """
+    path = _find(source)
+    text = _read(path)
+    try:
+        tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path}: not TOML: {error}") from None
+    document = tomlkit.parse(text)
+    overridden = {_apply_override(document, override): override for override in overrides}
+    effective = tomlkit.dumps(document)
+    return _validate(tomllib.loads(effective), effective, _Places(str(path), text, overridden))
+
+
+def scene_from_dict(data: dict[str, Any]) -> Scene:
+    """Build a scene from a plain dictionary; errors name the key."""
+    try:
+        text = tomlkit.dumps(data)
+    except (TypeError, ValueError, tomlkit.exceptions.TOMLKitError) as error:
+        raise SceneError(f"not a scene: {error}") from None
+    return _validate(data, text, _Places("", "", {}))
+
+
+def scene_from_toml(text: str, name: str) -> Scene:
+    """Build a scene from TOML that is already in memory, such as a recording's; ``name`` stands for the file."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{name}: not TOML: {error}") from None
+    return _validate(data, text, _Places(name, text, {}))
+
+
+class _Places:
+    """Where each key was written: a line of a file, or an override."""
+
+    def __init__(self, file: str, text: str, overrides: dict[KeyPath, str]) -> None:
+        self.file = file
+        self.text = text
+        self.overrides = overrides
+
+    def of(self, path: KeyPath) -> str:
+        for overridden, text in self.overrides.items():
+            if path[: len(overridden)] == overridden:
+                return f"--set {text}: "
+        if not self.file:
+            return ""
+        line = line_of(self.text, path)
+        return f"{self.file}:{line}: " if line else f"{self.file}: "
+
+
+def _find(source: str | Path) -> Path:
+    path = Path(source)
+    if path.is_dir():
+        raise SceneError(f"{path}: a folder, not a scene; name the .toml file in it")
+    if path.exists():
+        return path
+    bundled = bundled_scenes()
+    if str(source) in bundled:
+        return bundled[str(source)]
+    near = difflib.get_close_matches(path.stem, bundled, n=1)
+    hint = f'; did you mean the bundled scene "{near[0]}"?' if near else ""
+    raise SceneError(f"{source}: no such file, and no bundled scene of that name{hint} (`carom scenes` lists them)")
+
+
+def _read(path: Path) -> str:
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise SceneError(f"{path}: {path.stat().st_size} bytes is too large for a scene")
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _apply_override(document: tomlkit.TOMLDocument, override: str) -> KeyPath:
+    """Set one key of the document, keeping its comments; return the path that was set."""
+    dotted, separator, text = override.partition("=")
+    keys = tuple(int(key) if key.isdigit() else key for key in dotted.strip().split("."))
+    if not separator or not all(key != "" for key in keys):
+        raise SceneError(f"--set {override}: expected key=value, such as contact.restitution=0.8")
+    node: Any = document
+    for depth, key in enumerate(keys[:-1]):
+        try:
+            if isinstance(key, str) and key not in node:
+                node[key] = tomlkit.table()
+            node = node[key]
+        except (KeyError, IndexError, TypeError):
+            where = ".".join(map(str, keys[: depth + 1]))
+            raise SceneError(f"--set {override}: there is no {where} in the scene") from None
+        if not isinstance(node, (dict, list)):
+            where = ".".join(map(str, keys[: depth + 1]))
+            raise SceneError(f"--set {override}: {where} is a value, not a section")
+    try:
+        node[keys[-1]] = _parse_value(text.strip())
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise SceneError(f"--set {override}: there is no {dotted.strip()} in the scene") from None
+    return keys
+
+
+def _parse_value(text: str) -> Any:
+    """Read a TOML value; a bare word is a string."""
+    try:
+        return tomlkit.value(text)
+    except (tomlkit.exceptions.TOMLKitError, ValueError):
+        return text
+
+
+def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
+    try:
+        scene = Scene.model_validate(data)
+    except ValidationError as error:
+        first_of_each_key = {_written_path(detail, data): detail for detail in reversed(error.errors())}
+        messages = [_explain(detail, path, places) for path, detail in reversed(first_of_each_key.items())]
+        more = len(messages) - MOST_MESSAGES
+        if more > 0:
+            messages = [*messages[:MOST_MESSAGES], f"… and {more} more"]
+        raise SceneError("\n".join(messages)) from None
+    scene._toml = text
+    return scene
+
+
+def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
+    """One line a person can act on: place, key, what is wrong, what would be right."""
+    place, key, given = places.of(path), ".".join(map(str, path)), detail["input"]
+    if detail["type"] == "extra_forbidden":
+        return f"{place}unknown key {key}{_nearest(path)}"
+    if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):
+        return f"{place}{key} is missing{_expected(path)}"
+    if detail["type"] == "value_error":
+        return f"{place}{key}{': ' if key else ''}{detail['ctx']['error']}"
+    shown = repr(given) if isinstance(given, str) else str(given)
+    return f"{place}{key} = {shown[:80]}: {_wrong(detail)}{_expected(path)}"
+
+
+def _is_union_member(key: str | int) -> bool:
+    """Pydantic puts the member of a union that it tried into the path; a person did not write it."""
+    return isinstance(key, str) and ("[" in key or key.startswith("constrained") or key in ("float", "nan", "literal"))
+
+
+def _written_path(detail: Any, data: Any) -> KeyPath:
+    """Return the key as a person wrote it: a radius given as a number has no `min`, a vector no `2`."""
+    path: KeyPath = tuple(key for key in detail["loc"] if not _is_union_member(key))
+    node = data
+    for depth, key in enumerate(path):
+        if isinstance(node, dict):
+            node = node.get(key)
+        elif isinstance(node, list) and isinstance(key, int) and key < len(node):
+            node = node[key]
+        else:
+            return path[:depth]
+    return path
+
+
+def _wrong(detail: Any) -> str:
+    context = detail.get("ctx", {})
+    match detail["type"]:
+        case "greater_than":
+            return f"must be more than {context['gt']:g}"
+        case "greater_than_equal":
+            return f"must be at least {context['ge']:g}"
+        case "less_than_equal":
+            return f"must be at most {context['le']:g}"
+        case "finite_number":
+            return "must be a finite number"
+        case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
+            kinds = {"float": "a number", "int": "a whole number", "string": "text in quotes", "bool": "true or false"}
+            return f"must be {kinds[detail['type'].split('_')[0]]}"
+        case "literal_error":
+            return f"must be {context['expected']}"
+        case "too_short" | "too_long" | "tuple_type" | "missing":
+            return "must be three numbers [x, y, z]"
+        case "model_type" | "model_attributes_type" | "dict_type":
+            return "must be a section with keys of its own"
+        case _:
+            return str(detail["msg"])
+
+
+def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
+    """Follow a key path through the models: the model that holds the last key, and the field itself."""
+    model: type[BaseModel] | None = Scene
+    field = None
+    for key in path:
+        if isinstance(key, int):
+            continue
+        if model is None:
+            return None, None
+        holder, field = model, model.model_fields.get(key)
+        model = _model_in(field.annotation) if field is not None else None
+        if field is None:
+            return holder, None
+    return model, field
+
+
+def _model_in(annotation: Any) -> type[BaseModel] | None:
+    """Find the model inside an annotation such as ``tuple[Body, ...]`` or ``Region | None``."""
+    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
+        return annotation if issubclass(annotation, BaseModel) else None
+    found = (_model_in(member) for member in typing.get_args(annotation))
+    return next((model for model in found if model is not None), None)
+
+
+def _expected(path: KeyPath) -> str:
+    _, field = _field(path)
+    return f" ({path[-1]}: {field.description})" if field is not None and field.description else ""
+
+
+def _nearest(path: KeyPath) -> str:
+    model, _ = _field(path[:-1]) if path[:-1] else (Scene, None)
+    if model is None:
+        return ""
+    near = difflib.get_close_matches(str(path[-1]), model.model_fields, n=1, cutoff=0.5)
+    if near:
+        return f'; did you mean "{near[0]}"?'
+    return f"; known here: {', '.join(model.model_fields)}"

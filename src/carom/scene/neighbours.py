@@ -1,0 +1,88 @@
+"""Which spheres overlap: a broad phase by k-d trees, then the exact test, vectorised.
+
+A k-d tree queried at twice the largest radius returns n² candidates as soon as one body is huge. Bodies are
+therefore sorted into size classes, each spanning a factor of two in radius, with a tree for each class; a pair of
+classes is queried at the sum of its two largest radii.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+PairArray = NDArray[np.int64]
+
+QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
+
+
+def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> PairArray:
+    """Find all pairs of spheres that touch or overlap.
+
+    Parameters
+    ----------
+    position
+        Centres, (n, 3) m.
+    radius
+        (n,) m.
+    box
+        Size of a periodic domain about the origin, (3,) m, or None for open space.
+
+    Returns
+    -------
+    pairs
+        (m, 2) indices with i < j, sorted by (i, j): they do not depend on how the search went.
+    """
+    candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
+    candidates.sort(axis=1)
+    i, j = candidates[:, 0], candidates[:, 1]
+    touching = squared_distance(position[i], position[j], box) <= (radius[i] + radius[j]) ** 2
+    pairs = candidates[touching]
+    return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
+
+
+def squared_distance(a: FloatArray, b: FloatArray, box: FloatArray | None) -> FloatArray:
+    """Squared distance between rows of (m, 3) arrays, to the nearest image in a periodic box."""
+    separation = b - a
+    if box is not None:
+        separation -= box * np.round(separation / box)
+    x, y, z = separation.T
+    return np.asarray(x * x + y * y + z * z)
+
+
+def wrapped(position: FloatArray, box: FloatArray | None) -> FloatArray:
+    """Return positions in [0, box), as a periodic k-d tree wants them."""
+    if box is None:
+        return position
+    inside = np.mod(position, box)
+    return np.where(inside >= box, 0.0, inside)  # np.mod rounds a tiny negative number up to the box itself
+
+
+def size_classes(radius: FloatArray) -> list[NDArray[np.intp]]:
+    """Group indices by radius, each class spanning less than a factor of two, smallest radii first."""
+    octave = np.floor(np.log2(radius / radius.min())).astype(np.int64)
+    return [np.flatnonzero(octave == value) for value in np.unique(octave)]
+
+
+_EMPTY = np.empty((0, 2), dtype=np.int64)
+
+
+def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> list[PairArray]:
+    """Return pairs that may overlap, from every pair of size classes."""
+    inside = wrapped(position, box)
+    classes = size_classes(radius)
+    trees = [cKDTree(inside[members], boxsize=box) for members in classes]
+    reach = [radius[members].max() for members in classes]
+    found = []
+    for k, members in enumerate(classes):
+        pairs = trees[k].query_pairs(2 * reach[k] * QUERY_MARGIN, output_type="ndarray")
+        found.append(members[pairs])
+    for k, other in itertools.combinations(range(len(classes)), 2):
+        near = trees[k].sparse_distance_matrix(
+            trees[other], (reach[k] + reach[other]) * QUERY_MARGIN, output_type="ndarray"
+        )
+        found.append(np.column_stack((classes[k][near["i"]], classes[other][near["j"]])))
+    return found

@@ -1,0 +1,148 @@
+"""Which parts of the model a scene needs, and why. Decided from the scene alone.
+
+A part that is not required costs no time, no memory and no bytes in the recording, and leaving it out never changes
+the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from carom.scene.schema import Scene
+
+ALL_PAIRS_UP_TO = 128  # bodies; below, testing every pair beats building a k-d tree (benchmarks/search.py)
+
+FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
+FEWEST_FRAMES = 50
+AUTO_BYTES = 300_000_000  # an "auto" recording of many bodies gets fewer frames to stay below
+BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the model: its name, whether it is modelled, and the reason."""
+
+    name: str
+    modelled: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """The parts of the model that a scene needs."""
+
+    gravity: Part
+    field: Part
+    contact: Part
+    search: Part
+    friction: Part
+    torque: Part
+    spin: Part
+    warm_up: Part
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """All parts, in the order in which a step uses them."""
+        return tuple(vars(self).values())
+
+
+def require(scene: Scene) -> Requirements:
+    """Decide what a scene needs."""
+    gravity, contact = _gravity(scene), _contact(scene)
+    friction = _friction(scene, contact)
+    torque = Part(
+        "torque",
+        friction.modelled,
+        "friction turns bodies" if friction.modelled else "nothing turns a body: the normal force acts on the centre",
+    )
+    return Requirements(
+        gravity=gravity,
+        field=_field(scene),
+        contact=contact,
+        search=_search(scene, contact),
+        friction=friction,
+        torque=torque,
+        spin=_spin(scene, friction),
+        warm_up=_warm_up(scene),
+    )
+
+
+def _gravity(scene: Scene) -> Part:
+    name = "gravity"
+    if scene.gravity.method == "none":
+        return Part(name, False, 'gravity.method = "none"')
+    if scene.gravity.constant == 0:
+        return Part(name, False, "gravity.constant = 0")
+    if scene.count == 1:
+        return Part(name, False, "one body pulls nothing else")
+    return Part(name, True, f"direct sum over {scene.count} bodies, with the potential where an energy is due")
+
+
+def _field(scene: Scene) -> Part:
+    if any(scene.gravity.uniform):
+        return Part("uniform field", True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²")
+    return Part("uniform field", False, "gravity.uniform is zero")
+
+
+def _contact(scene: Scene) -> Part:
+    name = "contact"
+    if not scene.contact.enabled:
+        return Part(name, False, "contact.enabled = false")
+    if scene.count == 1:
+        return Part(name, False, "one body has nothing to touch")
+    if not _gravity(scene).modelled and not _moves_relatively(scene):
+        return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
+    return Part(name, True, f"{scene.count} bodies may meet")
+
+
+def _moves_relatively(scene: Scene) -> bool:
+    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed)."""
+    velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
+    stirred = any(group.velocity.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
+    return len(velocities) > 1 or stirred or scene.contact.allow_overlap
+
+
+def _search(scene: Scene, contact: Part) -> Part:
+    name = "broad phase"
+    if not contact.modelled:
+        return Part(name, False, "no contact is possible")
+    if scene.count <= ALL_PAIRS_UP_TO:
+        return Part(name, False, f"{scene.count} bodies: testing every pair is cheaper than a k-d tree")
+    return Part(name, True, "k-d trees, one for each octave of radius")
+
+
+def _friction(scene: Scene, contact: Part) -> Part:
+    name = "friction"
+    if not contact.modelled:
+        return Part(name, False, "no contact is possible")
+    if scene.contact.static_friction == 0:
+        return Part(name, False, "both coefficients are 0")
+    return Part(name, True, f"μs = {scene.contact.static_friction:g}, μk = {scene.contact.kinetic_friction:g}")
+
+
+def _spin(scene: Scene, friction: Part) -> Part:
+    name = "spin and orientation"
+    if friction.modelled:
+        return Part(name, True, "friction turns bodies")
+    spinning = any(any(body.angular_velocity) for body in scene.body) or any(
+        group.spin.dispersion > 0 or any(group.bulk_rotation) for group in scene.group
+    )
+    if spinning:
+        return Part(name, True, "bodies spin at the start")
+    return Part(name, False, "no friction, and nothing spins at the start")
+
+
+def _warm_up(scene: Scene) -> Part:
+    if scene.time.fixed_dt is not None:
+        return Part("warm-up", False, "time.fixed_dt: no step has to be found")
+    return Part("warm-up", True, "the first adaptive step needs accelerations")
+
+
+def frame_interval(scene: Scene) -> float:
+    """Return the simulated time between recorded frames in seconds; 0 records every step."""
+    if scene.record.every == "step":
+        return 0.0
+    if scene.record.every == "auto":
+        affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
+        return scene.time.duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
+    return scene.record.every

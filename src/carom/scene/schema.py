@@ -1,0 +1,296 @@
+"""The scene: everything a run depends on, as validated data. Units stand in each description.
+
+The names are the ones that a person writes in the TOML file. Every section and key is optional but a body or a
+group; unknown keys are refused.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+Count = Annotated[int, Field(strict=True, ge=1)]
+Vector = tuple[Real, Real, Real]
+
+ORIGIN: Vector = (0.0, 0.0, 0.0)
+
+
+class Section(BaseModel):
+    """A table of the scene file: immutable, and without keys that nobody knows."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=False)
+
+
+class Time(Section):
+    """[time]: how long, and how the step is chosen."""
+
+    duration: Positive = Field(10.0, description="s, simulated time; more than 0")
+    max_dt: Positive = Field(1.0, description="s, largest step; more than 0")
+    target_dx: Positive = Field(0.01, description="m, farthest that the largest acceleration may move a body in a step")
+    cfl: Positive = Field(0.5, description="fraction of its own radius that a body may cross in a step; more than 0")
+    smoothing: Positive = Field(
+        0.2, le=1, description="weight of the new dt in the moving average, above 0; 1 is no smoothing"
+    )
+    velocity_limit: Literal["every-body", "fastest-body"] = Field(
+        "every-body", description="whose radius and speed limit the step; fastest-body is the seed's rule"
+    )
+    fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
+    integrator: Literal["euler", "leapfrog", "yoshida4"] = Field(
+        "leapfrog", description="semi-implicit Euler, leapfrog (order 2) or Yoshida's (order 4)"
+    )
+
+
+class Gravity(Section):
+    """[gravity]: what pulls."""
+
+    constant: NonNegative = Field(6.6743e-11, description="m³ kg⁻¹ s⁻², 0 is no gravity; not negative")
+    method: Literal["auto", "direct", "tree", "none"] = Field("auto", description="how the pull is summed")
+    opening_angle: Positive = Field(0.5, description="rad, tree only; more than 0")
+    softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
+    uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
+
+
+class Contact(Section):
+    """[contact]: what happens where spheres touch."""
+
+    enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
+    restitution: Real = Field(
+        0.5, ge=0, le=1, description="fraction of the approach speed kept, from 0 (no bounce) to 1 (elastic)"
+    )
+    static_friction: NonNegative = Field(0.6, description="Coulomb coefficient while the contact sticks; not negative")
+    kinetic_friction: NonNegative = Field(
+        0.4, description="Coulomb coefficient while the contact slides, from 0 to static_friction"
+    )
+    colouring: Literal["contacts", "bodies"] = Field(
+        "contacts", description="what the stages are built from; bodies is the seed's"
+    )
+    stabilisation: Literal["split", "baumgarte", "none"] = Field(
+        "split", description="how overlaps are undone; baumgarte is the seed's"
+    )
+    timing: Literal["end-of-step", "time-of-impact"] = Field("end-of-step", description="when a contact is resolved")
+    sweeps: Count = Field(8, le=10_000, description="at most this many passes over the colours in a step; 1 or more")
+    allow_overlap: Annotated[bool, Field(strict=True)] = Field(
+        False, description="true: explicit bodies may overlap at the start"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follow_the_given_friction(cls, data: Any) -> Any:
+        """Let the coefficient that is not given follow the one that is, where its default would contradict it."""
+        if not isinstance(data, dict):
+            return data
+        static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
+        if isinstance(static, (int, float)) and kinetic is None:
+            return {**data, "kinetic_friction": min(0.4, static)}
+        if isinstance(kinetic, (int, float)) and static is None:
+            return {**data, "static_friction": max(0.6, kinetic)}
+        return data
+
+    @model_validator(mode="after")
+    def _sliding_is_not_harder_than_starting(self) -> Self:
+        if self.kinetic_friction > self.static_friction:
+            raise ValueError(
+                f"kinetic_friction = {self.kinetic_friction:g} is above static_friction = {self.static_friction:g}; "
+                "a sliding contact cannot hold more than a sticking one, so kinetic_friction must be the smaller"
+            )
+        return self
+
+
+class Domain(Section):
+    """[domain]: the space around the bodies."""
+
+    boundary: Literal["open", "periodic", "walls"] = Field("open", description="what is at the edge")
+    size: tuple[Positive, Positive, Positive] | None = Field(
+        None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
+    )
+
+    @model_validator(mode="after")
+    def _a_box_has_a_size(self) -> Self:
+        if self.boundary != "open" and self.size is None:
+            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z] in metres')
+        return self
+
+
+class Record(Section):
+    """[record]: how often something is written down. It never changes the physics."""
+
+    every: Literal["auto", "step"] | Positive = Field(
+        "auto", description='"auto", "step", or seconds of simulated time between frames'
+    )
+    log_freq: Count = Field(100, description="steps between energy checks; 1 or more")
+    energy_tolerance: Positive = Field(
+        1e-3, description="rise of the energy between two checks, over the energy scale, that logs a warning"
+    )
+
+
+def _constant_as_range(value: Any) -> Any:
+    """Read a single number as a range of no width."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return {"min": value, "max": value}
+    return value
+
+
+class RadiusRange(Section):
+    """Radii of a group: one number, or a range with its distribution."""
+
+    min: Positive = Field(description="m, smallest radius; more than 0")
+    max: Positive = Field(description="m, largest radius; more than 0")
+    distribution: Literal["uniform", "log-uniform", "power-law"] = Field("uniform", description="of the radii")
+    exponent: Real = Field(-3.5, description="of the power law, dN/dr ∝ r^exponent")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min > self.max:
+            raise ValueError(f"min = {self.min:g} is above max = {self.max:g}; exchange them")
+        return self
+
+
+class Region(Section):
+    """Where the bodies of a group are placed; whole spheres lie inside it."""
+
+    shape: Literal["ball", "box"] = Field("ball", description="ball or box")
+    radius: Positive | None = Field(None, description="m, of a ball; more than 0")
+    size: tuple[Positive, Positive, Positive] | None = Field(None, description="m, [x, y, z] of a box")
+    centre: Vector = Field(ORIGIN, description="m, [x, y, z]")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        if self.shape == "ball" and (self.radius is None or self.size is not None):
+            raise ValueError('shape = "ball" needs radius = … in metres, and no size')
+        if self.shape == "box" and (self.size is None or self.radius is not None):
+            raise ValueError('shape = "box" needs size = [x, y, z] in metres, and no radius')
+        return self
+
+
+class Velocity(Section):
+    """Velocities of a group: Maxwellian about a mean."""
+
+    mean: Vector = Field(ORIGIN, description="m/s, [x, y, z]")
+    dispersion: NonNegative = Field(0.0, description="m/s, standard deviation of each component; not negative")
+
+
+class Spin(Section):
+    """Spins of a group: Maxwellian about zero."""
+
+    dispersion: NonNegative = Field(0.0, description="rad/s, standard deviation of each component; not negative")
+
+
+class Matter(Section):
+    """What a sphere is made of: a density or a mass, not both."""
+
+    density: Positive | None = Field(None, description="kg/m³, 1000 unless mass is given; more than 0")
+    mass: Positive | None = Field(None, description="kg of each body, in place of density; more than 0 and finite")
+    inertia_factor: Positive = Field(
+        0.4, le=2 / 3, description="moment of inertia over m r²: 2/5 for a full sphere, 2/3 for a shell"
+    )
+
+    @model_validator(mode="after")
+    def _density_or_mass(self) -> Self:
+        if self.density is not None and self.mass is not None:
+            raise ValueError("density and mass are both given; leave one out")
+        return self
+
+
+class Group(Matter):
+    """[[group]]: many bodies at random, never overlapping."""
+
+    name: str = Field("", description="shown in the recording")
+    count: Count = Field(100, description="number of bodies; 1 or more")
+    radius: Annotated[RadiusRange, BeforeValidator(_constant_as_range)] = Field(
+        RadiusRange(min=1.0, max=1.0), description="m, one number or { min, max, distribution }"
+    )
+    region: Region | None = Field(None, description="where; a ball one tenth full unless given")
+    velocity: Velocity = Field(Velocity(), description="{ mean, dispersion } in m/s")
+    spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
+    bulk_rotation: Vector = Field(ORIGIN, description="rad/s, the group turning as one about its centre")
+
+
+class Body(Matter):
+    """[[body]]: one body."""
+
+    name: str = Field("", description="shown in the recording and in warnings")
+    position: Vector = Field(ORIGIN, description="m, [x, y, z] of the centre")
+    velocity: Vector = Field(ORIGIN, description="m/s, [x, y, z]")
+    angular_velocity: Vector = Field(ORIGIN, description="rad/s, [x, y, z]")
+    radius: Positive = Field(1.0, description="m; more than 0")
+
+
+class Expect(Section):
+    """[expect]: promises checked at the end; a run that misses one exits 1 and says so."""
+
+    energy_error: NonNegative | None = Field(None, description="largest |integration error| over the energy scale")
+    momentum_error: NonNegative | None = Field(None, description="largest change of momentum over its scale")
+    angular_momentum_error: NonNegative | None = Field(
+        None, description="largest change of angular momentum over its scale"
+    )
+    max_overlap: NonNegative | None = Field(None, description="deepest overlap over the smaller radius")
+
+
+class Scene(Section):
+    """What to simulate: validated, complete, immutable.
+
+    Examples
+    --------
+    >>> scene = Scene.from_dict({"body": [{"radius": 1.0}], "time": {"duration": 1.0}})
+    >>> scene.time.max_dt
+    1.0
+    """
+
+    title: str = Field("Untitled scene", description="one line, shown everywhere")
+    description: str = Field("", description="what to look for, shown in the recording")
+    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="of the random start; 0 or more")
+    time: Time = Field(Time(), description="how long, and how the step is chosen")
+    gravity: Gravity = Field(Gravity(), description="what pulls")
+    contact: Contact = Field(Contact(), description="what happens where spheres touch")
+    domain: Domain = Field(Domain(), description="the space around the bodies")
+    record: Record = Field(Record(), description="how often something is written down")
+    group: tuple[Group, ...] = Field((), description="many bodies at random")
+    body: tuple[Body, ...] = Field((), description="single bodies")
+    expect: Expect = Field(Expect(), description="promises checked at the end")
+
+    _toml: str = PrivateAttr("")
+
+    @property
+    def toml(self) -> str:
+        """The scene as TOML: the text it was loaded from with overrides applied, or one written from its values."""
+        return self._toml
+
+    @property
+    def count(self) -> int:
+        """Number of bodies."""
+        return len(self.body) + sum(group.count for group in self.group)
+
+    @classmethod
+    def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
+        """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
+        from carom.scene.load import load_scene  # noqa: PLC0415 - load needs Scene
+
+        return load_scene(source, overrides or [])
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Scene:
+        """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
+        from carom.scene.load import scene_from_dict  # noqa: PLC0415 - load needs Scene
+
+        return scene_from_dict(data)
+
+    @model_validator(mode="after")
+    def _has_a_body(self) -> Self:
+        if self.count == 0:
+            raise ValueError("no bodies; add a [[body]] or a [[group]]")
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_self_gravity(self) -> Self:
+        pulls = self.gravity.constant > 0 and self.gravity.method != "none"
+        if self.domain.boundary == "periodic" and pulls:
+            raise ValueError(
+                'domain.boundary = "periodic" with self-gravity: the sum over infinitely many images does not '
+                "converge, so there is no right answer to compute; set gravity.constant = 0"
+            )
+        return self
