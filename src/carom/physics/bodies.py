@@ -63,22 +63,22 @@ class BodyProxy:
     @property
     def position(self) -> FloatArray:
         """(3,) m."""
-        return self._bodies.position[self.index]
+        return self._row(self._bodies.position)
 
     @property
     def velocity(self) -> FloatArray:
         """(3,) m/s."""
-        return self._bodies.velocity[self.index]
+        return self._row(self._bodies.velocity)
 
     @property
     def angular_velocity(self) -> FloatArray:
         """(3,) rad/s; zeros that nothing reads where the scene requires no spin."""
-        return self._bodies.angular_velocity[self.index] if self.spins else np.zeros(3)
+        return self._row(self._bodies.angular_velocity) if self.spins else np.zeros(3)
 
     @property
     def orientation(self) -> FloatArray:
         """(4,) xyzw."""
-        return self._bodies.orientation[self.index] if self.spins else np.array([0.0, 0.0, 0.0, 1.0])
+        return self._row(self._bodies.orientation) if self.spins else np.array([0.0, 0.0, 0.0, 1.0])
 
     @property
     def mass(self) -> float:
@@ -115,3 +115,8 @@ class BodyProxy:
         self.velocity[:] += impulse / self.mass
         if self.spins:
             self.angular_velocity[:] += np.cross(arm, impulse) / self.inertia
+
+    def _row(self, array: FloatArray) -> FloatArray:
+        """View, not copy, this body's row."""
+        row: FloatArray = array[self.index]
+        return row

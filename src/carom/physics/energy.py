@@ -1,7 +1,7 @@
 """Energy terms and the ledger: what the run has, what contacts took out, what stabilisation put in.
 
-    E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / r_ij - Σ m g·x
-    E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
+E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / r_ij - Σ m g·x
+E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Ledger:
 class Energy:
     """The terms of the total energy at one moment, in joules.
 
-    ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0): what the integrator, and nothing else, got wrong.
+    ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0): what the integrator alone got wrong.
     """
 
     translational: float  # Σ ½ m v²

@@ -40,7 +40,7 @@ SUBSTEPS: dict[str, tuple[Substep, ...]] = {
 
 @kernel
 def kick(velocity: FloatArray, acceleration: FloatArray, dt: float) -> None:
-    """v += a dt, both (n, 3)."""
+    """Kick: v += a dt, both (n, 3)."""
     for i in range(len(velocity)):
         velocity[i, 0] += acceleration[i, 0] * dt
         velocity[i, 1] += acceleration[i, 1] * dt
@@ -49,7 +49,7 @@ def kick(velocity: FloatArray, acceleration: FloatArray, dt: float) -> None:
 
 @kernel
 def drift(position: FloatArray, velocity: FloatArray, dt: float) -> None:
-    """x += v dt, both (n, 3)."""
+    """Drift: x += v dt, both (n, 3)."""
     for i in range(len(position)):
         position[i, 0] += velocity[i, 0] * dt
         position[i, 1] += velocity[i, 1] * dt

@@ -9,7 +9,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 PACKAGE = Path(__file__).parent
 
@@ -28,30 +28,38 @@ def _writable_cache() -> None:
 _writable_cache()
 
 import numba  # noqa: E402 - reads NUMBA_CACHE_DIR when it is imported
+from numba.core import event  # noqa: E402
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-_kernels: list[Any] = []
 
 
 def kernel(function: Function) -> Function:
     """Compile a function on its first call, or take it from the cache."""
     compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    _kernels.append(compiled)
-    return compiled  # type: ignore[no-any-return]
+    return cast("Function", compiled)
 
 
 def inline(function: Function) -> Function:
     """Compile a small function into the kernels that call it."""
-    return numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)  # type: ignore[no-any-return]
+    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+    return cast("Function", compiled)
 
 
-def in_cache() -> bool:
-    """Tell whether the kernels were compiled on this machine before, so that a first run can say that it compiles."""
-    return all(_has_index(compiled) for compiled in _kernels)
+class _FirstCompilation(event.Listener):  # type: ignore[misc]
+    """Calls back when a kernel is compiled that no cache has, the first time only."""
+
+    def __init__(self, callback: Callable[[], None]) -> None:
+        self._callback: Callable[[], None] | None = callback
+
+    def on_start(self, event: object) -> None:
+        callback, self._callback = self._callback, None
+        if callback:
+            callback()
+
+    def on_end(self, event: object) -> None:
+        pass
 
 
-def _has_index(compiled: Any) -> bool:
-    stem = f"{compiled.py_func.__module__.rsplit('.', 1)[-1]}.{compiled.py_func.__qualname__}-"
-    folder = Path(compiled.stats.cache_path)
-    return folder.is_dir() and any(file.name.startswith(stem) for file in folder.glob("*.nbi"))
+def on_compilation(callback: Callable[[], None]) -> None:
+    """Call back once, before the first kernel is compiled; never where all of them are in the cache."""
+    event.register("numba:compile", _FirstCompilation(callback))

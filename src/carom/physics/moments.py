@@ -37,9 +37,15 @@ class Moments:
     impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
 
     def see_contacts(
-        self, step: int, time: float, graph: CollisionGraph, approach: FloatArray, rest_speed: float, bodies: Bodies
-    ) -> int:
-        """Take note of a step's contacts; return how many of them were impacts."""
+        self,
+        step: int,
+        time: float,
+        graph: CollisionGraph,
+        approach: FloatArray,
+        rest_speed: float,
+        bodies: Bodies,
+    ) -> float:
+        """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""
         i, j = graph.pairs.T
         reduced = bodies.mass[i] * (bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]))
         energy = 0.5 * reduced * approach * approach
@@ -48,10 +54,10 @@ class Moments:
         self.overlap = _larger(self.overlap, depth, step, time, graph)
         if self.contacts is None or len(graph) > self.contacts.value:
             self.contacts = Moment(len(graph), step, time)
-        impacts = int(np.count_nonzero(approach > rest_speed))
+        impacts = approach > rest_speed
         self.total_contacts += len(graph)
-        self.impacts += impacts
-        return impacts
+        self.impacts += int(np.count_nonzero(impacts))
+        return float(energy[impacts].sum())
 
     def see_energy_error(self, step: int, time: float, error: float) -> None:
         """Take note of a checked energy."""

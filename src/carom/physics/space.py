@@ -33,7 +33,8 @@ FloatArray = NDArray[np.float64]
 
 WARM_UP_STEPS = 3
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
-SETTLED_AFTER = 50  # steps with contacts but without an impact
+SETTLED_MEMORY = 50  # steps over which the energy of impacts is summed
+SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
 
 
 class Space:
@@ -60,7 +61,7 @@ class Space:
         self.names = start.name
         self.groups = start.group
         self.state = Bodies.at_start(start, self.requirements.spin.modelled)
-        self.threads = threads or len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else threads or 1
+        self.threads = threads or _cores()
         self.time = 0.0  # s
         self.step = 0
         self.dt = 0.0  # s
@@ -80,12 +81,28 @@ class Space:
         self._watch = EnergyWatch(scene.record.energy_tolerance, self.names)
         self._suspects: Suspects | None = None
         self._events: list[Event] = []
-        self._quiet_steps = 0
+        self._activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self._stopping = False
         self._phase = "warm-up"
         self._warm_up()
         self._energy = self._energy_account.balance(self.state, self._accelerate(potential=True), self.ledger)
         self._watch.check(0, 0.0, self._energy, None)
         self.profile.clear()
+
+    @property
+    def box(self) -> FloatArray | None:
+        """Size of the periodic domain, (3,) m, or None in open space."""
+        return self._box if self._box[0] > 0.0 else None
+
+    @property
+    def first_dt(self) -> float:
+        """The step in seconds that the limits allow in the present state."""
+        return self.scene.time.fixed_dt or self._timestep.target(self.state)[0]
+
+    @property
+    def checked_energy(self) -> Energy:
+        """The energy as of the last check or frame, without computing it anew."""
+        return self._energy
 
     @property
     def bodies(self) -> list[BodyProxy]:
@@ -149,10 +166,17 @@ class Space:
         end = self.scene.time.duration if until is None else until
         interval = frame_interval(self.scene)
         yield self.frame()
-        while self.time < end:
+        while self.time < end and not self._stopping:
             checked = (self.step + 1) % self.scene.record.log_freq == 0
             if self._advance(end, checked, interval):
                 yield self.frame()
+        if self._stopping:
+            self._energy = self.energy()
+            yield self.frame()
+
+    def stop(self) -> None:
+        """Let `run` end after the step it is in, with a last frame of that moment; any thread may call it."""
+        self._stopping = True
 
     def frame(self) -> Frame:
         """Copy the state of the last step."""
@@ -215,6 +239,8 @@ class Space:
         potential = self._integrate(self.dt, with_potential=due or checked)
         if contact:
             self._respond(contact)
+        else:
+            self._phase = "free"
         if due or checked:
             self._take_stock(potential, checked)
         return due
@@ -265,18 +291,22 @@ class Space:
             contact.resolve(self.dt)
             self.profile.mark("response")
             self.ledger = self.ledger.plus(contact.contributions)
-            impacts = self.moments.see_contacts(
+            struck = self.moments.see_contacts(
                 self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
             )
-            self._quiet_steps = 0 if impacts else self._quiet_steps + 1
-            settled = self._quiet_steps >= SETTLED_AFTER
-            self._phase = "settled" if settled else "colliding"
+            self._activity += struck - self._activity / SETTLED_MEMORY
+            self._phase = "settled" if self._is_settled() else "colliding"
             for text in contact.limits_reached():
                 self._log("WARN", text)
         else:
             self._phase = "free"
         contact.turn(self.dt)
         self.profile.mark("torque")
+
+    def _is_settled(self) -> bool:
+        """Tell whether most bodies touch and the impacts of late were slight."""
+        quiet = self._activity <= SETTLED_BELOW * self._energy.scale
+        return quiet and 2 * len(self.contacts) >= len(self.state)
 
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute the energy and compare it with before."""
@@ -303,7 +333,7 @@ class Space:
         state = self.state
         changing = (state.position, state.velocity, state.orientation, state.angular_velocity)
         saved = [array.copy() for array in changing]
-        self._accelerate(potential=True)
+        self._accelerate(potential=False)
         if self.requirements.warm_up.modelled:
             tiny = WARM_UP_DT * self._timestep.target(state)[0]
             for _ in range(WARM_UP_STEPS):
@@ -332,3 +362,8 @@ class Space:
         lost = np.flatnonzero(~np.isfinite(self.state.position + self.state.velocity).all(axis=1))
         names = ", ".join(f'{body} "{self.names[body]}"' for body in lost[:5])
         return f"the state is no longer finite at step {self.step}, t = {self.time:.6g} s: bodies {names or 'unknown'}"
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

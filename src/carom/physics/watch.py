@@ -1,5 +1,6 @@
-"""The energy check: a closed system cannot gain energy, so a gain is a fault, and the contacts of the step before
-are its first suspects.
+"""The energy check.
+
+A closed system cannot gain energy, so a gain is a fault, and the contacts of the step before are its first suspects.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ An arrow starts at its body's centre and sticks out of the sphere by
     L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
 
 so its vector is ``(r + L) m̂``. L grows with m, is never longer than L_max and can be inverted: with u = L / L_max,
-m = m_ref · (u / (1 - u))³. The cube root keeps six decades between 9 % and 91 % of L_max. That is why m_ref may be taken
-from the first frame that has arrows and stay for the whole recording: a choice that is wrong by a thousand still shows.
+m = m_ref · (u / (1 - u))³. The cube root keeps six decades between 9 % and 91 % of L_max. That is why m_ref may be
+taken from the first frame that has arrows and stay for the whole recording: one that is wrong by a thousand still shows.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def drawn(
     m_ref: float,
     l_max: float,
 ) -> NDArray[np.float32]:
-    """The arrows ``(k, 3)`` in metres for vectors ``(k, 3)`` of bodies of the given radii."""
+    """Draw arrows ``(k, 3)`` in metres for vectors ``(k, 3)`` of bodies of the given radii."""
     s = np.cbrt(magnitude / m_ref)
     # s / (1 + s), written so that s = ∞ gives 1
     length = radius + l_max * (1.0 - 1.0 / (1.0 + s))

@@ -74,3 +74,35 @@ def decode(step: int, stored: Mapping[str, FloatArray]) -> StoredState:
         angular_velocity=vectors.get("angular_velocity"),
         energy=Energy(ledger=ledger, **energies),
     )
+
+
+class CheckpointPlan:
+    """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
+
+    Frame 0 always carries one, and so does a frame with a warning, until warnings alone have used up another tenth.
+    """
+
+    _SHARE = 0.1
+    _WARNINGS_AT_LEAST = 4
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._regular = 0
+        self._warned = 0
+
+    def chosen(self, batch: Sequence[Frame], bytes_before: int, bytes_of_batch: int) -> list[Frame]:
+        """Frames of the batch to keep, when the recording has so many bytes before it and the batch so many."""
+        kept = []
+        for index, frame in enumerate(batch):
+            room = self._SHARE * (bytes_before + bytes_of_batch * (index + 1) / len(batch))
+            if frame.step == 0 or (self._regular + 1) * self._size <= room:
+                self._regular += 1
+                kept.append(frame)
+            elif _warns(frame) and (self._warned < self._WARNINGS_AT_LEAST or (self._warned + 1) * self._size <= room):
+                self._warned += 1
+                kept.append(frame)
+        return kept
+
+
+def _warns(frame: Frame) -> bool:
+    return any(event.level == "WARN" for event in frame.events)

@@ -44,7 +44,7 @@ class Clock:
         return cls()
 
     def nanoseconds(self, times: Sequence[float] | NDArray[np.float64]) -> NDArray[np.int64]:
-        """Simulated seconds as whole nanoseconds of the timeline, rounded, never truncated."""
+        """Turn simulated seconds into whole nanoseconds of the timeline: rounded, never truncated."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
         if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
             raise RecordingError(f"simulated time {np.max(np.abs(times)):g} s does not fit the timeline")

@@ -15,3 +15,8 @@ def bundled_scenes() -> dict[str, Path]:
 def _folder() -> Path:
     installed = PACKAGE / "configs"
     return installed if installed.is_dir() else PACKAGE.parents[1] / "configs"
+
+
+def starter() -> str:
+    """Return the text of the commented scene that a person may start from."""
+    return (Path(__file__).parent / "starter.toml").read_text(encoding="utf-8")

@@ -4,4 +4,4 @@ from __future__ import annotations
 
 
 class SceneError(ValueError):
-    """A scene that cannot be simulated as written. The message names the place, what is wrong and what would be right."""
+    """A scene that cannot be simulated as written; the message names the place, the fault and what would be right."""

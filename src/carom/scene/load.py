@@ -201,7 +201,12 @@ def _wrong(detail: Any) -> str:
         case "finite_number":
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
-            kinds = {"float": "a number", "int": "a whole number", "string": "text in quotes", "bool": "true or false"}
+            kinds = {
+                "float": "a number",
+                "int": "a whole number",
+                "string": "text in quotes",
+                "bool": "true or false",
+            }
             return f"must be {kinds[detail['type'].split('_')[0]]}"
         case "literal_error":
             return f"must be {context['expected']}"

@@ -248,7 +248,9 @@ def _draw(region: Region, radius: FloatArray, rng: np.random.Generator) -> Float
     return np.array(region.centre) + offset
 
 
-def _clear_of(position: FloatArray, radius: FloatArray, trees: list[_Tree], box: FloatArray | None) -> NDArray[np.bool_]:
+def _clear_of(
+    position: FloatArray, radius: FloatArray, trees: list[_Tree], box: FloatArray | None
+) -> NDArray[np.bool_]:
     """Tell which candidates touch none of the bodies placed before."""
     clear = np.ones(len(position), dtype=bool)
     own = cKDTree(wrapped(position, box), boxsize=box)

@@ -144,4 +144,4 @@ def rest_speed(pairs: IntArray, acceleration: FloatArray, field: FloatArray, dt:
                 a = acceleration[i, k] - field[k]
                 a2 += a * a
             a2_max = max(a2_max, a2)
-    return 2.0 * np.sqrt(a2_max) * dt
+    return float(2.0 * np.sqrt(a2_max) * dt)

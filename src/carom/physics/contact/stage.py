@@ -45,49 +45,55 @@ class ContactStage:
         self._friction = requirements.friction.modelled
         self._warned: set[str] = set()
         self._angular_impulse = np.zeros_like(bodies.torque)
-        self.forget()
+        self._compile()
 
     def forget(self) -> None:
         """Begin anew, as before the first step."""
-        self._graph: CollisionGraph = empty_graph()
-        self._order: IntArray = np.empty(0, dtype=np.intp)
-        self._pushes: FloatArray = np.empty((0, 3))
+        self._begin(empty_graph())
         self._angular_impulse[:] = 0.0
-        self.contributions: FloatArray = np.zeros((0, 3))  # (m, 3) J, the ledger of each contact in this step
-        self.approach: FloatArray = np.zeros(0)  # (m,) m/s, closing speed before the impulses
-        self.rest_speed = 0.0  # m/s
-        self.sweeps = 0
 
     def find(self, dt: float, profile: Profile) -> CollisionGraph:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
-        bodies, contact = self._bodies, self._contact
-        pairs = find_pairs(bodies.position, bodies.radius, self._box, self._broad_phase)
-        m, n = len(pairs), len(bodies)
-        self.contributions, self.approach, self._pushes = np.zeros((m, 3)), np.zeros(m), np.zeros((m, 3))
-        self.sweeps = 0
+        pairs = find_pairs(self._bodies.position, self._bodies.radius, self._box, self._broad_phase)
         profile.mark("search")
-        if m == 0:
-            self._graph = empty_graph()
-            return self._graph
-        normals, _, overlaps = contact_geometry(pairs, bodies.position, bodies.radius, self._box)
-        body_colours = None
-        if contact.colouring == "bodies":
-            colours, body_colours = colour_bodies(pairs, n)
+        if len(pairs) == 0:
+            self._begin(empty_graph())
         else:
-            colours = colour_contacts(pairs, n)
-        self._order = stage_order(colours)
-        self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
-        profile.mark("colouring")
-        self.rest_speed = rest_speed(pairs, bodies.acceleration, self._field, dt)
-        if contact.stabilisation == "split":
-            self._push()
-        profile.mark("stabilisation")
+            self._order_and_push(pairs, dt, profile)
         return self._graph
 
     def resolve(self, dt: float) -> None:
         """Apply the impulses of the contacts found, with forces and velocities of the final positions."""
-        if len(self._graph) == 0:
-            return
+        if len(self._graph):
+            self._resolve(dt)
+
+    def _begin(self, graph: CollisionGraph) -> None:
+        """Take a graph, with nothing done to its contacts yet."""
+        m = len(graph)
+        self._graph = graph
+        self._order = stage_order(graph.colours)
+        self._pushes = np.zeros((m, 3))  # m, Σ δ n of each contact
+        self.contributions: FloatArray = np.zeros((m, 3))  # J, the ledger of each contact in this step
+        self.approach: FloatArray = np.zeros(m)  # m/s, closing speed before the impulses
+        self.rest_speed = 0.0  # m/s
+        self.sweeps = 0
+
+    def _order_and_push(self, pairs: IntArray, dt: float, profile: Profile) -> None:
+        bodies = self._bodies
+        normals, _, overlaps = contact_geometry(pairs, bodies.position, bodies.radius, self._box)
+        body_colours = None
+        if self._contact.colouring == "bodies":
+            colours, body_colours = colour_bodies(pairs, len(bodies))
+        else:
+            colours = colour_contacts(pairs, len(bodies))
+        self._begin(CollisionGraph(pairs, normals, overlaps, colours, body_colours))
+        profile.mark("colouring")
+        self.rest_speed = rest_speed(pairs, bodies.acceleration, self._field, dt)
+        if self._contact.stabilisation == "split":
+            self._push()
+        profile.mark("stabilisation")
+
+    def _resolve(self, dt: float) -> None:
         bodies, contact = self._bodies, self._contact
         graph = self._graph
         normals, distances, overlaps = contact_geometry(graph.pairs, bodies.position, bodies.radius, self._box)
@@ -153,10 +159,21 @@ class ContactStage:
             self._pushes,
         )
 
+    def _compile(self) -> None:
+        """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
+        self._order_and_push(empty_graph().pairs, 1.0, Profile())
+        self._resolve(1.0)
+        self.turn(1.0)
+        self.forget()
+
 
 @kernel
 def _turn(
-    angular_impulse: FloatArray, inertia: FloatArray, dt: float, torque: FloatArray, angular_acceleration: FloatArray
+    angular_impulse: FloatArray,
+    inertia: FloatArray,
+    dt: float,
+    torque: FloatArray,
+    angular_acceleration: FloatArray,
 ) -> None:
     for i in range(len(inertia)):
         for k in range(3):

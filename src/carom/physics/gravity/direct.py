@@ -10,6 +10,7 @@ sum. Rejected: reducing over sources (needs reassociation), approximate reciproc
 
 from __future__ import annotations
 
+import itertools
 from concurrent.futures import Executor
 
 import numpy as np
@@ -63,7 +64,16 @@ class DirectGravity:
         x, y, z = self._sources
         if potential:
             _pull_and_potential(
-                lo, hi, x, y, z, self._mass, self._constant, self._softening_squared, acceleration, self._potential
+                lo,
+                hi,
+                x,
+                y,
+                z,
+                self._mass,
+                self._constant,
+                self._softening_squared,
+                acceleration,
+                self._potential,
             )
         else:
             _pull(lo, hi, x, y, z, self._mass, self._constant, self._softening_squared, acceleration)
@@ -73,7 +83,7 @@ def _chunks(n: int, threads: int) -> list[tuple[int, int]]:
     """Split n targets into whole blocks of lanes, about equal for each thread."""
     blocks = -(-n // LANES)
     edges = [min(n, LANES * (blocks * k // threads)) for k in range(threads + 1)]
-    return [(lo, hi) for lo, hi in zip(edges[:-1], edges[1:], strict=True) if hi > lo]
+    return [(lo, hi) for lo, hi in itertools.pairwise(edges) if hi > lo]
 
 
 @kernel

@@ -1,0 +1,35 @@
+"""carom: a flight recorder for colliding spheres.
+
+scene = carom.Scene.load("configs/cloud-collapse.toml")
+for frame in carom.Space(scene).run():   # physics only, no file
+    ...
+recording = carom.run(scene, "recordings/cloud.rrd")
+recording.energy()                       # a pyarrow.Table over step and sim_time
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carom.experiment.run import run as run
+    from carom.physics.space import Space as Space
+    from carom.recording.recording import Recording as Recording
+    from carom.scene.schema import Scene as Scene
+
+__all__ = ["Recording", "Scene", "Space", "run"]
+
+_HOMES = {
+    "Recording": "carom.recording.recording",
+    "Scene": "carom.scene.schema",
+    "Space": "carom.physics.space",
+    "run": "carom.experiment.run",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on its first use: a person who asks for help does not wait for compilers and viewers."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'carom' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)

@@ -1,0 +1,1 @@
+"""The commands: parse, call experiment, print. No logic of their own."""

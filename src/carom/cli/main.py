@@ -1,0 +1,63 @@
+"""The `carom` command: its subcommands, and how a mistake is reported.
+
+Commands import what they need when they run, so that `carom --help` does not wait for a compiler and a viewer.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from carom.cli import explain, inspect, run, scenes, view
+
+app = typer.Typer(
+    name="carom",
+    help="A flight recorder for colliding spheres: simulate a scene, record every collision, look at it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from carom.experiment.environment import versions
+
+        typer.echo("\n".join(f"{package} {version}" for package, version in versions().items()))
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print versions and exit."),
+    ] = False,
+) -> None:
+    """Simulate a scene, record every collision, look at it."""
+
+
+app.command("run")(run.run)
+app.command("scenes")(scenes.scenes)
+app.command("new")(scenes.new)
+app.command("explain")(explain.explain)
+app.command("inspect")(inspect.inspect)
+app.command("view")(view.view)
+app.command("picture")(view.picture)
+
+
+def main() -> None:
+    """Run the command; a person's mistake is one message and exit code 2, without a traceback."""
+    try:
+        app()
+    except Exception as error:
+        from carom.recording.errors import RecordingError
+        from carom.scene.error import SceneError
+
+        if not isinstance(error, (SceneError, RecordingError)):
+            raise
+        typer.echo(f"carom: {error}", err=True)
+        sys.exit(2)

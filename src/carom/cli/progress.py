@@ -1,0 +1,100 @@
+"""What a person sees while a run is under way, and when it has ended."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from carom.cli.units import bytes_text, duration_text
+from carom.experiment.run import Outcome
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+LINE_EVERY = 5.0  # s between lines where the output is not a terminal
+BAR = 24  # characters
+
+
+class Progress:
+    """A line that is rewritten on a terminal, and a plain line now and then elsewhere; all on stderr."""
+
+    def __init__(self, scene: Scene, quiet: bool = False) -> None:
+        self._scene = scene
+        self._console = Console(stderr=True, quiet=quiet)
+        self._live: Live | None = None
+        self._began = time.perf_counter()
+        self._last_line = self._began
+
+    def __enter__(self) -> Self:
+        self._began = self._last_line = time.perf_counter()
+        self.say(f"{self._scene.title}: {self._scene.count} bodies, {duration_text(self._scene.time.duration)}")
+        if self._console.is_terminal and not self._console.quiet:
+            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._live.stop()
+            self._live = None
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(text, highlight=False)
+
+    def update(self, space: Space) -> None:
+        """Show where the run is."""
+        now = time.perf_counter()
+        if self._live:
+            self._live.update(Text(self._line(space, now)))
+        elif now - self._last_line >= LINE_EVERY:
+            self._last_line = now
+            self.say(self._line(space, now))
+
+    def _line(self, space: Space, now: float) -> str:
+        done = min(1.0, space.time / self._scene.time.duration)
+        spent = max(now - self._began, 1e-9)
+        left = duration_text(spent * (1 - done) / done) if done > 0 else "?"
+        full = int(done * BAR)
+        return (
+            f"{'━' * full}{'╌' * (BAR - full)} {done:4.0%}  t = {space.time:.5g} s  step {space.step} "
+            f"({space.step / spent:.0f}/s)  dt = {space.dt:.3g} s ({space.dt_limit})  {len(space.contacts)} contacts  "
+            f"energy error {space.checked_energy.relative_error:.1e}  {left} left"
+        )
+
+    def summarise(self, outcome: Outcome) -> None:
+        """Say how the run ended, what it measured, and what to do with the file."""
+        moments = outcome.moments
+        table = Table.grid(padding=(0, 2))
+        table.add_row("outcome", "[green]completed[/green]" if outcome.ok else f"[red]{outcome.status}[/red]")
+        table.add_row(
+            "run",
+            f"{outcome.steps} steps, {outcome.sim_time:.6g} s simulated in {duration_text(outcome.wall_time)}",
+        )
+        if moments.energy_error:
+            table.add_row("energy", f"integration error at most {moments.energy_error.value:.2e} of the energy scale")
+        angular = moments.angular_momentum_error
+        angular_text = "not conserved in a periodic box" if angular is None else f"{angular:.2e}"
+        table.add_row("momentum", f"error at most {moments.momentum_error:.2e}, angular {angular_text}")
+        if moments.overlap and moments.contacts:
+            table.add_row(
+                "contacts",
+                f"{moments.total_contacts}, {moments.impacts} of them impacts; at most {moments.contacts.value:.0f} at "
+                f"once; deepest overlap {moments.overlap.value:.2%} of the smaller radius",
+            )
+        for verdict in outcome.verdicts:
+            table.add_row("expected" if verdict.met else "[red]missed[/red]", str(verdict))
+        table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
+        table.add_row(
+            "next",
+            f"carom view {outcome.path}  ·  carom inspect {outcome.path}  ·  carom picture {outcome.path}",
+        )
+        Console(file=sys.stdout, soft_wrap=True).print(table)

@@ -1,0 +1,82 @@
+"""`carom run`: simulate and record."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import SceneArgument, SetOption
+
+if TYPE_CHECKING:
+    from carom.experiment.run import Outcome
+
+RECORDINGS = Path("recordings")
+
+
+def run(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: recordings/SCENE.rrd.")
+    ] = None,
+    overrides: SetOption = None,
+    log_freq: Annotated[
+        int | None, typer.Option("--log-freq", metavar="N", help="Steps between energy checks.", min=1)
+    ] = None,
+    live: Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")] = False,
+    threads: Annotated[
+        int | None,
+        typer.Option("--threads", metavar="N", help="Default: one a core. The bits are the same.", min=1),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a recording that exists.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:
+    """Simulate a scene and record it to a file that the Rerun viewer opens."""
+    import json
+
+    from carom.scene.schema import Scene
+
+    changes = list(overrides or [])
+    if log_freq is not None:
+        changes.append(f"record.log_freq={log_freq}")
+    loaded = Scene.load(scene, changes)
+    path = output or _default_path(scene)
+
+    from carom.cli.progress import Progress
+    from carom.experiment.run import refuse_output, simulate
+    from carom.physics.kernel import on_compilation
+    from carom.physics.space import Space
+
+    refuse_output(path, force)
+    progress = Progress(loaded, quiet=as_json)
+    on_compilation(lambda: progress.say("Compiling kernels, once on this machine (about 15 s) …"))
+    space = Space(loaded, threads)
+    address = _live_viewer() if live else None
+    with progress:
+        outcome = simulate(space, path, force=force, live=address, watch=progress.update)
+    if as_json:
+        typer.echo(json.dumps(_document(outcome), indent=2))
+    else:
+        progress.summarise(outcome)
+    if not outcome.ok:
+        typer.echo(f"carom: {outcome.status}: {outcome.reason}", err=True)
+        raise typer.Exit(1)
+
+
+def _default_path(scene: str) -> Path:
+    RECORDINGS.mkdir(exist_ok=True)
+    return RECORDINGS / f"{Path(scene).stem}.rrd"
+
+
+def _live_viewer() -> str:
+    from carom.recording.viewer import start_live_viewer
+
+    return start_live_viewer()
+
+
+def _document(outcome: Outcome) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    document = asdict(outcome)
+    return {**document, "path": str(outcome.path), "ok": outcome.ok}

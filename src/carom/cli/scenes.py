@@ -1,0 +1,62 @@
+"""`carom scenes` and `carom new`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def scenes(
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a scene, for editors.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
+) -> None:
+    """List the bundled scenes."""
+    import json
+
+    from carom.scene.bundled import bundled_scenes
+    from carom.scene.schema import Scene
+
+    if schema:
+        typer.echo(json.dumps(Scene.model_json_schema(), indent=2, ensure_ascii=False))
+        return
+    found = {name: (path, Scene.load(path)) for name, path in bundled_scenes().items()}
+    if as_json:
+        rows = [
+            {"name": name, "title": scene.title, "bodies": scene.count, "path": str(path)}
+            for name, (path, scene) in found.items()
+        ]
+        typer.echo(json.dumps(rows, indent=2, ensure_ascii=False))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("scene", "what it is", "bodies", box=None, pad_edge=False)
+    for name, (_, scene) in found.items():
+        table.add_row(name, scene.title, str(scene.count))
+    Console().print(table)
+    typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
+
+
+def new(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added where it is missing.")],
+    source: Annotated[str, typer.Option("--from", help="A bundled scene to copy, in place of the starter.")] = "",
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+) -> None:
+    """Write a commented scene to start from."""
+    from carom.scene.bundled import bundled_scenes, starter
+    from carom.scene.error import SceneError
+
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    bundled = bundled_scenes()
+    if source and source not in bundled:
+        raise SceneError(f"--from {source}: no bundled scene of that name; there are {', '.join(bundled)}")
+    if path.exists() and not force:
+        raise SceneError(f"{path}: exists; give --force to replace it, or another name")
+    text = bundled[source].read_text(encoding="utf-8") if source else starter()
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
+    typer.echo(f"{path} written. Next: carom explain {path}, then carom run {path}")

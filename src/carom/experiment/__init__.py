@@ -1,0 +1,1 @@
+"""Runs: where scene, physics and recording meet."""

@@ -1,0 +1,60 @@
+"""What a run depended on besides its scene: versions, machine, command."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of Python and of the packages that a result depends on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def environment(threads: int) -> dict[str, str | int]:
+    """Return the properties that a recording carries about where it came from."""
+    stamped: dict[str, str | int] = {
+        f"version_{package.replace('-', '_')}": version for package, version in versions().items()
+    }
+    stamped["command"] = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    stamped["git"] = _git_revision()
+    stamped["platform"] = platform.platform()
+    stamped["cpu"] = _cpu()
+    stamped["threads"] = threads
+    return stamped
+
+
+def _git_revision() -> str:
+    """Return the commit of the working folder, "-dirty" appended where it has changes, or nothing."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return described.stdout.strip() if described.returncode == 0 else ""
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

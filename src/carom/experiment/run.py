@@ -1,0 +1,270 @@
+"""One run: physics in a thread of its own, the recorder in another, the caller free to watch and to stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from carom.experiment.environment import environment
+from carom.experiment.expectation import Verdict, judge
+from carom.physics.error import PhysicsError
+from carom.physics.moments import Moment, Moments
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.header import Header, Scalar
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
+from carom.scene.schema import Scene
+
+POLL = 0.1  # s between two looks at a run under way
+
+Watcher = Callable[[Space], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended."""
+
+    path: Path
+    status: str  # "completed", "expectation missed", "interrupted", "disk" or "failed"
+    reason: str  # a sentence; empty when completed
+    frames: int
+    steps: int
+    sim_time: float  # s
+    wall_time: float  # s
+    size: int  # bytes
+    payload: int  # bytes of the arrays alone
+    moments: Moments = field(repr=False)
+    verdicts: list[Verdict] = field(default_factory=list)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run went to its end and kept its promises."""
+        return self.status == "completed"
+
+
+def run(
+    scene: Scene,
+    path: str | Path,
+    *,
+    force: bool = False,
+    threads: int | None = None,
+) -> Recording:
+    """Simulate a scene and record it.
+
+    Parameters
+    ----------
+    scene
+        What to simulate.
+    path
+        The ``.rrd`` to write.
+    force
+        Whether to replace a file that exists.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+
+    Returns
+    -------
+    recording
+        The file, opened.
+
+    Raises
+    ------
+    SceneError, RecordingError, PhysicsError
+        If the scene cannot run, the file cannot be written, or the state stops being finite.
+    """
+    outcome = simulate(Space(scene, threads), path, force=force)
+    if outcome.status == "disk":
+        raise RecordingError(outcome.reason)
+    if outcome.status == "failed":
+        raise PhysicsError(outcome.reason)
+    return Recording.open(outcome.path)
+
+
+def simulate(
+    space: Space,
+    path: str | Path,
+    *,
+    force: bool = False,
+    live: str | None = None,
+    watch: Watcher | None = None,
+) -> Outcome:
+    """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
+
+    Parameters
+    ----------
+    space
+        At the start of its run.
+    path
+        The ``.rrd`` to write.
+    force
+        Whether to replace a file that exists.
+    live
+        Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
+    watch
+        Called with the space about ten times a second.
+
+    Raises
+    ------
+    RecordingError
+        If the file exists and ``force`` is not given, or it cannot be written at all.
+    """
+    path = Path(path)
+    refuse_output(path, force)
+    began = time.perf_counter()
+    recorder = Recorder(path, _header(space), live=live)
+    physics = _Physics(space, recorder)
+    interrupted = _wait(physics, watch)
+    status, reason = physics.ending(interrupted)
+    verdicts = judge(space.scene.expect, space.moments)
+    if status == "completed" and not all(verdict.met for verdict in verdicts):
+        status = "expectation missed"
+        reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
+    try:
+        recorder.finish(f"{status}: {reason}" if reason else status, _summary(space, verdicts))
+    except RecordingError as error:
+        status, reason = "disk", str(error)
+    return Outcome(
+        path=path,
+        status=status,
+        reason=reason,
+        frames=physics.frames,
+        steps=space.step,
+        sim_time=space.time,
+        wall_time=time.perf_counter() - began,
+        size=path.stat().st_size if path.exists() else 0,
+        payload=recorder.payload_bytes,
+        moments=space.moments,
+        verdicts=verdicts,
+    )
+
+
+def refuse_output(path: Path, force: bool) -> None:
+    """Refuse a path before anything is computed for it.
+
+    Raises
+    ------
+    RecordingError
+        Naming the path and what would be right.
+    """
+    if path.is_dir():
+        raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
+    if path.exists() and not force:
+        raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
+    if not path.parent.is_dir():
+        raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+class _Physics:
+    """The physics thread: steps a space and hands its frames to the recorder."""
+
+    def __init__(self, space: Space, recorder: Recorder) -> None:
+        self.space = space
+        self.frames = 0
+        self._recorder = recorder
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self._thread.start()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the end; tell whether it has come."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def ending(self, interrupted: bool) -> tuple[str, str]:
+        """Return the status and the reason of the end."""
+        at = f"at t = {self.space.time:.6g} s"
+        match self._error:
+            case None if interrupted:
+                return "interrupted", f"stopped by the user {at}"
+            case None:
+                return "completed", ""
+            case RecordingError():
+                return "disk", f"{self._error} {at}"
+            case PhysicsError():
+                return "failed", str(self._error)
+        raise self._error
+
+    def _run(self) -> None:
+        try:
+            for frame in self.space.run():
+                self._recorder.put(frame)
+                self.frames += 1
+        except Exception as error:
+            self._error = error
+
+
+def _wait(physics: _Physics, watch: Watcher | None) -> bool:
+    """Watch the run until it ends; tell whether the user ended it."""
+    interrupted = False
+    while True:
+        try:
+            if physics.wait(POLL):
+                return interrupted
+            if watch:
+                watch(physics.space)
+        except KeyboardInterrupt:
+            if interrupted:
+                raise
+            interrupted = True
+            physics.space.stop()
+
+
+def _header(space: Space) -> Header:
+    scene, needs, state = space.scene, space.requirements, space.state
+    return Header(
+        title=scene.title,
+        description=scene.description,
+        scene_toml=scene.toml,
+        seed=scene.seed,
+        run_id=str(uuid.uuid4()),
+        names=space.names,
+        group=space.groups,
+        mass=state.mass,
+        radius=state.radius,
+        inertia=state.inertia,
+        spins=needs.spin.modelled,
+        gravitates=needs.gravity.modelled,
+        collides=needs.contact.modelled,
+        has_field=needs.field.modelled,
+        body_colouring=scene.contact.colouring == "bodies",
+        duration=scene.time.duration,
+        shortest_dt_hint=space.first_dt,
+        box=space.box,
+        properties=dict(environment(space.threads)),
+    )
+
+
+def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
+    """Gather what is known only at the end, as the recording's last properties."""
+    moments = space.moments
+    summary: dict[str, Scalar] = {
+        "steps": space.step,
+        "sim_time": space.time,
+        "contacts_total": moments.total_contacts,
+        "impacts_total": moments.impacts,
+        "momentum_max_error": moments.momentum_error,
+    }
+    if moments.angular_momentum_error is not None:
+        summary["angular_momentum_max_error"] = moments.angular_momentum_error
+    for name in ("energy_error", "impact", "overlap", "contacts"):
+        moment: Moment | None = getattr(moments, name)
+        if moment:
+            summary |= {f"worst_{name}": moment.value, f"worst_{name}_step": moment.step}
+            summary |= {f"worst_{name}_time": moment.time, f"worst_{name}_bodies": _listed(moment.bodies)}
+    for part, seconds in space.profile.seconds().items():
+        summary[f"profile_{part}"] = seconds
+    for verdict in verdicts:
+        summary |= {
+            f"expect_{verdict.name}": verdict.limit,
+            f"expect_{verdict.name}_measured": verdict.measured,
+        }
+    return summary
+
+
+def _listed(bodies: tuple[int, ...]) -> str:
+    return ",".join(str(body) for body in bodies)

@@ -1,0 +1,298 @@
+"""Frames → Rerun's columns. The only list of entity paths.
+
+One :class:`Rows` is one entity's part of a batch: what `send_columns` takes, with the bytes of the arrays in it. A part
+of the model that the scene does not require has no entity here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from rerun import ComponentColumnList
+
+from carom.physics.frame import Frame
+from carom.recording import arrows, checkpoint, palette
+from carom.recording.header import Header
+
+SCHEMA_VERSION = 1
+
+SCENE = "scene"
+SCENE_TOML = "scene/toml"
+WORLD = "world"
+BODIES = "world/bodies"
+TORQUE = "world/torque"
+ANGULAR_ACCELERATION = "world/angular_acceleration"
+CONTACTS = "world/contacts"
+ENERGY = "energy"
+LEDGER = "energy/ledger"
+INTEGRATION_ERROR = "energy/integration_error"
+RELATIVE_ERROR = "energy/relative_error"
+STEP = "step"
+DT = "step/dt"
+DT_LIMIT = "step/limit"
+STEP_CONTACTS = "step/contacts"
+COLOURS = "step/colours"
+SWEEPS = "step/sweeps"
+OVERLAP = "step/overlap"
+RELATIVE_OVERLAP = "step/relative_overlap"
+PHASE = "phase"
+EVENTS = "events"
+FINGERPRINT = "state/fingerprint"
+MOMENTUM = "state/momentum"
+CHECKPOINT = "state/checkpoint"
+STATIC_STATE = "state/bodies"
+
+MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
+_INDEX_BYTES = 16  # a row's step and simulated time
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One entity's rows of a batch."""
+
+    path: str
+    steps: Sequence[int]
+    times: Sequence[float]  # s
+    columns: ComponentColumnList
+    bytes: int  # of the arrays in it, indices included
+
+
+def shape(header: Header) -> str:
+    """How bodies are drawn: "ellipsoids", "mesh" (many, turning) or "points" (many, not turning)."""
+    if header.bodies <= MOST_ELLIPSOIDS:
+        return "ellipsoids"
+    return "mesh" if header.spins else "points"
+
+
+def energy_terms(header: Header) -> dict[str, tuple[str, int]]:
+    """Energy series that this scene has: attribute of `Energy` → (name in the legend, colour)."""
+    terms = {"translational": ("translational", palette.SKY)}
+    if header.spins:
+        terms["rotational"] = ("rotational", palette.ORANGE)
+    if header.gravitates:
+        terms["gravitational"] = ("gravitational", palette.PURPLE)
+    if header.has_field:
+        terms["field"] = ("uniform field", palette.GREEN)
+    return terms | {"total": ("total", palette.WHITE)}
+
+
+def ledger_terms(header: Header) -> dict[str, tuple[str, int]]:
+    """Ledger series that this scene has, like :func:`energy_terms`."""
+    if not header.collides:
+        return {}
+    terms = {"restitution": ("restitution: taken out", palette.SKY)}
+    if header.spins:
+        terms["friction"] = ("friction: taken out", palette.ORANGE)
+    return terms | {"stabilisation": ("stabilisation: put in", palette.VERMILION)}
+
+
+class BatchEncoder:
+    """Turns batches of frames into rows, entity by entity.
+
+    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references.
+    """
+
+    def __init__(self, header: Header, origin: FloatArray) -> None:
+        self.header = header
+        self.origin = origin
+        self.arrow_references: dict[str, float] = {}
+        self._last_state: dict[str, str] = {}
+        self._arrow_length = arrows.longest(header.radius)
+
+    def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        """All entities' rows of a batch, checkpoints apart."""
+        position = np.stack([frame.position for frame in batch]) - self.origin
+        yield self._bodies(batch, position)
+        if self.header.spins:
+            yield self._arrows(TORQUE, batch, position, [f.torque for f in batch])
+            yield self._arrows(ANGULAR_ACCELERATION, batch, position, [f.angular_acceleration for f in batch])
+        if self.header.collides:
+            yield self._contacts(batch, position)
+            yield from self._collision_scalars(batch)
+        yield from self._energies(batch)
+        yield _scalars(DT, batch, [frame.dt for frame in batch])
+        yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
+        yield from self._changes(PHASE, batch, lambda frame: frame.phase)
+        yield from _events(batch)
+        yield _fingerprints(batch)
+        yield self._momenta(batch)
+
+    def checkpoints(self, frames: Sequence[Frame]) -> Rows:
+        """Keep the exact state of some frames."""
+        arrays = checkpoint.encode(frames)
+        return _any_values(CHECKPOINT, frames, arrays)
+
+    def _bodies(self, batch: Sequence[Frame], position: FloatArray) -> Rows:
+        points = position.reshape(-1, 3).astype(np.float32)
+        each = [self.header.bodies] * len(batch)
+        turned = None
+        if self.header.spins:
+            turned = np.concatenate([f.orientation for f in batch if f.orientation is not None]).astype(np.float32)
+        colours = self._node_colours(batch)
+        match shape(self.header):
+            case "ellipsoids":
+                columns = rr.Ellipsoids3D.columns(centers=points, quaternions=turned, colors=colours)
+                size = _bytes(points, turned, colours)
+            case "points":
+                columns = rr.Points3D.columns(positions=points, colors=colours)
+                size = _bytes(points, colours)
+            case _:
+                # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
+                scales = np.tile(np.repeat(self.header.radius, 3), len(batch)).reshape(-1, 3).astype(np.float32)
+                columns = rr.InstancePoses3D.columns(translations=points, quaternions=turned, scales=scales)
+                size = _bytes(points, turned, scales)
+        return _rows(BODIES, batch, columns.partition(each), size)
+
+    def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
+        if not self.header.body_colouring:
+            return None
+        nobody = np.full(self.header.bodies, -1, dtype=np.int64)
+        nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
+        return palette.node_colours(np.concatenate(nodes))
+
+    def _arrows(
+        self, path: str, batch: Sequence[Frame], position: FloatArray, vectors: Sequence[FloatArray | None]
+    ) -> Rows:
+        field = np.stack([np.zeros_like(p) if v is None else v for p, v in zip(position, vectors, strict=True)])
+        magnitude = arrows.magnitudes(field)
+        frame, body = np.nonzero((magnitude > 0) & np.isfinite(magnitude))
+        if len(frame) and path not in self.arrow_references:
+            first = magnitude[frame[0]]
+            unit = self._natural_unit(path, batch[frame[0]])
+            self.arrow_references[path] = arrows.reference(first[first > 0], unit)
+        vector = arrows.drawn(
+            field[frame, body],
+            magnitude[frame, body],
+            self.header.radius[body],
+            self.arrow_references.get(path, 1.0),
+            self._arrow_length,
+        )
+        origin = position[frame, body].astype(np.float32)
+        lengths = np.bincount(frame, minlength=len(batch))
+        columns = [
+            *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(lengths),
+            *rr.AnyValues.columns(body=body.astype(np.uint32)).partition(lengths),
+        ]
+        return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin) + 4 * len(body))
+
+    def _natural_unit(self, path: str, frame: Frame) -> float:
+        """Estimate what takes a body's momentum, at its rim, in one step: no tiny torque or angular acceleration."""
+        if frame.dt <= 0:
+            return 0.0
+        drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
+        torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
+        return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
+
+    def _contacts(self, batch: Sequence[Frame], position: FloatArray) -> Rows:
+        edges = [len(frame.contacts.pairs) for frame in batch]
+        pairs = np.concatenate([frame.contacts.pairs for frame in batch])
+        which = np.repeat(np.arange(len(batch)), edges)
+        start = position[which, pairs[:, 0]]
+        reach = position[which, pairs[:, 1]] - start
+        if self.header.box is not None:
+            reach -= self.header.box * np.round(reach / self.header.box)  # the nearest image
+        strips = np.stack([start, start + reach], axis=1).astype(np.float32)
+        colours = palette.stage_colours(np.concatenate([frame.contacts.colours for frame in batch]))
+        columns = rr.LineStrips3D.columns(strips=strips, colors=colours).partition(edges)
+        return _rows(CONTACTS, batch, columns, _bytes(strips, colours))
+
+    def _collision_scalars(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        graphs = [frame.contacts for frame in batch]
+        yield _scalars(STEP_CONTACTS, batch, [len(graph.pairs) for graph in graphs])
+        yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
+        yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
+        yield _scalars(OVERLAP, batch, [float(max(g.overlaps.max(), 0)) if len(g.overlaps) else 0 for g in graphs])
+        yield _scalars(RELATIVE_OVERLAP, batch, self._relative_overlaps(batch))
+
+    def _relative_overlaps(self, batch: Sequence[Frame]) -> FloatArray:
+        """Each frame's deepest overlap over the smaller of the two radii."""
+        pairs = np.concatenate([frame.contacts.pairs for frame in batch])
+        overlap = np.concatenate([frame.contacts.overlaps for frame in batch])
+        which = np.repeat(np.arange(len(batch)), [len(frame.contacts.pairs) for frame in batch])
+        deepest = np.zeros(len(batch))
+        np.maximum.at(deepest, which, overlap / self.header.radius[pairs].min(axis=1, initial=np.inf))
+        return deepest
+
+    def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        energies = [frame.energy for frame in batch]
+        for term in energy_terms(self.header):
+            yield _scalars(f"{ENERGY}/{term}", batch, [getattr(energy, term) for energy in energies])
+        for term in ledger_terms(self.header):
+            yield _scalars(f"{LEDGER}/{term}", batch, [getattr(energy.ledger, term) for energy in energies])
+        error = [energy.integration_error for energy in energies]
+        yield _scalars(INTEGRATION_ERROR, batch, error)
+        relative = [e.integration_error / e.scale if e.scale > 0 else 0.0 for e in energies]
+        yield _scalars(RELATIVE_ERROR, batch, relative)
+
+    def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
+        """Rows only where the state differs from the one before."""
+        changed = []
+        for frame in batch:
+            if self._last_state.get(path) != state(frame):
+                self._last_state[path] = state(frame)
+                changed.append(frame)
+        if changed:
+            names = [state(frame) for frame in changed]
+            yield _rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
+
+    def _momenta(self, batch: Sequence[Frame]) -> Rows:
+        velocity = np.stack([frame.velocity for frame in batch])
+        mass = self.header.mass
+        speed = np.sqrt(np.sum(velocity * velocity, axis=2))
+        distance = np.sqrt(np.sum(np.stack([frame.position**2 for frame in batch]), axis=2))
+        angular_scale = (distance * speed) @ mass
+        if self.header.spins:
+            spin = np.stack([f.angular_velocity for f in batch if f.angular_velocity is not None])
+            angular_scale += np.sqrt(np.sum(spin * spin, axis=2)) @ self.header.inertia
+        arrays = {
+            "momentum": np.concatenate([frame.momentum for frame in batch]),
+            "momentum_scale": speed @ mass,
+            "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
+            "angular_momentum_scale": angular_scale,
+        }
+        return _any_values(MOMENTUM, batch, arrays)
+
+
+def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | FloatArray) -> Rows:
+    array = np.asarray(values, dtype=np.float64)
+    return _rows(path, batch, rr.Scalars.columns(scalars=array), _bytes(array))
+
+
+def _fingerprints(batch: Sequence[Frame]) -> Rows:
+    bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
+    time = np.array([frame.time for frame in batch])
+    return _rows(FINGERPRINT, batch, rr.AnyValues.columns(fingerprint=bits, time=time), _bytes(bits, time))
+
+
+def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
+    events = [event for frame in batch for event in frame.events]
+    if events:
+        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+        size = sum(len(e.text) + len(e.level) for e in events) + _INDEX_BYTES * len(events)
+        yield Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
+
+
+def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray]) -> Rows:
+    """Rows of float64 arrays, each holding the same number of values for every frame."""
+    count = len(frames)
+    columns = [
+        column
+        for name, array in arrays.items()
+        for column in rr.AnyValues.columns(True, **{name: array}).partition([len(array) // count] * count)
+    ]
+    return _rows(path, frames, ComponentColumnList(columns), _bytes(*arrays.values()))
+
+
+def _rows(path: str, frames: Sequence[Frame], columns: ComponentColumnList, size: int) -> Rows:
+    steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
+    return Rows(path, steps, times, columns, size + _INDEX_BYTES * len(frames))
+
+
+def _bytes(*arrays: NDArray[np.generic] | None) -> int:
+    return sum(array.nbytes for array in arrays if array is not None)

@@ -1,0 +1,62 @@
+"""A second stream to a viewer that watches the run. It may go away at any time; the file goes on."""
+
+from __future__ import annotations
+
+import socket
+import warnings
+from collections.abc import Iterable
+
+import rerun as rr
+
+from carom.recording.errors import RecordingError
+
+_PROBE = 2.0  # s
+
+
+class LiveView:
+    """Sends what is recorded to a running viewer as well."""
+
+    def __init__(self, address: str, application_id: str, run_id: str) -> None:
+        host, port = _host_and_port(address)
+        _probe(host, port)  # a sink with nobody listening would block for seconds, here and at exit
+        self._address = (host, port)
+        self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
+        self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
+
+    def streams(self) -> Iterable[rr.RecordingStream]:
+        """Give the stream to send to, or none once the viewer has gone."""
+        return () if self._stream is None else (self._stream,)
+
+    def check(self) -> None:
+        """Stop sending if the viewer has gone away: its queue would only grow."""
+        if self._stream is None:
+            return
+        try:
+            _probe(*self._address)
+        except RecordingError:
+            warnings.warn("the live viewer has gone; the recording goes on without it", stacklevel=2)
+            self._stream.set_sinks()
+            self._stream = None
+
+    def close(self) -> None:
+        """Send what is left and hang up."""
+        self.check()
+        if self._stream is not None:
+            self._stream.disconnect()
+            self._stream = None
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    host, separator, port = address.rpartition(":")
+    if not separator or not port.isdigit():
+        raise RecordingError(f"a live viewer's address is HOST:PORT, for example 127.0.0.1:9876, not {address!r}")
+    return host or "127.0.0.1", int(port)
+
+
+def _probe(host: str, port: int) -> None:
+    try:
+        socket.create_connection((host, port), timeout=_PROBE).close()
+    except OSError as error:
+        raise RecordingError(
+            f"no viewer listens at {host}:{port} ({error.strerror or error}); start one with: rerun --bind {host}"
+        ) from error

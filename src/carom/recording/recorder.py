@@ -1,0 +1,197 @@
+"""`Recorder`: takes frames from the physics and writes them to an .rrd in a thread of its own."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import rerun as rr
+
+from carom.physics.frame import Event, Frame
+from carom.recording import checkpoint
+from carom.recording.blueprint import blueprint
+from carom.recording.clock import Clock
+from carom.recording.entities import BatchEncoder
+from carom.recording.errors import RecordingError
+from carom.recording.extent import Extent
+from carom.recording.header import Header, Scalar
+from carom.recording.recording import Recording
+from carom.recording.stream import Stream
+
+_BATCH_BYTES = 1_000_000  # a chunk costs about 1.3 kB besides its data, whatever its size
+_BATCH_FRAMES = 512
+_BATCH_SECONDS = 1.0  # what a killed run may lose
+_QUEUE_BYTES = 64_000_000
+_WAKE = 0.1  # s; how soon a blocked `put` learns that the recorder failed
+
+
+class Recorder:
+    """Writes one recording.
+
+    ``put`` only enqueues, and blocks while the queue is full: no frame is dropped, and none piles up. The first fault
+    (a full disk, say) closes the file as well as can be, and is raised by the next ``put`` and by ``finish``.
+    """
+
+    def __init__(
+        self, path: str | Path, header: Header, *, live: str | None = None, queue_size: int | None = None
+    ) -> None:
+        rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
+        self.path = Path(path)
+        self.header = header
+        self.frames = 0  # written so far
+        frame_bytes = 300 * header.bodies + 2000
+        self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
+        self._clock = Clock.fitting(header.duration, header.shortest_dt_hint)
+        self._queue: queue.Queue[Frame | None] = queue.Queue(
+            queue_size or max(2, min(_BATCH_FRAMES, _QUEUE_BYTES // frame_bytes))
+        )
+        self._batch_frames = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500)))
+        self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
+        self._encoder: BatchEncoder | None = None
+        self._extent: Extent | None = None
+        self._last: Frame | None = None
+        self._last_checkpoint = -1
+        self._error: RecordingError | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def payload_bytes(self) -> int:
+        """Bytes of all arrays recorded so far, as handed to Rerun."""
+        return self._stream.payload_bytes
+
+    def put(self, frame: Frame) -> None:
+        """Hand over a frame; wait while the queue is full. Raises what stopped the recorder, if anything did."""
+        while True:
+            if self._error is not None:
+                raise self._error
+            try:
+                self._queue.put(frame, timeout=_WAKE)
+            except queue.Full:
+                continue
+            return
+
+    def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None) -> None:
+        """Write what is left and the outcome, close the file, and open it again to check it."""
+        if self._closed:
+            return
+        self._stop()
+        self._closed = True
+        if self._error is not None:
+            raise self._error
+        self._close(outcome, summary or {})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close a recording that was not finished, saying so in it."""
+        if not self._closed and self._error is None:
+            reason = "interrupted" if error is None else f"interrupted: {type(error).__name__}: {error}"
+            self.finish(reason)
+        self._stop()
+        self._closed = True
+
+    def _stop(self) -> None:
+        """End the thread, after it has written what is in the queue."""
+        while self._thread.is_alive() and self._error is None:
+            try:
+                self._queue.put(None, timeout=_WAKE)
+                break
+            except queue.Full:
+                continue
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._record()
+        except RecordingError as error:
+            self._fail(error)
+        except Exception as error:  # whatever it is, the physics must hear of it
+            self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
+
+    def _record(self) -> None:
+        batch: list[Frame] = []
+        due = 0.0
+        while True:
+            try:
+                frame = self._queue.get(timeout=max(0.0, due - time.monotonic()) if batch else None)
+            except queue.Empty:
+                frame = None
+            else:
+                if frame is None:
+                    break
+                due = due if batch else time.monotonic() + _BATCH_SECONDS
+                batch.append(frame)
+            if batch and (frame is None or len(batch) >= self._batch_frames or time.monotonic() >= due):
+                self._write(batch)
+                batch = []
+        if batch:
+            self._write(batch)
+
+    def _write(self, batch: list[Frame]) -> None:
+        encoder = self._encoder or self._begin(batch[0])
+        before = self.payload_bytes
+        for rows in encoder.rows(batch):
+            self._stream.send(rows, self._clock)
+        kept = self._plan.chosen(batch, before, self.payload_bytes - before)
+        if kept:
+            self._stream.send(encoder.checkpoints(kept), self._clock)
+            self._last_checkpoint = kept[-1].step
+        if self._extent is not None:
+            self._extent.see(batch)
+        if before == 0:
+            self._stream.send_blueprint(self._blueprint())
+        self._last = batch[-1]
+        self.frames += len(batch)
+        self._stream.flush()
+
+    def _begin(self, first: Frame) -> BatchEncoder:
+        """Everything static: it needs the first frame's centre of mass."""
+        origin = np.average(first.position, axis=0, weights=self.header.mass)
+        self._encoder = BatchEncoder(self.header, origin)
+        self._extent = Extent(self.header.radius, origin)
+        self._stream.send_statics(self._clock, origin)
+        return self._encoder
+
+    def _blueprint(self) -> rr.blueprint.Blueprint:
+        centre, size = (np.zeros(3), 1.0) if self._extent is None else self._extent.view()
+        return blueprint(self.header, centre, size)
+
+    def _fail(self, error: RecordingError) -> None:
+        """Close with what there is, and only then let the physics know."""
+        try:
+            self._close(str(error), {})
+        except Exception as second:  # the first fault is the one to tell
+            error.add_note(f"closing it failed, too: {second}")
+        self._error = error
+
+    def _close(self, outcome: str, summary: Mapping[str, Scalar]) -> None:
+        last, encoder = self._last, self._encoder
+        try:
+            if last is not None and encoder is not None:
+                if last.step != self._last_checkpoint:
+                    self._stream.send(encoder.checkpoints([last]), self._clock)
+                level = "INFO" if outcome == "completed" else "WARN"
+                self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}"), self._clock)
+                self._stream.send_property("arrows", encoder.arrow_references)
+                self._stream.send_blueprint(self._blueprint())
+            self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
+        finally:
+            self._stream.close()
+        self._check()
+
+    def _check(self) -> None:
+        """Open the closed file again and see whether all frames are in it."""
+        found = Recording.open(self.path).frames
+        if found != self.frames:
+            raise RecordingError(f"{self.path} holds {found} frames, but {self.frames} were written")

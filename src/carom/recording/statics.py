@@ -1,0 +1,124 @@
+"""What is logged once and holds for the whole recording: texts, sizes, colours, names of series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from rerun.components import FillMode
+
+from carom.recording import entities, palette
+from carom.recording.arrows import longest
+from carom.recording.clock import Clock
+from carom.recording.document import scene_document
+from carom.recording.header import Header
+
+Static = tuple[str, rr.AsComponents]
+
+_ARROW_THICKNESS = 0.05  # of L_max
+_EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
+_MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that one of thousands has
+
+
+def statics(header: Header, clock: Clock, origin: NDArray[np.float64]) -> Iterable[Static]:
+    """Everything static, entity by entity."""
+    yield (
+        entities.SCENE,
+        rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
+    )
+    yield entities.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
+    yield entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
+    yield from _bodies(header)
+    yield (
+        entities.STATIC_STATE,
+        rr.AnyValues(
+            name=header.names,
+            group=header.group,
+            mass=header.mass,
+            radius=header.radius,
+            inertia=header.inertia,
+        ),
+    )
+    if header.spins:
+        yield entities.TORQUE, _arrow_style(header, palette.ORANGE)
+        yield entities.ANGULAR_ACCELERATION, _arrow_style(header, palette.GREEN)
+    if header.collides:
+        yield entities.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
+    yield from _series(header)
+    yield entities.PHASE, _states(palette.PHASES)
+    yield entities.DT_LIMIT, _states(palette.DT_LIMITS)
+
+
+def _bodies(header: Header) -> Iterable[Static]:
+    colours = None if header.body_colouring else palette.body_colours(header.group)
+    radius = header.radius.astype(np.float32)
+    match entities.shape(header):
+        case "ellipsoids":
+            half_sizes = np.repeat(radius, 3).reshape(-1, 3)
+            fill = FillMode.TransparentFillMajorWireframe if header.spins else FillMode.Solid
+            yield (
+                entities.BODIES,
+                rr.Ellipsoids3D.from_fields(
+                    half_sizes=half_sizes,
+                    colors=colours,
+                    fill_mode=fill,
+                    line_radii=rr.Radius.ui_points(0.75),
+                    labels=header.names,
+                    show_labels=False,
+                ),
+            )
+        case "points":
+            yield entities.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
+        case _:
+            yield entities.BODIES, _two_tone_sphere()
+
+
+def _two_tone_sphere() -> rr.Mesh3D:
+    """Make a unit sphere whose half is dark, so that turning shows."""
+    polar = np.linspace(0.0, np.pi, _MESH_RINGS + 1)
+    around = np.linspace(0.0, 2.0 * np.pi, 2 * _MESH_RINGS, endpoint=False)
+    theta, phi = np.meshgrid(polar, around, indexing="ij")
+    vertices = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    vertices = vertices.reshape(-1, 3).astype(np.float32)
+    ring, slot = np.meshgrid(np.arange(_MESH_RINGS), np.arange(len(around)), indexing="ij")
+    following = (slot + 1) % len(around)
+    a, b = ring * len(around) + slot, ring * len(around) + following
+    c, d = a + len(around), b + len(around)
+    triangles = np.concatenate([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)]).reshape(-1, 3)
+    light = vertices[:, 0] >= 0
+    return rr.Mesh3D(
+        vertex_positions=vertices,
+        triangle_indices=triangles.astype(np.uint32),
+        vertex_normals=vertices,
+        vertex_colors=np.where(light, np.uint32(palette.SKY), np.uint32(palette.BLUE)),
+    )
+
+
+def _arrow_style(header: Header, colour: int) -> rr.Arrows3D:
+    return rr.Arrows3D.from_fields(radii=_ARROW_THICKNESS * longest(header.radius), colors=colour)
+
+
+def _series(header: Header) -> Iterable[Static]:
+    for term, (name, colour) in entities.energy_terms(header).items():
+        yield f"{entities.ENERGY}/{term}", _line(f"{name}", colour)
+    for term, (name, colour) in entities.ledger_terms(header).items():
+        yield f"{entities.LEDGER}/{term}", _line(f"{name}", colour)
+    yield entities.INTEGRATION_ERROR, _line("integration error", palette.YELLOW)
+    yield entities.RELATIVE_ERROR, _line("integration error / energy scale", palette.YELLOW)
+    yield entities.DT, _line("dt (s)", palette.SKY)
+    if header.collides:
+        yield entities.STEP_CONTACTS, _line("contacts", palette.VERMILION)
+        yield entities.COLOURS, _line("colours (stages)", palette.YELLOW)
+        yield entities.SWEEPS, _line("sweeps", palette.GREEN)
+        yield entities.OVERLAP, _line("deepest overlap (m)", palette.PURPLE)
+        yield entities.RELATIVE_OVERLAP, _line("deepest overlap / smaller radius", palette.PURPLE)
+
+
+def _line(name: str, colour: int) -> rr.SeriesLines:
+    return rr.SeriesLines(names=name, colors=colour, widths=1.5)
+
+
+def _states(colours: dict[str, int]) -> rr.StateConfiguration:
+    return rr.StateConfiguration(values=list(colours), colors=np.array(list(colours.values()), dtype=np.uint32))

@@ -1,0 +1,124 @@
+"""`Stream`: Rerun's recording stream into a file and, if one listens, into a live viewer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from carom.physics.frame import Event
+from carom.recording import checkpoint, entities
+from carom.recording.arrows import longest
+from carom.recording.clock import Clock
+from carom.recording.entities import Rows
+from carom.recording.errors import RecordingError
+from carom.recording.header import Header, Scalar
+from carom.recording.layout import application_id
+from carom.recording.live import LiveView
+from carom.recording.outlet import Outlet
+from carom.recording.statics import statics
+
+_FLUSH = 60.0  # s; a disk that takes longer has hung
+_ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
+_FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
+
+
+class Stream:
+    """Where rows go. Counts the bytes of the arrays, and notices when the disk is full."""
+
+    def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
+        self.path = path
+        self.payload_bytes = 0
+        self._header = header
+        identity = application_id(header)
+        self._live = None if live is None else LiveView(live, identity, header.run_id)
+        # what is under way when the disk is found full, and the last checkpoint, must still fit
+        self._reserve = int(1.3 * batch_bytes) + checkpoint.size(header.bodies, header.spins) + _ENDING
+        self._outlet = Outlet(path, self._reserve)
+        self._stream = rr.RecordingStream(identity, recording_id=header.run_id)
+        self._stream.set_sinks(rr.FileSink(self._outlet.entry))
+        self._outlet.opened()
+
+    def send(self, rows: Rows, clock: Clock) -> None:
+        """Send one entity's rows."""
+        index = clock.columns(rows.steps, rows.times)
+        for stream in self._streams():
+            stream.send_columns(rows.path, index, rows.columns)
+        self.payload_bytes += rows.bytes
+
+    def send_event(self, event: Event, clock: Clock) -> None:
+        """Send one line of the log."""
+        columns = rr.TextLog.columns(text=[event.text], level=[event.level])
+        self.send(Rows(entities.EVENTS, [event.step], [event.time], columns, len(event.text)), clock)
+
+    def send_statics(self, clock: Clock, origin: NDArray[np.float64]) -> None:
+        """Send everything that holds for the whole recording."""
+        for stream in self._streams():
+            stream.send_recording_name(self._header.title)
+        self.send_property("carom", self._identity(clock, origin))
+        self.send_property("run", self._header.properties)
+        for path, archetype in statics(self._header, clock, origin):
+            for stream in self._streams():
+                stream.log(path, archetype, static=True)
+            self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
+
+    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.float64]]) -> None:
+        """Send a recording property; an empty one is left out."""
+        for stream in self._streams():
+            if values:
+                stream.send_property(name, rr.AnyValues(True, **values))
+
+    def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
+        """Send a layout; the last one sent is the one that opens."""
+        for stream in self._streams():
+            stream.send_blueprint(layout)
+
+    def flush(self) -> None:
+        """Wait until all that was sent is in the file; raise if it cannot be."""
+        self._stream.flush(timeout_sec=_FLUSH)
+        self._outlet.settle()
+        self._outlet.reserve(self._reserve + _FOOTER_BYTES * self._outlet.messages)
+        if self._live is not None:
+            self._live.check()
+        if self._outlet.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
+        if self._outlet.full:
+            raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
+
+    def close(self) -> None:
+        """Write the footer and close the file. Raises if the end could not be written."""
+        self._stream.disconnect()
+        self._outlet.close()
+        if self._live is not None:
+            self._live.close()
+        if self._outlet.error is not None:
+            raise RecordingError(f"cannot finish {self.path}: {os.strerror(self._outlet.error.errno or 0)}")
+
+    def _streams(self) -> tuple[rr.RecordingStream, ...]:
+        return (self._stream, *(() if self._live is None else self._live.streams()))
+
+    def _identity(self, clock: Clock, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
+        header = self._header
+        identity: dict[str, Scalar | NDArray[np.float64]] = {
+            "schema_version": entities.SCHEMA_VERSION,
+            "title": header.title,
+            "bodies": header.bodies,
+            "seed": header.seed,
+            "spins": header.spins,
+            "gravitates": header.gravitates,
+            "collides": header.collides,
+            "has_field": header.has_field,
+            "body_colouring": header.body_colouring,
+            "duration": float(header.duration),
+            "time_scale": clock.scale,
+            "origin": origin,
+        }
+        if header.spins:
+            identity["arrow_length"] = longest(header.radius)
+        if header.box is not None:
+            identity["box"] = header.box
+        return identity

@@ -1,0 +1,71 @@
+"""The numbers that say how a run went, read from its recording: what `carom inspect` prints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from carom.recording.recording import Recording
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Nested numbers; see docs/recording.md for the keys.
+
+    Worst errors are those of the recorded frames. A run that looked at every step knows better: what it put into the
+    closing property under the same dotted key (``contacts.total``, say) is taken instead.
+    """
+    frames = recording.fingerprints()
+    found: dict[str, Any] = {
+        "scene": {"title": recording.title},
+        "bodies": int(recording.info["bodies"]),
+        "frames": recording.frames,
+        "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,
+        "sim_time": float(frames["time"][-1].as_py()) if recording.frames else 0.0,
+        "outcome": recording.outcome,
+        "energy": _energy(recording.energy()),
+        "momentum": {"max_error": _drift(recording.momentum(), "momentum")},
+        "angular_momentum": {"max_error": _drift(recording.momentum(), "angular_momentum")},
+        "contacts": _contacts(recording.steps()),
+        "versions": _below(recording.properties, "version"),
+        "expect": _below(recording.closing, "expect"),
+    }
+    for section in ("energy", "momentum", "angular_momentum", "contacts"):
+        found[section] |= _below(recording.closing, section)
+    return found
+
+
+def _energy(energy: pa.Table) -> dict[str, float]:
+    if energy.num_rows == 0:
+        return {"initial": 0.0, "final": 0.0, "max_error": 0.0}
+    total = energy["total"].to_numpy()
+    worst = float(np.max(np.abs(energy["relative_error"].to_numpy())))
+    return {"initial": float(total[0]), "final": float(total[-1]), "max_error": worst}
+
+
+def _drift(momenta: pa.Table, name: str) -> float:
+    """Largest change of a conserved vector, relative to the largest sum of the bodies' own magnitudes."""
+    if momenta.num_rows == 0:
+        return 0.0
+    vectors: NDArray[np.float64] = np.stack(momenta[name].to_numpy())
+    scale = float(np.max(momenta[f"{name}_scale"].to_numpy()))
+    change = float(np.max(np.linalg.norm(vectors - vectors[0], axis=1)))
+    return change / scale if scale > 0 else change
+
+
+def _contacts(steps: pa.Table) -> dict[str, float]:
+    if "contacts" not in steps.column_names or steps.num_rows == 0:
+        return {"total": 0, "max_overlap": 0.0}
+    return {
+        "total": int(np.sum(steps["contacts"].to_numpy())),
+        "max_overlap": float(np.max(steps["relative_overlap"].to_numpy())),
+    }
+
+
+def _below(properties: Any, section: str) -> dict[str, Any]:
+    """Entries ``section.name`` as ``name``."""
+    prefix = f"{section}."
+    return {key.removeprefix(prefix): value for key, value in properties.items() if key.startswith(prefix)}
