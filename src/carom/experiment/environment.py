@@ -24,9 +24,7 @@ def versions() -> dict[str, str]:
 
 def environment(threads: int) -> dict[str, str | int]:
     """Return the properties that a recording carries about where it came from."""
-    stamped: dict[str, str | int] = {
-        f"version_{package.replace('-', '_')}": version for package, version in versions().items()
-    }
+    stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
     stamped["command"] = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
     stamped["git"] = _git_revision()
     stamped["platform"] = platform.platform()

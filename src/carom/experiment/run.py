@@ -240,31 +240,30 @@ def _header(space: Space) -> Header:
 
 
 def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
-    """Gather what is known only at the end, as the recording's last properties."""
+    """Gather what is known only at the end, under dotted keys: the recording's last properties."""
     moments = space.moments
     summary: dict[str, Scalar] = {
         "steps": space.step,
         "sim_time": space.time,
-        "contacts_total": moments.total_contacts,
-        "impacts_total": moments.impacts,
-        "momentum_max_error": moments.momentum_error,
+        "contacts.total": moments.total_contacts,
+        "contacts.impacts": moments.impacts,
+        "momentum.max_error": moments.momentum_error,
     }
     if moments.angular_momentum_error is not None:
-        summary["angular_momentum_max_error"] = moments.angular_momentum_error
+        summary["angular_momentum.max_error"] = moments.angular_momentum_error
+    if moments.energy_error is not None:
+        summary["energy.max_error"] = moments.energy_error.value
+    if moments.overlap is not None:
+        summary["contacts.max_overlap"] = moments.overlap.value
     for name in ("energy_error", "impact", "overlap", "contacts"):
         moment: Moment | None = getattr(moments, name)
-        if moment:
-            summary |= {f"worst_{name}": moment.value, f"worst_{name}_step": moment.step}
-            summary |= {f"worst_{name}_time": moment.time, f"worst_{name}_bodies": _listed(moment.bodies)}
+        if moment is not None:
+            key = f"moments.{name}"
+            summary |= {f"{key}.value": moment.value, f"{key}.step": moment.step, f"{key}.time": moment.time}
+            summary[f"{key}.bodies"] = ",".join(str(body) for body in moment.bodies)
     for part, seconds in space.profile.seconds().items():
-        summary[f"profile_{part}"] = seconds
+        summary[f"profile.{part}"] = seconds
     for verdict in verdicts:
-        summary |= {
-            f"expect_{verdict.name}": verdict.limit,
-            f"expect_{verdict.name}_measured": verdict.measured,
-        }
+        key = f"expect.{verdict.name}"
+        summary |= {f"{key}.limit": verdict.limit, f"{key}.measured": verdict.measured, f"{key}.met": verdict.met}
     return summary
-
-
-def _listed(bodies: tuple[int, ...]) -> str:
-    return ",".join(str(body) for body in bodies)

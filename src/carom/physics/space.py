@@ -19,7 +19,7 @@ from carom.physics.frame import Checkpoint, Event, Frame
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
-from carom.physics.momentum import Momentum, MomentumAccount
+from carom.physics.momentum import MomentumAccount
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
 from carom.physics.timestep import Timestep
@@ -79,14 +79,14 @@ class Space:
         self._energy_account = EnergyAccount(self._field)
         self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0)
         self._watch = EnergyWatch(scene.record.energy_tolerance, self.names)
-        self._suspects: Suspects | None = None
+        self._suspects: list[Suspects] = []
         self._events: list[Event] = []
         self._activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
         self._stopping = False
+        self._counted = -1  # the step whose energy and momentum are known
         self._phase = "warm-up"
         self._warm_up()
-        self._energy = self._energy_account.balance(self.state, self._accelerate(potential=True), self.ledger)
-        self._watch.check(0, 0.0, self._energy, None)
+        self._take_stock(self._accelerate(potential=True), checked=True)
         self.profile.clear()
 
     @property
@@ -142,11 +142,11 @@ class Space:
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""
-        return self._momentum().linear
+        return self._momentum_account.balance(self.state, self.time).linear
 
     def angular_momentum(self) -> FloatArray:
         """Σ (m x × v + I ω) about the origin, (3,) kg m²/s."""
-        return self._momentum().angular
+        return self._momentum_account.balance(self.state, self.time).angular
 
     def fingerprint(self) -> int:
         """64 bits of the exact state."""
@@ -171,7 +171,6 @@ class Space:
             if self._advance(end, checked, interval):
                 yield self.frame()
         if self._stopping:
-            self._energy = self.energy()
             yield self.frame()
 
     def stop(self) -> None:
@@ -179,10 +178,11 @@ class Space:
         self._stopping = True
 
     def frame(self) -> Frame:
-        """Copy the state of the last step."""
-        state, spins = self.state, self.requirements.spin.modelled
+        """Copy the state of the last step, with its energy and momentum."""
+        if self._counted != self.step:
+            self._take_stock(self._accelerate(potential=True), checked=False)
+        state, spins, momentum = self.state, self.requirements.spin.modelled, self._momentum
         turns = spins and self.requirements.torque.modelled
-        momentum = self._momentum()
         events, self._events = tuple(self._events), []
         return Frame(
             step=self.step,
@@ -233,12 +233,14 @@ class Space:
             raise PhysicsError(self._stuck(before))
         due = self.dt_limit == "end" or interval == 0.0 or self.time // interval > before // interval
         if checked and contact:
-            self._suspects = Suspects.of(self.step, self.contacts, contact.contributions, state)
+            self._suspect(contact)
         self.step += 1
         self.profile.mark("timestep")
         potential = self._integrate(self.dt, with_potential=due or checked)
         if contact:
             self._respond(contact)
+            if checked:
+                self._suspect(contact)
         else:
             self._phase = "free"
         if due or checked:
@@ -303,27 +305,30 @@ class Space:
         contact.turn(self.dt)
         self.profile.mark("torque")
 
+    def _suspect(self, contact: ContactStage) -> None:
+        """Keep the contacts of the present step for a warning that may come."""
+        self._suspects.append(Suspects.of(self.step, self.contacts, contact.contributions, self.state))
+
     def _is_settled(self) -> bool:
         """Tell whether most bodies touch and the impacts of late were slight."""
         quiet = self._activity <= SETTLED_BELOW * self._energy.scale
         return quiet and 2 * len(self.contacts) >= len(self.state)
 
     def _take_stock(self, potential: float, checked: bool) -> None:
-        """Compute the energy and compare it with before."""
+        """Compute energy and momentum, and compare them with before."""
         self._energy = self._energy_account.balance(self.state, potential, self.ledger)
         if not np.isfinite(self._energy.total):
             raise PhysicsError(self._not_finite())
         self.moments.see_energy_error(self.step, self.time, self._energy.relative_error)
-        momentum = self._momentum()
-        self.moments.see_momentum_error(momentum.linear_error, momentum.angular_error)
+        self._momentum = self._momentum_account.balance(self.state, self.time)
+        self.moments.see_momentum_error(self._momentum.linear_error, self._momentum.angular_error)
+        self._counted = self.step
         if checked:
             warning = self._watch.check(self.step, self.time, self._energy, self._suspects)
+            self._suspects = []
             if warning:
                 self._events.append(warning)
         self.profile.mark("energy")
-
-    def _momentum(self) -> Momentum:
-        return self._momentum_account.balance(self.state, self.time)
 
     def _warm_up(self) -> None:
         """Take a few tiny steps, then put the state back: frame 0 is the scene as written.

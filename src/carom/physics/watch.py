@@ -47,7 +47,7 @@ class Suspects:
     def describe(self, names: list[str]) -> str:
         """Name the contacts that added most energy, with the states of their bodies."""
         if len(self.graph) == 0:
-            return f"No bodies were colliding in step {self.step}: the integrator gained it."
+            return f"No bodies were colliding in step {self.step}."
         added = self.contributions[:, STABILISATION] - self.contributions[:, (RESTITUTION, FRICTION)].sum(axis=1)
         lines = [f"Colliding in step {self.step}, {len(self.graph)} contacts, those that added most first:"]
         lines += [self._contact(int(c), float(added[c]), names) for c in np.argsort(-added)[:MOST_CONTACTS]]
@@ -72,8 +72,11 @@ class EnergyWatch:
         self._last: Energy | None = None
         self._warnings = 0
 
-    def check(self, step: int, time: float, energy: Energy, suspects: Suspects | None) -> Event | None:
-        """Warn if the total rose by more than the tolerance times the energy scale since the last check."""
+    def check(self, step: int, time: float, energy: Energy, suspects: list[Suspects]) -> Event | None:
+        """Warn if the total rose by more than the tolerance times the energy scale since the last check.
+
+        The suspects are the contacts of the step before, whose bodies it names with their states, and of this one.
+        """
         last, self._last = self._last, energy
         if last is None or energy.total - last.total <= self._tolerance * energy.scale:
             return None
@@ -87,8 +90,9 @@ class EnergyWatch:
         text = (
             f"Energy rose by {rise:.4g} J ({rise / energy.scale:.2g} of the scale) since the last check: "
             f"{stabilisation:+.4g} J from stabilisation, {integration:+.4g} J from the integrator. "
-            f"Mostly {culprit}.\n{suspects.describe(self._names) if suspects else 'No step before to look at.'}"
+            f"Mostly {culprit}."
         )
+        text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
         if self._warnings == MOST_WARNINGS:
             text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
         return Event(step, time, "WARN", text)

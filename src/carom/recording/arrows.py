@@ -6,7 +6,11 @@ An arrow starts at its body's centre and sticks out of the sphere by
 
 so its vector is ``(r + L) m̂``. L grows with m, is never longer than L_max and can be inverted: with u = L / L_max,
 m = m_ref · (u / (1 - u))³. The cube root keeps six decades between 9 % and 91 % of L_max. That is why m_ref may be
-taken from the first frame that has arrows and stay for the whole recording: one that is wrong by a thousand still shows.
+taken from the first frame that has arrows and stay for the whole recording: one that is wrong by a thousand still
+shows something.
+
+A sphere's torque and angular acceleration are parallel (τ = I α). So the arrows of the one are short and thick, those
+of the other long and thin.
 """
 
 from __future__ import annotations
@@ -14,22 +18,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-REACH = 3.0  # L_max in median body radii
+TORQUE_REACH = 2.0  # L_max in median body radii
+ANGULAR_ACCELERATION_REACH = 4.0
 _ROUND_OFF = 1e-6  # a vector so small against its natural unit came of rounding: no measure for the others
 
 
-def longest(radius: NDArray[np.float64]) -> float:
-    """L_max in metres."""
-    return REACH * float(np.median(radius))
+def longest(radius: NDArray[np.float64], reach: float) -> float:
+    """Return L_max in metres."""
+    return reach * float(np.median(radius))
 
 
 def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lengths along the last axis, without overflow or underflow of the squares."""
-    largest = np.max(np.abs(vectors), axis=-1)
+    x, y, z = np.moveaxis(np.abs(vectors), -1, 0)  # NumPy's reductions are slow over an axis of three
+    largest = np.maximum(np.maximum(x, y), z)
     unit = np.where(largest > 0, largest, 1.0)
     with np.errstate(invalid="ignore"):
-        scaled = vectors / unit[..., None]
-        return np.asarray(unit * np.sqrt(np.sum(scaled * scaled, axis=-1)))
+        return np.asarray(unit * np.sqrt((x / unit) ** 2 + (y / unit) ** 2 + (z / unit) ** 2))
 
 
 def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:

@@ -5,29 +5,28 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.api import VisualizerLike
-from rerun.utilities import EntityPathLike
+from rerun.encodings import EntityPathLike
 
 from carom.recording import entities, palette
 from carom.recording.clock import SIM_TIME
+from carom.recording.extent import View
 from carom.recording.header import Header
 
-FloatArray = NDArray[np.float64]
-
 _DIRECTION = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # from the scene to the eye
-_DISTANCE = 2.0  # in radii of what is shown: it then fills a view of Rerun's 55° from top to bottom
+_DISTANCE = 2.1  # in radii of what is shown: it then fills a view of Rerun's 55° from top to bottom
+_GHOST = 0x8A93A630
 _WIRE = 0x8A93A6FF  # bodies in the second view: only a hint of where they are
 
 
-def blueprint(header: Header, centre: FloatArray, size: float) -> rrb.Blueprint:
-    """Lay out this scene, looking at a ball of radius ``size`` (m) about ``centre``."""
+def blueprint(header: Header, view: View) -> rrb.Blueprint:
+    """Lay out this scene, looking at what the view says."""
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(*_spatial(header, centre, size), column_shares=_shares(header)),
+            rrb.Horizontal(*_spatial(header, view), column_shares=_shares(header)),
             rrb.Horizontal(*_plots(header)),
             rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
-            row_shares=[5, 2.2, 1.8],
+            row_shares=[5, 2.4, 1.7],
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -42,14 +41,14 @@ def _shares(header: Header) -> list[float] | None:
     return [3, 2] if header.collides or header.spins else None
 
 
-def _spatial(header: Header, centre: FloatArray, size: float) -> list[rrb.View]:
+def _spatial(header: Header, view: View) -> list[rrb.View]:
     bodies = rrb.Spatial3DView(
         name="Bodies and contacts",
         origin="/",
         contents=[entities.BODIES, *([entities.CONTACTS] if header.collides else [])],
         background=_background(),
         line_grid=False,
-        eye_controls=_eye(centre, size),
+        eye_controls=_eye(view),
     )
     if not (header.collides or header.spins):
         return [bodies]
@@ -63,7 +62,7 @@ def _spatial(header: Header, centre: FloatArray, size: float) -> list[rrb.View]:
         ],
         background=_background(),
         line_grid=False,
-        eye_controls=_eye(centre, size),
+        eye_controls=_eye(view),
         overrides=_faint_bodies(header),
     )
     return [bodies, graph]
@@ -71,15 +70,25 @@ def _spatial(header: Header, centre: FloatArray, size: float) -> list[rrb.View]:
 
 def _faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
     """Bodies as thin wires, so that lines and arrows are what one sees."""
-    if entities.shape(header) != "ellipsoids":
-        return {}
-    wires = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=rr.Radius.ui_points(0.4))
-    return {entities.BODIES: wires}
+    match entities.shape(header):
+        case "ellipsoids":
+            thin = rr.Radius.ui_points(0.4)
+            return {
+                entities.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
+            }
+        case "points":
+            return {entities.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
+        case _:
+            return {entities.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}
 
 
-def _eye(centre: FloatArray, size: float) -> rrb.EyeControls3D:
-    position = centre + _DISTANCE * size * _DIRECTION
-    return rrb.EyeControls3D(position=position, look_target=centre, eye_up=[0.0, 0.0, 1.0])
+def _eye(view: View) -> rrb.EyeControls3D:
+    return rrb.EyeControls3D(
+        position=view.centre + _DISTANCE * view.size * _DIRECTION,
+        look_target=view.centre,
+        eye_up=[0.0, 0.0, 1.0],
+        tracking_entity=entities.BODIES if view.follows else None,
+    )
 
 
 def _background() -> rrb.Background:
@@ -93,14 +102,15 @@ def _plots(header: Header) -> list[rrb.View | rrb.Container]:
         _plot("Energy (J)", energy),
         rrb.Tabs(
             _plot(
-                "Ledger and integration error (J)" if ledger else "Integration error (J)",
+                "Ledger, integration error (J)" if ledger else "Integration error (J)",
                 [*ledger, entities.INTEGRATION_ERROR],
             ),
-            _plot("Error / energy scale", [entities.RELATIVE_ERROR]),
+            _plot("Relative error", [entities.RELATIVE_ERROR]),
         ),
     ]
     if header.collides:
-        plots.append(_plot("Contacts, colours, sweeps", [entities.STEP_CONTACTS, entities.COLOURS, entities.SWEEPS]))
+        contacts = _plot("Contacts", [entities.STEP_CONTACTS])
+        plots.append(rrb.Tabs(contacts, _plot("Colours, sweeps", [entities.COLOURS, entities.SWEEPS])))
         dt = _plot("dt (s)", [entities.DT])
         plots.append(rrb.Tabs(dt, _plot("Overlap / smaller radius", [entities.RELATIVE_OVERLAP])))
     else:
@@ -115,10 +125,15 @@ def _plot(name: str, contents: list[str]) -> rrb.TimeSeriesView:
 
 def _texts() -> rrb.Container:
     return rrb.Tabs(
-        rrb.TextLogView(name="Events", origin=entities.EVENTS),
+        rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns()),
         rrb.TextDocumentView(name="Scene", origin=entities.SCENE, contents=[entities.SCENE]),
         rrb.TextDocumentView(name="Scene file", origin=entities.SCENE_TOML),
     )
+
+
+def _event_columns() -> rrb.TextLogColumns:
+    """Leave out the entity path: there is only one."""
+    return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 
 
 def _states() -> rrb.View:

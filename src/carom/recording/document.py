@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from carom.recording import palette
-from carom.recording.arrows import longest
 from carom.recording.clock import Clock
-from carom.recording.entities import shape
+from carom.recording.entities import ANGULAR_ACCELERATION, TORQUE, arrow_length, shape
 from carom.recording.header import Header
 
 
@@ -41,9 +40,10 @@ def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtyp
         lines.append(f"- **Time is scaled**: one second on `sim_time` stands for {clock.scale:g} s of the simulation.")
     if header.spins:
         lines.append(
-            f"- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
-            f"s = (m / m_ref)^⅓ and L_max = {longest(header.radius):.4g} m. m_ref (N m, rad/s²) is in the recording's "
-            f"properties under `arrows`."
+            "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
+            f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g} m for torques and "
+            f"{arrow_length(header, ANGULAR_ACCELERATION):.4g} m for angular accelerations; m_ref (N m, rad/s²) stands "
+            "in the recording's property `arrows`."
         )
     if header.box is not None:
         lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + " m.")
@@ -59,7 +59,7 @@ def _legend(header: Header) -> str:
             f"{stages}, then again from the start; white is the last, serial stage (past {palette.SERIAL_STAGE})."
         )
     if header.spins:
-        lines.append("- Arrows: torque orange, angular acceleration green.")
+        lines.append("- Arrows: torque orange and thick, angular acceleration green and thin.")
         if shape(header) == "mesh":
             lines.append("- Dark and light halves of a sphere show how it turns.")
     return "\n".join(lines)

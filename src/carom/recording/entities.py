@@ -10,9 +10,11 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumnList
+from rerun.components import LineStrip3DBatch
 
 from carom.physics.frame import Frame
 from carom.recording import arrows, checkpoint, palette
@@ -47,6 +49,8 @@ CHECKPOINT = "state/checkpoint"
 STATIC_STATE = "state/bodies"
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
+_VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
+_STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
 _INDEX_BYTES = 16  # a row's step and simulated time
 
 FloatArray = NDArray[np.float64]
@@ -68,6 +72,12 @@ def shape(header: Header) -> str:
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
     return "mesh" if header.spins else "points"
+
+
+def arrow_length(header: Header, path: str) -> float:
+    """Return L_max (m) of the arrows at an entity."""
+    reach = arrows.TORQUE_REACH if path == TORQUE else arrows.ANGULAR_ACCELERATION_REACH
+    return arrows.longest(header.radius, reach)
 
 
 def energy_terms(header: Header) -> dict[str, tuple[str, int]]:
@@ -103,7 +113,6 @@ class BatchEncoder:
         self.origin = origin
         self.arrow_references: dict[str, float] = {}
         self._last_state: dict[str, str] = {}
-        self._arrow_length = arrows.longest(header.radius)
 
     def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         """All entities' rows of a batch, checkpoints apart."""
@@ -160,24 +169,25 @@ class BatchEncoder:
         self, path: str, batch: Sequence[Frame], position: FloatArray, vectors: Sequence[FloatArray | None]
     ) -> Rows:
         field = np.stack([np.zeros_like(p) if v is None else v for p, v in zip(position, vectors, strict=True)])
-        magnitude = arrows.magnitudes(field)
-        frame, body = np.nonzero((magnitude > 0) & np.isfinite(magnitude))
+        frame, body = np.nonzero((field[..., 0] != 0) | (field[..., 1] != 0) | (field[..., 2] != 0))
+        magnitude = arrows.magnitudes(field[frame, body])
+        finite = np.isfinite(magnitude)
+        frame, body, magnitude = frame[finite], body[finite], magnitude[finite]
         if len(frame) and path not in self.arrow_references:
-            first = magnitude[frame[0]]
             unit = self._natural_unit(path, batch[frame[0]])
-            self.arrow_references[path] = arrows.reference(first[first > 0], unit)
+            self.arrow_references[path] = arrows.reference(magnitude[frame == frame[0]], unit)
         vector = arrows.drawn(
             field[frame, body],
-            magnitude[frame, body],
+            magnitude,
             self.header.radius[body],
             self.arrow_references.get(path, 1.0),
-            self._arrow_length,
+            arrow_length(self.header, path),
         )
         origin = position[frame, body].astype(np.float32)
         lengths = np.bincount(frame, minlength=len(batch))
         columns = [
             *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(lengths),
-            *rr.AnyValues.columns(body=body.astype(np.uint32)).partition(lengths),
+            *_any_column("body", body.astype(np.uint32)).partition(lengths),
         ]
         return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin) + 4 * len(body))
 
@@ -199,8 +209,11 @@ class BatchEncoder:
             reach -= self.header.box * np.round(reach / self.header.box)  # the nearest image
         strips = np.stack([start, start + reach], axis=1).astype(np.float32)
         colours = palette.stage_colours(np.concatenate([frame.contacts.colours for frame in batch]))
-        columns = rr.LineStrips3D.columns(strips=strips, colors=colours).partition(edges)
-        return _rows(CONTACTS, batch, columns, _bytes(strips, colours))
+        columns = [
+            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=edges),
+            *rr.LineStrips3D.columns(colors=colours).partition(edges),
+        ]
+        return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, colours))
 
     def _collision_scalars(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         graphs = [frame.contacts for frame in batch]
@@ -244,12 +257,12 @@ class BatchEncoder:
     def _momenta(self, batch: Sequence[Frame]) -> Rows:
         velocity = np.stack([frame.velocity for frame in batch])
         mass = self.header.mass
-        speed = np.sqrt(np.sum(velocity * velocity, axis=2))
-        distance = np.sqrt(np.sum(np.stack([frame.position**2 for frame in batch]), axis=2))
+        speed = arrows.magnitudes(velocity)
+        distance = arrows.magnitudes(np.stack([frame.position for frame in batch]))
         angular_scale = (distance * speed) @ mass
         if self.header.spins:
             spin = np.stack([f.angular_velocity for f in batch if f.angular_velocity is not None])
-            angular_scale += np.sqrt(np.sum(spin * spin, axis=2)) @ self.header.inertia
+            angular_scale += arrows.magnitudes(spin) @ self.header.inertia
         arrays = {
             "momentum": np.concatenate([frame.momentum for frame in batch]),
             "momentum_scale": speed @ mass,
@@ -267,7 +280,8 @@ def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | FloatA
 def _fingerprints(batch: Sequence[Frame]) -> Rows:
     bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
     time = np.array([frame.time for frame in batch])
-    return _rows(FINGERPRINT, batch, rr.AnyValues.columns(fingerprint=bits, time=time), _bytes(bits, time))
+    columns = [*_any_column("fingerprint", bits), *_any_column("time", time)]
+    return _rows(FINGERPRINT, batch, ComponentColumnList(columns), _bytes(bits, time))
 
 
 def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
@@ -284,9 +298,21 @@ def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray
     columns = [
         column
         for name, array in arrays.items()
-        for column in rr.AnyValues.columns(True, **{name: array}).partition([len(array) // count] * count)
+        for column in _any_column(name, array).partition([len(array) // count] * count)
     ]
     return _rows(path, frames, ComponentColumnList(columns), _bytes(*arrays.values()))
+
+
+def _any_column(name: str, array: NDArray[np.generic]) -> ComponentColumnList:
+    """Make a column of any type. As an Arrow array: a NumPy array would be walked value by value, in Python."""
+    return rr.AnyValues.columns(True, **{name: pa.array(array)})
+
+
+def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
+    """Make lines ``(m, 2, 3)`` without a Python loop over them, which is what Rerun's own conversion is."""
+    vectors = pa.FixedSizeListArray.from_arrays(pa.array(points.ravel()), type=_VECTOR)
+    offsets = pa.array(np.arange(0, 2 * len(points) + 1, 2, dtype=np.int32))
+    return LineStrip3DBatch(pa.ListArray.from_arrays(offsets, vectors, type=_STRIP))
 
 
 def _rows(path: str, frames: Sequence[Frame], columns: ComponentColumnList, size: int) -> Rows:

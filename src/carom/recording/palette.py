@@ -60,8 +60,8 @@ def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
     count = len(group)
     few = count <= len(BODIES)
     hue = np.array(BODIES, dtype=np.uint32)[(np.arange(count) if few else group) % len(BODIES)]
-    shade: NDArray[np.float64] = np.ones(count) if few else 1.0 - _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
-    return _shaded(hue, shade)
+    darker = np.zeros(count) if few else _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
+    return _shaded(hue, np.asarray(1.0 - darker))
 
 
 def _shaded(colours: NDArray[np.uint32], shade: NDArray[np.float64]) -> NDArray[np.uint32]:

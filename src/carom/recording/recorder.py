@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from carom.physics.frame import Event, Frame
 from carom.recording import checkpoint
@@ -19,15 +20,18 @@ from carom.recording.blueprint import blueprint
 from carom.recording.clock import Clock
 from carom.recording.entities import BatchEncoder
 from carom.recording.errors import RecordingError
-from carom.recording.extent import Extent
+from carom.recording.extent import Extent, View
 from carom.recording.header import Header, Scalar
 from carom.recording.recording import Recording
 from carom.recording.stream import Stream
+
+FloatArray = NDArray[np.float64]
 
 _BATCH_BYTES = 1_000_000  # a chunk costs about 1.3 kB besides its data, whatever its size
 _BATCH_FRAMES = 512
 _BATCH_SECONDS = 1.0  # what a killed run may lose
 _QUEUE_BYTES = 64_000_000
+_FRAMED_ANEW = 1.15  # a second blueprint costs 80 kB
 _WAKE = 0.1  # s; how soon a blocked `put` learns that the recorder failed
 
 
@@ -55,6 +59,7 @@ class Recorder:
         self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
         self._encoder: BatchEncoder | None = None
         self._extent: Extent | None = None
+        self._framed = 0.0  # m, radius of what the blueprint shows
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
@@ -147,10 +152,7 @@ class Recorder:
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
             self._last_checkpoint = kept[-1].step
-        if self._extent is not None:
-            self._extent.see(batch)
-        if before == 0:
-            self._stream.send_blueprint(self._blueprint())
+        self._look(batch, encoder.origin)
         self._last = batch[-1]
         self.frames += len(batch)
         self._stream.flush()
@@ -159,13 +161,26 @@ class Recorder:
         """Everything static: it needs the first frame's centre of mass."""
         origin = np.average(first.position, axis=0, weights=self.header.mass)
         self._encoder = BatchEncoder(self.header, origin)
-        self._extent = Extent(self.header.radius, origin)
         self._stream.send_statics(self._clock, origin)
         return self._encoder
 
-    def _blueprint(self) -> rr.blueprint.Blueprint:
-        centre, size = (np.zeros(3), 1.0) if self._extent is None else self._extent.view()
-        return blueprint(self.header, centre, size)
+    def _look(self, batch: list[Frame], origin: FloatArray) -> None:
+        """Follow where the bodies are; the first frame is framed at once, for a live viewer and a killed run."""
+        if self._extent is None:
+            self._extent = Extent(self.header.radius, batch[0].position - origin)
+            self._send_blueprint(self._extent.view())
+        self._extent.see(batch, origin)
+
+    def _look_again(self) -> None:
+        """Frame the whole recording, if that differs from the first frame so much that one sees it."""
+        if self._extent is not None:
+            view = self._extent.view()
+            if view.follows or view.size > _FRAMED_ANEW * self._framed:
+                self._send_blueprint(view)
+
+    def _send_blueprint(self, view: View) -> None:
+        self._stream.send_blueprint(blueprint(self.header, view))
+        self._framed = view.size
 
     def _fail(self, error: RecordingError) -> None:
         """Close with what there is, and only then let the physics know."""
@@ -184,7 +199,7 @@ class Recorder:
                 level = "INFO" if outcome == "completed" else "WARN"
                 self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}"), self._clock)
                 self._stream.send_property("arrows", encoder.arrow_references)
-                self._stream.send_blueprint(self._blueprint())
+                self._look_again()
             self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
         finally:
             self._stream.close()

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from rerun.components import FillMode
 
 from carom.recording import entities, palette
-from carom.recording.arrows import longest
 from carom.recording.clock import Clock
 from carom.recording.document import scene_document
 from carom.recording.header import Header
 
 Static = tuple[str, rr.AsComponents]
 
-_ARROW_THICKNESS = 0.05  # of L_max
+_THICK, _THIN = 0.16, 0.07  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that one of thousands has
 
@@ -42,8 +41,8 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64]) -> Iterab
         ),
     )
     if header.spins:
-        yield entities.TORQUE, _arrow_style(header, palette.ORANGE)
-        yield entities.ANGULAR_ACCELERATION, _arrow_style(header, palette.GREEN)
+        yield entities.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
+        yield entities.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
     if header.collides:
         yield entities.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
     yield from _series(header)
@@ -57,7 +56,7 @@ def _bodies(header: Header) -> Iterable[Static]:
     match entities.shape(header):
         case "ellipsoids":
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)
-            fill = FillMode.TransparentFillMajorWireframe if header.spins else FillMode.Solid
+            fill = FillMode.TransparentFillMajorWireframe if header.spins or header.collides else FillMode.Solid
             yield (
                 entities.BODIES,
                 rr.Ellipsoids3D.from_fields(
@@ -96,8 +95,8 @@ def _two_tone_sphere() -> rr.Mesh3D:
     )
 
 
-def _arrow_style(header: Header, colour: int) -> rr.Arrows3D:
-    return rr.Arrows3D.from_fields(radii=_ARROW_THICKNESS * longest(header.radius), colors=colour)
+def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
+    return rr.Arrows3D.from_fields(radii=thickness * float(np.median(header.radius)), colors=colour)
 
 
 def _series(header: Header) -> Iterable[Static]:

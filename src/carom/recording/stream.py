@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Event
 from carom.recording import checkpoint, entities
-from carom.recording.arrows import longest
 from carom.recording.clock import Clock
 from carom.recording.entities import Rows
 from carom.recording.errors import RecordingError
@@ -118,7 +117,8 @@ class Stream:
             "origin": origin,
         }
         if header.spins:
-            identity["arrow_length"] = longest(header.radius)
+            for path in (entities.TORQUE, entities.ANGULAR_ACCELERATION):
+                identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
         if header.box is not None:
             identity["box"] = header.box
         return identity

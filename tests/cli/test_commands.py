@@ -1,0 +1,193 @@
+"""The commands, run as a person runs them."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from carom.recording.recording import Recording
+
+ONE_BODY = "[[body]]\nradius = 1.0\n"
+
+
+def carom(*arguments: str, cwd: Path, limit: int | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the command in a folder; ``limit`` is the size in bytes that a file may have."""
+
+    def small_disk() -> None:
+        assert limit is not None
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    return subprocess.run(
+        [sys.executable, "-m", "carom", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        preexec_fn=small_disk if limit else None,
+    )
+
+
+def scene_file(folder: Path, text: str) -> Path:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_run_records_a_scene_and_says_what_to_do_next(tmp_path: Path) -> None:
+    done = carom("run", "two-spheres", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for part in ("completed", "recordings/two-spheres.rrd", "carom view", "energy_error"):
+        assert part in done.stdout
+    assert "Two spheres off centre" in done.stderr
+    assert Recording.open(tmp_path / "recordings" / "two-spheres.rrd").frames > 100
+
+
+def test_run_prints_json_that_a_script_can_use(tmp_path: Path) -> None:
+    done = carom("run", "two-spheres", "--json", "-o", "x.rrd", cwd=tmp_path)
+    outcome = json.loads(done.stdout)
+    assert outcome["ok"] is True and outcome["path"] == "x.rrd" and outcome["moments"]["impacts"] == 1
+
+
+def test_inspect_prints_the_keys_that_scripts_rely_on(tmp_path: Path) -> None:
+    carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path)
+    summary = json.loads(carom("inspect", "x.rrd", "--json", cwd=tmp_path).stdout)
+    assert summary["scene"]["title"] == "Two spheres off centre, with friction"
+    assert summary["bodies"] == 2 and summary["outcome"] == "completed"
+    assert summary["sim_time"] == 4.0 and summary["frames"] == summary["steps"] + 1
+    assert set(summary["energy"]) >= {"initial", "final", "max_error"}
+    assert summary["momentum"]["max_error"] <= 1e-12 and summary["angular_momentum"]["max_error"] <= 1e-12
+    assert summary["contacts"]["total"] == 2 and 0 < summary["contacts"]["max_overlap"] < 0.03
+    assert summary["versions"]["carom"] and summary["versions"]["rerun-sdk"].startswith("0.41")
+    assert summary["expect"]["max_overlap"]["met"] is True
+    assert summary["profile"]["search"] > 0.0
+    assert summary["moments"]["impact"]["bodies"] == [0, 1]
+
+
+def test_inspect_shows_where_the_time_of_a_step_went(tmp_path: Path) -> None:
+    carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path)
+    shown = carom("inspect", "x.rrd", cwd=tmp_path).stdout
+    assert "search" in shown and "%" in shown and "hardest impact" in shown
+
+
+def test_a_scene_that_misses_its_promise_exits_1_and_says_which(tmp_path: Path) -> None:
+    done = carom("run", "two-spheres", "--set", "expect.max_overlap=1e-9", "-o", "x.rrd", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "expectation missed: max_overlap" in done.stderr
+    assert Recording.open(tmp_path / "x.rrd").outcome.startswith("expectation missed")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "nothing.toml"], "no such file"),
+        (["run", "two-spheres", "--set", "contact.restitution=2"], "must be at most 1"),
+        (["run", "two-spheres", "-o", "no/such/folder.rrd"], "there is no folder"),
+        (["run", "two-spheres", "-o", "taken.rrd"], "exists; give --force"),
+        (["explain", "nothing.toml"], "no such file"),
+        (["inspect", "nothing.rrd"], "nothing.rrd"),
+        (["inspect", "taken.rrd"], "taken.rrd"),
+        (["picture", "nothing.rrd"], "nothing.rrd"),
+        (["picture", "taken.rrd", "--size", "big"], "expected WIDTHxHEIGHT"),
+        (["new", "taken.toml"], "exists; give --force"),
+        (["new", "fresh", "--from", "nothing"], "no bundled scene"),
+    ],
+)
+def test_a_mistake_is_one_message_and_exit_code_2(arguments: list[str], said: str, tmp_path: Path) -> None:
+    (tmp_path / "taken.rrd").write_bytes(b"not a recording")
+    scene_file(tmp_path, ONE_BODY).rename(tmp_path / "taken.toml")
+    done = carom(*arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr and "Traceback" not in done.stderr
+    assert (tmp_path / "taken.rrd").read_bytes() == b"not a recording"
+
+
+def test_a_folder_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
+    done = carom("run", "two-spheres", "-o", "/proc/x.rrd", cwd=tmp_path)
+    assert done.returncode == 2 and "/proc/x.rrd" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_full_disk_ends_the_run_with_a_readable_file(tmp_path: Path) -> None:
+    done = carom("run", "elastic-gas", "-o", "x.rrd", cwd=tmp_path, limit=6_000_000)
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr and "disk" in done.stderr
+    assert Recording.open(tmp_path / "x.rrd").frames > 0
+
+
+def test_ctrl_c_ends_cleanly_with_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "x.rrd"
+    run = subprocess.Popen(
+        [sys.executable, "-m", "carom", "run", "elastic-gas", "--set", "time.duration=1e5", "-o", str(path)],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while (not path.exists() or path.stat().st_size < 100_000) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    run.send_signal(signal.SIGINT)
+    _, stderr = run.communicate(timeout=60)
+    assert run.returncode == 1
+    assert "interrupted: stopped by the user" in stderr and "Traceback" not in stderr
+    recording = Recording.open(path)
+    assert recording.outcome.startswith("interrupted") and recording.frames > 0
+
+
+def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None:
+    shown = carom("explain", "elastic-gas", cwd=tmp_path).stdout
+    for part in ("gravity.constant = 0", "no friction, and nothing spins", "steps in", "of memory", "of recording"):
+        assert part in shown
+    document = json.loads(carom("explain", "elastic-gas", "--json", cwd=tmp_path).stdout)
+    assert {part["name"]: part["modelled"] for part in document["parts"]}["contact"] is True
+    assert document["cost"]["steps"] > 0
+
+
+def test_scenes_lists_what_is_bundled(tmp_path: Path) -> None:
+    assert "cloud-collapse" in carom("scenes", cwd=tmp_path).stdout
+    listed = json.loads(carom("scenes", "--json", cwd=tmp_path).stdout)
+    assert {"name", "title", "bodies", "path"} == set(listed[0])
+    schema = json.loads(carom("scenes", "--schema", cwd=tmp_path).stdout)
+    assert "restitution" in schema["$defs"]["Contact"]["properties"]
+
+
+def test_a_new_scene_runs_as_it_is(tmp_path: Path) -> None:
+    assert carom("new", "mine", cwd=tmp_path).returncode == 0
+    done = carom("run", "mine.toml", "--set", "time.duration=20", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "recordings" / "mine.rrd").exists()
+
+
+def test_a_copy_of_a_bundled_scene_keeps_its_comments(tmp_path: Path) -> None:
+    carom("new", "mine.toml", "--from", "cloud-collapse", cwd=tmp_path)
+    assert "Look for" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
+
+
+def test_without_a_cache_the_command_says_that_it_compiles(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "carom", "run", "two-spheres", "-o"]
+    first, second = (
+        subprocess.run([*command, name], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+        for name in ("first.rrd", "second.rrd")
+    )
+    assert first.stderr.count("Compiling kernels") == 1
+    assert "Compiling" not in second.stderr
+
+
+def test_help_imports_neither_the_compiler_nor_the_viewer(tmp_path: Path) -> None:
+    code = (
+        "import sys, carom.cli.main as m\n"
+        "try: m.app(['--help'])\n"
+        "except SystemExit: pass\n"
+        "print([name for name in ('numba', 'rerun', 'scipy', 'pydantic') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.strip().endswith("[]")

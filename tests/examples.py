@@ -1,0 +1,92 @@
+"""Small scenes that several tests share."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+def scene_of(bodies: list[dict[str, Any]], **sections: Any) -> Scene:
+    """Build a scene of explicit bodies in which every step is recorded and checked, unless told otherwise."""
+    sections.setdefault("record", {"every": "step", "log_freq": 1})
+    return Scene.from_dict({"body": bodies, **sections})
+
+
+def pair(speed: float = 1.0, offset: float = 0.0, **sections: Any) -> Scene:
+    """Build two equal spheres of radius 1 m and mass 1 kg that approach each other along x, without gravity."""
+    sections.setdefault("gravity", {"constant": 0.0})
+    left = {"position": [-2.0, 0.0, 0.0], "velocity": [speed, 0.0, 0.0], "mass": 1.0}
+    right = {"position": [2.0, offset, 0.0], "velocity": [-speed, 0.0, 0.0], "mass": 1.0}
+    return scene_of([left, right], **sections)
+
+
+def cloud(count: int = 40, **sections: Any) -> Scene:
+    """Build a dense cloud of unequal, spinning bodies that collapses within seconds, friction and all."""
+    document = {
+        "seed": 4,
+        "time": {"duration": 3.0, "max_dt": 0.02, "cfl": 0.1},
+        "gravity": {"constant": 1.0},
+        "record": {"every": "step", "log_freq": 1},
+        "group": [
+            {
+                "count": count,
+                "radius": {"min": 0.2, "max": 0.5},
+                "density": 3.0,
+                "region": {"shape": "ball", "radius": 3.0},
+                "velocity": {"dispersion": 0.3},
+                "spin": {"dispersion": 1.0},
+            }
+        ],
+    }
+    for name, section in sections.items():
+        document[name] = {**document.get(name, {}), **section} if isinstance(section, dict) else section  # type: ignore[dict-item]
+    return Scene.from_dict(document)
+
+
+def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
+    """Build bodies of unequal size and mass in random motion, some of them overlapping."""
+    rng = np.random.default_rng(seed)
+    radius = rng.uniform(0.3, 1.0, count)
+    mass = rng.uniform(0.5, 4.0, count)
+    turning = count if spins else 0
+    orientation = np.zeros((turning, 4))
+    orientation[:, 3] = 1.0
+    return Bodies(
+        position=rng.uniform(-1, 1, (count, 3)) * 0.8 * count ** (1 / 3),
+        velocity=rng.standard_normal((count, 3)),
+        acceleration=np.zeros((count, 3)),
+        orientation=orientation,
+        angular_velocity=rng.standard_normal((turning, 3)),
+        angular_acceleration=np.zeros((turning, 3)),
+        torque=np.zeros((turning, 3)),
+        mass=mass,
+        radius=radius,
+        inertia=0.4 * mass * radius**2,
+    )
+
+
+def momentum_of(bodies: Bodies) -> FloatArray:
+    """Σ m v."""
+    return np.asarray(bodies.mass @ bodies.velocity)
+
+
+def angular_momentum_of(bodies: Bodies) -> FloatArray:
+    """Σ (m x × v + I ω)."""
+    orbital = bodies.mass[:, None] * np.cross(bodies.position, bodies.velocity)
+    spin = bodies.inertia[:, None] * bodies.angular_velocity if len(bodies.angular_velocity) else np.zeros((1, 3))
+    return np.asarray(orbital.sum(axis=0) + spin.sum(axis=0))
+
+
+def kinetic_energy_of(bodies: Bodies) -> float:
+    """Σ ½ m v² + Σ ½ I ω²."""
+    energy = 0.5 * bodies.mass @ np.sum(bodies.velocity**2, axis=1)
+    if len(bodies.angular_velocity):
+        energy += 0.5 * bodies.inertia @ np.sum(bodies.angular_velocity**2, axis=1)
+    return float(energy)

@@ -1,0 +1,118 @@
+"""A run: recorded whole, stopped early, or failed, it leaves a readable file that says how it ended."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carom
+from carom.experiment.expectation import judge
+from carom.experiment.run import simulate
+from carom.physics.moments import Moment, Moments
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from carom.scene.bundled import bundled_scenes
+from carom.scene.schema import Expect, Scene
+from examples import cloud, pair
+
+
+def test_the_public_run_returns_the_recording(tmp_path: Path) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    energy = recording.energy()
+    assert energy.num_rows == recording.frames > 100
+    assert recording.outcome == "completed"
+
+
+def test_a_file_that_exists_is_replaced_only_when_asked(tmp_path: Path) -> None:
+    path = tmp_path / "pair.rrd"
+    path.write_bytes(b"precious")
+    with pytest.raises(RecordingError, match="exists; give --force"):
+        carom.run(pair(), path)
+    assert path.read_bytes() == b"precious"
+    assert carom.run(pair(), path, force=True).outcome == "completed"
+
+
+def test_a_missing_folder_and_a_folder_are_refused_before_anything_runs(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="there is no folder"):
+        carom.run(pair(), tmp_path / "nowhere" / "x.rrd")
+    with pytest.raises(RecordingError, match="a folder; name a file"):
+        carom.run(pair(), tmp_path)
+
+
+def test_recording_changes_no_bit_of_the_run(tmp_path: Path) -> None:
+    recorded, plain = Space(cloud()), Space(cloud())
+    simulate(recorded, tmp_path / "cloud.rrd")
+    for _ in plain.run():
+        pass
+    assert recorded.fingerprint() == plain.fingerprint()
+
+
+def test_the_fingerprints_in_the_file_are_those_of_the_run(tmp_path: Path) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    run = [frame.fingerprint for frame in Space(cloud()).run()]
+    assert recording.fingerprints()["fingerprint"].to_pylist() == run
+
+
+def test_the_first_checkpoint_is_the_exact_start(tmp_path: Path) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    state = recording.checkpoint(0)
+    start = Space(cloud()).state
+    assert np.array_equal(state.position, start.position)
+    assert np.array_equal(state.velocity, start.velocity)
+    assert np.array_equal(state.acceleration, start.acceleration)
+
+
+def test_the_scene_in_the_file_runs_again(tmp_path: Path) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    path = tmp_path / "again.toml"
+    path.write_text(recording.scene_toml, encoding="utf-8")
+    assert Scene.load(path) == cloud()
+
+
+def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
+    scene = pair(time={"duration": 4.0, "max_dt": 0.3}, expect={"max_overlap": 1e-9})
+    outcome = simulate(Space(scene), tmp_path / "pair.rrd")
+    assert outcome.status == "expectation missed"
+    assert "max_overlap" in outcome.reason
+    assert Recording.open(outcome.path).outcome.startswith("expectation missed: max_overlap")
+
+
+def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp_path: Path) -> None:
+    space = Space(cloud())
+
+    def break_it(space: Space) -> None:
+        space.state.velocity[3] = np.nan
+
+    slow = cloud(time={"duration": 3000.0})
+    space = Space(slow)
+    outcome = simulate(space, tmp_path / "broken.rrd", watch=break_it)
+    assert outcome.status == "failed" and "no longer finite" in outcome.reason
+    recording = Recording.open(outcome.path)
+    assert recording.outcome.startswith("failed") and recording.frames == outcome.frames > 0
+
+
+def test_a_quantity_that_is_not_conserved_keeps_no_promise() -> None:
+    moments = Moments(angular_momentum_error=None, overlap=Moment(0.1, 1, 1.0))
+    verdicts = judge(Expect(angular_momentum_error=1.0, max_overlap=0.2), moments)
+    assert [verdict.met for verdict in verdicts] == [False, True]
+
+
+@pytest.mark.parametrize("name", bundled_scenes())
+def test_every_bundled_scene_meets_its_expectations(name: str, tmp_path: Path) -> None:
+    outcome = simulate(Space(Scene.load(name)), tmp_path / f"{name}.rrd")
+    assert outcome.status == "completed", outcome.reason
+    assert outcome.moments.energy_error is not None and outcome.moments.energy_error.value <= 1e-3
+    verified = subprocess.run(
+        [sys.executable, "-m", "rerun", "rrd", "verify", str(outcome.path)], capture_output=True, text=True, check=False
+    )
+    assert verified.returncode == 0, verified.stderr
+
+
+def test_the_file_is_at_most_a_fifth_larger_than_its_arrays(tmp_path: Path) -> None:
+    outcome = simulate(Space(Scene.load("cloud-collapse")), tmp_path / "cloud.rrd")
+    assert outcome.size <= 1.2 * outcome.payload

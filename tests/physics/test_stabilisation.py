@@ -1,0 +1,97 @@
+"""Overlaps of contacts at rest are undone without a bounce, and what that costs is in the ledger."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.graph import colour_contacts, stage_order
+from carom.physics.contact.search import contact_geometry, find_pairs
+from carom.physics.contact.solver import STABILISATION
+from carom.physics.contact.stabilisation import push_apart, rest_speed
+from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies
+
+FloatArray = NDArray[np.float64]
+
+
+def push(
+    bodies: Bodies, rest: float = np.inf, restitution: float = 0.0, sweeps: int = 1
+) -> tuple[FloatArray, FloatArray]:
+    """Push what overlaps; return the ledger and the overlaps left."""
+    open_space = np.zeros(3)
+    pairs = find_pairs(bodies.position, bodies.radius, open_space, broad_phase=False)
+    ledger, pushes = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
+    order = stage_order(colour_contacts(pairs, len(bodies)))
+    push_apart(
+        order,
+        pairs,
+        bodies.position,
+        bodies.velocity,
+        bodies.mass,
+        bodies.radius,
+        open_space,
+        restitution,
+        rest,
+        sweeps,
+        ledger,
+        pushes,
+    )
+    return ledger, contact_geometry(pairs, bodies.position, bodies.radius, open_space)[2]
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(2, 20))
+def test_pushes_keep_momentum_angular_momentum_and_the_centre_of_mass(seed: int, count: int) -> None:
+    bodies = random_bodies(count, seed)
+    p, L, centre = momentum_of(bodies), angular_momentum_of(bodies), bodies.mass @ bodies.position
+    push(bodies, sweeps=3)
+    # Up to 3 × 190 pushes of numbers of order 10.
+    assert np.allclose(momentum_of(bodies), p, rtol=0, atol=1e-12)
+    assert np.allclose(angular_momentum_of(bodies), L, rtol=0, atol=2e-12)
+    assert np.allclose(bodies.mass @ bodies.position, centre, rtol=0, atol=1e-12)
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(2, 20))
+def test_the_kinetic_energy_that_pushes_move_is_in_the_ledger(seed: int, count: int) -> None:
+    bodies = random_bodies(count, seed)
+    before = kinetic_energy_of(bodies)
+    ledger, _ = push(bodies, sweeps=3)
+    assert kinetic_energy_of(bodies) - before == pytest.approx(ledger[:, STABILISATION].sum(), abs=1e-12 * before)
+
+
+def test_two_overlapping_spheres_touch_after_one_push_and_do_not_bounce() -> None:
+    bodies = random_bodies(2, 0)
+    bodies.position[:] = [[0, 0, 0], [0.5 * bodies.radius.sum(), 0, 0]]
+    bodies.velocity[:] = 0.0
+    _, left = push(bodies)
+    assert abs(left[0]) <= 2.3e-16 * bodies.radius.sum() * 2
+    assert np.array_equal(bodies.velocity, np.zeros((2, 3)))
+
+
+def test_an_impact_that_will_rebound_is_not_pushed() -> None:
+    bodies = random_bodies(2, 0)
+    bodies.position[:] = [[0, 0, 0], [0.9 * bodies.radius.sum(), 0, 0]]
+    bodies.velocity[:] = [[1, 2, 3], [0, 0, 0]]
+    before = bodies.position.copy()
+    push(bodies, rest=0.0, restitution=0.5)
+    assert np.array_equal(bodies.position, before)
+
+
+def test_an_impact_that_will_stick_is_pushed() -> None:
+    bodies = random_bodies(2, 0)
+    bodies.position[:] = [[0, 0, 0], [0.9 * bodies.radius.sum(), 0, 0]]
+    bodies.velocity[:] = [[1, 2, 3], [0, 0, 0]]
+    _, left = push(bodies, rest=0.0, restitution=0.0)
+    assert abs(left[0]) <= 1e-15
+
+
+def test_the_rest_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
+    acceleration = np.array([[3.0, 0.0, -9.0], [0.0, 0.0, -9.0], [100.0, 0.0, 0.0]])
+    speed = rest_speed(np.array([[0, 1]]), acceleration, np.array([0.0, 0.0, -9.0]), 0.1)
+    assert speed == pytest.approx(2 * 3.0 * 0.1)
+    assert rest_speed(np.array([[0, 1]]), np.zeros((2, 3)), np.zeros(3), 0.1) == 0.0

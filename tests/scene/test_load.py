@@ -1,0 +1,176 @@
+"""A person's mistake gets one message that names file, line and key, and says what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from carom.scene.bundled import bundled_scenes, starter
+from carom.scene.error import SceneError
+from carom.scene.limits import refuse_impossible
+from carom.scene.placement import place
+from carom.scene.schema import Scene
+
+ONE_BODY = "[[body]]\nradius = 1.0\n"
+
+
+def complaint(tmp_path: Path, text: str, overrides: list[str] | None = None) -> str:
+    """Load a text as a scene file, all the way to the placed bodies, and return what is said about it."""
+    path = tmp_path / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(SceneError) as caught:
+        scene = Scene.load(path, overrides)
+        refuse_impossible(scene)
+        place(scene)
+    return str(caught.value)
+
+
+MISTAKES = {
+    "not TOML": ("title = \n" + ONE_BODY, ["scene.toml", "not TOML", "line 1"]),
+    "not text": ("title = '\x00'\n" + ONE_BODY, ["scene.toml", "not TOML"]),
+    "unknown key": ("[contact]\nrestitutoin = 0.5\n" + ONE_BODY, [":2:", "restitutoin", 'did you mean "restitution"']),
+    "unknown section": ("[contacts]\n" + ONE_BODY, [":1:", "contacts", 'did you mean "contact"']),
+    "wrong type": ('[time]\nduration = "long"\n' + ONE_BODY, [":2:", "time.duration", "number"]),
+    "a string for a count": ('[[group]]\ncount = "ten"\n', [":2:", "group.0.count", "whole number"]),
+    "negative radius": ("[[body]]\nradius = -1.0\n", [":2:", "body.0.radius", "more than 0"]),
+    "zero mass": ("[[body]]\nmass = 0\n", [":2:", "body.0.mass", "more than 0"]),
+    "infinite mass": ("[[body]]\nmass = inf\n", [":2:", "body.0.mass", "finite"]),
+    "NaN in a vector": ("[[body]]\nposition = [0, nan, 0]\n", [":2:", "body.0.position", "finite"]),
+    "NaN in a range": ("[[group]]\nradius = { min = nan, max = 1 }\n", [":2:", "radius.min", "finite"]),
+    "two numbers for a vector": ("[[body]]\nvelocity = [0, 0]\n", [":2:", "body.0.velocity", "[x, y, z]"]),
+    "restitution above 1": ("[contact]\nrestitution = 1.4\n" + ONE_BODY, [":2:", "restitution = 1.4", "at most 1"]),
+    "restitution below 0": ("[contact]\nrestitution = -0.1\n" + ONE_BODY, [":2:", "restitution", "at least 0"]),
+    "sliding harder than sticking": (
+        "[contact]\nstatic_friction = 0.2\nkinetic_friction = 0.5\n" + ONE_BODY,
+        [":1:", "kinetic_friction = 0.5 is above static_friction = 0.2"],
+    ),
+    "no bodies": ('title = "void"\n', ["no bodies", "[[body]]"]),
+    "overlapping bodies": (
+        '[[body]]\nname = "a"\n[[body]]\nname = "b"\nposition = [1.5, 0, 0]\n',
+        ['"a"', '"b"', "overlap by 0.5 m", "allow_overlap"],
+    ),
+    "a region too small": (
+        "[[group]]\ncount = 1000\nradius = 1.0\nregion = { shape = 'ball', radius = 10.0 }\n",
+        ["group.0.region", "would fill 1 of it", "0.38"],
+    ),
+    "a body larger than its region": (
+        "[[group]]\ncount = 1\nradius = 2.0\nregion = { shape = 'box', size = [30, 30, 3] }\n",
+        ["group.0", "does not fit"],
+    ),
+    "a ball without a radius": ("[[group]]\nregion = { shape = 'ball' }\n", [":2:", "region", "needs radius"]),
+    "periodic without a size": ("[domain]\nboundary = 'periodic'\n" + ONE_BODY, [":1:", "needs size"]),
+    "walls without a size": ("[domain]\nboundary = 'walls'\n" + ONE_BODY, [":1:", "needs size"]),
+    "periodic with self-gravity": (
+        "[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,
+        ["self-gravity", "does not converge", "gravity.constant = 0"],
+    ),
+    "a periodic box narrower than two bodies": (
+        "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 3]\n" + ONE_BODY,
+        ["domain.size", "four times the largest radius"],
+    ),
+    "10¹² bodies": ("[[group]]\ncount = 1000000000000\nradius = 1e-3\n", ["1e+12 bodies", "GB of memory"]),
+    "duration 0": ("[time]\nduration = 0\n" + ONE_BODY, [":2:", "time.duration = 0", "more than 0"]),
+    "a number for a section": ("time = 3\n" + ONE_BODY, [":1:", "time = 3", "section"]),
+    "density and mass": ("[[body]]\nmass = 1\ndensity = 1\n", ["body.0", "leave one out"]),
+    "a word that is none of the choices": (
+        "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
+        [":2:", "integrator", "'euler', 'leapfrog' or 'yoshida4'"],
+    ),
+    "trees": ("[gravity]\nmethod = 'tree'\n" + ONE_BODY, ["gravity.method", "direct"]),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_named_with_its_place(mistake: str, tmp_path: Path) -> None:
+    text, expected = MISTAKES[mistake]
+    said = complaint(tmp_path, text)
+    for part in expected:
+        assert part in said
+    assert "Traceback" not in said and "pydantic" not in said
+
+
+def test_a_file_that_is_not_there_suggests_the_nearest_scene() -> None:
+    with pytest.raises(SceneError, match=r'no such file.*did you mean the bundled scene "cloud-collapse"'):
+        Scene.load("cloud-colapse")
+
+
+def test_a_folder_is_not_a_scene(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="a folder, not a scene"):
+        Scene.load(tmp_path)
+
+
+def test_bytes_that_are_not_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_bytes(b"title = '\xff\xfe'\n")
+    with pytest.raises(SceneError, match="not UTF-8"):
+        Scene.load(path)
+
+
+def test_several_mistakes_are_named_at_once(tmp_path: Path) -> None:
+    said = complaint(tmp_path, "[contact]\nrestitution = 2\nsweeps = 0\n[[body]]\nradius = -1\n")
+    assert [line.split(":")[1] for line in said.splitlines()] == ["2", "3", "5"]
+
+
+def test_an_override_changes_one_key_and_is_kept_in_the_text(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text("# a comment\n[time]\nduration = 1.0\n" + ONE_BODY, encoding="utf-8")
+    scene = Scene.load(path, ["time.duration=2", "gravity.method=direct", "body.0.radius=3", "title=other"])
+    assert (scene.time.duration, scene.gravity.method, scene.body[0].radius, scene.title) == (2, "direct", 3, "other")
+    assert "# a comment" in scene.toml and "duration = 2" in scene.toml
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("duration", "expected key=value"),
+        ("=3", "expected key=value"),
+        ("body.4.radius=1", "there is no body.4"),
+        ("title.x=1", "title is a value"),
+        ("contact.restitution=7", "--set contact.restitution=7: contact.restitution = 7: must be at most 1"),
+        ("contact.bounce=1", "--set contact.bounce=1: unknown key contact.bounce"),
+    ],
+)
+def test_an_override_that_is_wrong_is_named(override: str, expected: str, tmp_path: Path) -> None:
+    assert expected in complaint(tmp_path, 'title = "x"\n' + ONE_BODY, [override])
+
+
+def test_the_friction_coefficient_not_given_follows_the_other() -> None:
+    body = [{"radius": 1.0}]
+    smooth = Scene.from_dict({"body": body, "contact": {"static_friction": 0.0}})
+    rough = Scene.from_dict({"body": body, "contact": {"kinetic_friction": 0.9}})
+    assert smooth.contact.kinetic_friction == 0.0
+    assert rough.contact.static_friction == 0.9
+
+
+def test_explicit_bodies_may_overlap_where_the_scene_says_so() -> None:
+    bodies = [{"position": [0, 0, 0]}, {"position": [1.5, 0, 0]}]
+    scene = Scene.from_dict({"body": bodies, "contact": {"allow_overlap": True}})
+    assert len(place(scene).mass) == 2
+
+
+def test_bodies_that_just_touch_are_not_overlapping() -> None:
+    place(Scene.from_dict({"body": [{"position": [0.1, 0, 0]}, {"position": [2.1, 0, 0]}]}))
+
+
+@pytest.mark.parametrize("name", bundled_scenes())
+def test_every_bundled_scene_loads_and_promises_something(name: str) -> None:
+    scene = Scene.load(name)
+    assert scene.title != Scene.model_fields["title"].default
+    assert scene.expect.model_dump(exclude_none=True)
+    assert scene.toml.startswith("#"), "a comment says what to look for"
+
+
+def test_the_starter_names_every_section(tmp_path: Path) -> None:
+    path = tmp_path / "starter.toml"
+    path.write_text(starter(), encoding="utf-8")
+    scene = Scene.load(path)
+    place(scene)
+    written = scene.toml
+    for section in Scene.model_fields:
+        assert f"[{section}]" in written or f"{section} =" in written
+
+
+def test_the_schema_for_editors_has_units() -> None:
+    schema = Scene.model_json_schema()
+    assert schema["$defs"]["Time"]["properties"]["max_dt"]["description"].startswith("s, ")

@@ -1,0 +1,110 @@
+"""Bodies start where the scene says, never overlapping, the same every time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from carom.scene.error import SceneError
+from carom.scene.neighbours import overlapping_pairs, squared_distance
+from carom.scene.placement import packing_fraction, place
+from carom.scene.schema import Scene
+
+
+def brute_force(position: Any, radius: Any, box: Any) -> Any:
+    i, j = np.triu_indices(len(radius), 1)
+    touching = squared_distance(position[i], position[j], box) <= (radius[i] + radius[j]) ** 2
+    return np.column_stack((i[touching], j[touching]))
+
+
+def placed(**group: Any) -> Any:
+    return place(Scene.from_dict({"seed": 1, "group": [group]}))
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 60), decades=st.floats(0, 2), periodic=st.booleans())
+def test_the_k_d_trees_find_what_testing_every_pair_finds(
+    seed: int, count: int, decades: float, periodic: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    box = np.array([10.0, 12.0, 14.0])
+    position = (rng.random((count, 3)) - 0.5) * box
+    radius = 2.4 * 10.0 ** (-decades * rng.random(count))
+    domain = box if periodic else None
+    found = overlapping_pairs(position, radius, domain)
+    assert np.array_equal(found, brute_force(position, radius, domain))
+
+
+@pytest.mark.parametrize("distribution", ["uniform", "log-uniform", "power-law"])
+def test_no_two_random_bodies_overlap(distribution: str) -> None:
+    start = placed(count=1500, radius={"min": 0.1, "max": 2.0, "distribution": distribution})
+    assert len(overlapping_pairs(start.position, start.radius)) == 0
+    assert start.radius.min() >= 0.1 and start.radius.max() <= 2.0
+
+
+def test_whole_spheres_lie_in_their_region() -> None:
+    start = placed(count=300, radius=0.5, region={"shape": "ball", "radius": 8.0, "centre": [5.0, 0.0, 0.0]})
+    distance = np.linalg.norm(start.position - np.array([5.0, 0.0, 0.0]), axis=1)
+    assert distance.max() <= 8.0 - 0.5 + 1e-12
+
+
+def test_a_group_is_placed_around_bodies_that_are_there_already() -> None:
+    scene = Scene.from_dict(
+        {"body": [{"radius": 5.0}], "group": [{"count": 200, "radius": 0.2, "region": {"radius": 6.0}}]}
+    )
+    start = place(scene)
+    assert len(overlapping_pairs(start.position, start.radius)) == 0
+
+
+def test_placement_is_uniform_in_the_ball() -> None:
+    # The mean of (r/R)³ is 1/2 for a uniform ball, with a standard deviation of √(1/12)/√n of the mean: four of them.
+    start = placed(count=20_000, radius=0.001, region={"radius": 1.0})
+    cubed = (np.linalg.norm(start.position, axis=1) / 0.999) ** 3
+    assert abs(cubed.mean() - 0.5) < 4 * np.sqrt(1 / 12 / 20_000)
+
+
+def test_the_same_seed_gives_the_same_start_and_another_a_different_one() -> None:
+    group = {"count": 50, "radius": 1.0}
+    first, again = (place(Scene.from_dict({"seed": 3, "group": [group]})) for _ in range(2))
+    other = place(Scene.from_dict({"seed": 4, "group": [group]}))
+    assert np.array_equal(first.position, again.position)
+    assert not np.array_equal(first.position, other.position)
+
+
+def test_a_dense_region_is_filled_and_one_too_dense_is_refused() -> None:
+    start = placed(count=2000, radius=1.0, region={"radius": 19.5})
+    assert len(overlapping_pairs(start.position, start.radius)) == 0
+    with pytest.raises(SceneError, match="would fill 0.485 of it"):
+        placed(count=2000, radius=1.0, region={"radius": 16.04})
+
+
+def test_what_finds_no_room_is_an_error_not_an_endless_loop() -> None:
+    # Below the limit on paper, but whole spheres must lie inside: the room left for centres is far smaller.
+    with pytest.raises(SceneError, match="found no room within"):
+        placed(count=6, radius=1.0, region={"radius": 2.55})
+
+
+def test_100000_bodies_at_ten_per_cent_packing_are_placed() -> None:
+    group = {"count": 100_000, "radius": {"min": 0.5, "max": 1.5}}
+    scene = Scene.from_dict({"group": [group]})
+    start = place(scene)
+    assert packing_fraction(scene.group[0]) == pytest.approx(0.1)
+    assert len(overlapping_pairs(start.position, start.radius)) == 0
+
+
+def test_bulk_rotation_turns_the_group_as_one() -> None:
+    start = placed(count=20, radius=0.1, region={"radius": 3.0, "centre": [1, 2, 3]}, bulk_rotation=[0, 0, 2.0])
+    offset = start.position - np.array([1.0, 2.0, 3.0])
+    assert np.allclose(start.velocity, np.cross([0.0, 0.0, 2.0], offset), rtol=0, atol=1e-14 * 6)
+    assert np.array_equal(start.angular_velocity, np.tile([0.0, 0.0, 2.0], (20, 1)))
+
+
+def test_velocities_are_maxwellian_about_the_mean() -> None:
+    # Four standard errors of the mean, σ/√n, and of the standard deviation, σ/√(2n).
+    start = placed(count=5000, radius=0.01, velocity={"mean": [1, 2, 3], "dispersion": 0.5})
+    assert np.all(abs(start.velocity.mean(axis=0) - [1, 2, 3]) < 4 * 0.5 / np.sqrt(5000))
+    assert np.all(abs(start.velocity.std(axis=0) - 0.5) < 4 * 0.5 / np.sqrt(10_000))

@@ -1,0 +1,49 @@
+"""Only what a scene requires is modelled, and the reason is given."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from carom.physics.space import Space
+from carom.scene.requirements import frame_interval, require
+from carom.scene.schema import Scene
+from examples import cloud, pair, scene_of
+
+MOVING = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
+RESTING = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]}]
+
+CASES: list[tuple[str, Any, str, bool]] = [
+    ("no constant, no gravity", scene_of(MOVING, gravity={"constant": 0}), "gravity", False),
+    ("one body pulls nothing", scene_of(MOVING[:1]), "gravity", False),
+    ("two bodies pull", scene_of(MOVING), "gravity", True),
+    ("nothing moves, nothing meets", scene_of(RESTING, gravity={"constant": 0}), "contact", False),
+    ("one moves, so they may meet", scene_of(MOVING, gravity={"constant": 0}), "contact", True),
+    ("disabled contact", scene_of(MOVING, contact={"enabled": False}), "contact", False),
+    ("few bodies need no tree", pair(), "search", False),
+    ("many bodies do", cloud(count=200), "search", True),
+    ("no friction, no torque", pair(contact={"static_friction": 0}), "torque", False),
+    ("no friction and no spin, no orientation", pair(contact={"static_friction": 0}), "spin", False),
+    ("friction turns bodies", pair(), "spin", True),
+    ("spin at the start", cloud(contact={"static_friction": 0}), "spin", True),
+    ("a fixed step needs no warm-up", pair(time={"fixed_dt": 0.01}), "warm_up", False),
+    ("a uniform field", pair(gravity={"constant": 0, "uniform": [0, 0, -9.81]}), "field", True),
+]
+
+
+@pytest.mark.parametrize(("sentence", "scene", "part", "modelled"), CASES, ids=[case[0] for case in CASES])
+def test_a_part_is_modelled_where_it_is_required(sentence: str, scene: Scene, part: str, modelled: bool) -> None:
+    decision = getattr(require(scene), part)
+    assert decision.modelled is modelled
+    assert decision.why
+
+
+def test_a_part_that_is_not_required_takes_no_memory() -> None:
+    space = Space(pair(contact={"static_friction": 0}))
+    assert space.state.orientation.size == space.state.angular_velocity.size == space.state.torque.size == 0
+
+
+@pytest.mark.parametrize(("every", "interval"), [("step", 0.0), (0.25, 0.25), ("auto", 10.0 / 600)])
+def test_frames_are_due_as_often_as_the_scene_says(every: Any, interval: float) -> None:
+    assert frame_interval(pair(record={"every": every})) == interval
