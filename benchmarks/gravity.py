@@ -29,7 +29,7 @@ def carom_force(position: np.ndarray, mass: np.ndarray, potential: bool) -> Call
 
 
 def rebound_force(position: np.ndarray, mass: np.ndarray) -> Callable[[], object]:
-    """A leapfrog step of almost no length: one evaluation of the forces, and drifts that cost n."""
+    """Return a leapfrog step of almost no length: one evaluation of the forces, and drifts that cost n."""
     simulation = rebound.Simulation()
     simulation.gravity = "basic"
     simulation.integrator = "leapfrog"

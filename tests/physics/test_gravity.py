@@ -67,6 +67,13 @@ def test_coincident_bodies_do_not_pull_each_other() -> None:
     assert energy == -1.0
 
 
+def test_softened_coincident_bodies_have_a_potential_and_no_pull() -> None:
+    acceleration = np.empty((2, 3))
+    energy = DirectGravity(np.array([1.0, 3.0]), 2.0, 0.5, None, 1).accelerate(np.zeros((2, 3)), acceleration, True)
+    assert energy == pytest.approx(-2.0 * 3.0 / 0.5, rel=1e-15)
+    assert np.array_equal(acceleration, np.zeros((2, 3)))
+
+
 def test_forces_of_a_cluster_add_up_to_nothing() -> None:
     position, mass = random_cluster(500)
     acceleration = np.empty((500, 3))

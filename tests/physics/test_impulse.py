@@ -55,7 +55,7 @@ def resolve(
         restitution,
         static_friction,
         kinetic_friction,
-        rest_speed,
+        np.array([rest_speed]),
         bias_rate,
         1,
         ledger,

@@ -38,6 +38,13 @@ def test_a_step_is_the_rotation_that_scipy_computes(
     assert np.linalg.norm(q[0]) == pytest.approx(1.0, abs=3e-16)
 
 
+@settings(max_examples=200, deadline=None)
+@given(theta=st.floats(1e5, 1e300))
+def test_however_far_a_body_turns_its_orientation_is_a_rotation(theta: float) -> None:
+    sine, cosine = sine_cosine(theta)
+    assert sine * sine + cosine * cosine == pytest.approx(1.0, abs=1e-15)
+
+
 def test_a_body_that_does_not_spin_keeps_its_bits() -> None:
     q = np.array([[0.1, 0.2, 0.3, math.sqrt(1 - 0.14)]])
     before = q.copy()

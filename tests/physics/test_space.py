@@ -292,8 +292,9 @@ def test_a_uniform_field_is_a_parabola_and_its_momentum_is_accounted_for() -> No
     assert abs(frame.energy.integration_error) <= 1e-13 * frame.energy.scale
 
 
-def test_bodies_are_wrapped_into_the_periodic_box() -> None:
-    space = Space(gas(duration=20.0, count=20))
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+def test_bodies_are_wrapped_into_the_periodic_box(restitution: float) -> None:
+    space = Space(gas(duration=20.0, count=100, restitution=restitution))
     frame = last(space)
     assert np.abs(frame.position).max() <= 4.5
     assert frame.angular_momentum_error is None
@@ -321,8 +322,56 @@ def test_a_state_that_is_not_finite_stops_the_run_and_names_the_body() -> None:
     frames = space.run()
     next(frames)
     space.state.velocity[1, 0] = np.nan
-    with pytest.raises(PhysicsError, match=r'no longer finite at step 1.*1 "body 1"'):
+    with pytest.raises(PhysicsError, match=r'no longer finite at step 1,.*1 "body 1"'):
         next(frames)
+
+
+def test_a_state_that_is_not_finite_is_named_among_many_bodies_too() -> None:
+    space = Space(gas(duration=1.0))
+    frames = space.run()
+    next(frames)
+    space.state.velocity[5, 0] = np.nan
+    with pytest.raises(PhysicsError, match=r'no longer finite at step 1,.*5 "group 0 5"'):
+        next(frames)
+
+
+def test_too_few_sweeps_are_said_once_and_enough_are_not() -> None:
+    texts = [event.text for frame in Space(pair(contact={"sweeps": 1})).run() for event in frame.events]
+    assert not any("still closing" in text for text in texts), "one sweep resolves one contact"
+    row: list[dict[str, Any]] = [
+        {"position": [1.99 * k, 0, 0], "velocity": [float(k == 5), 0, 0], "mass": 1.0} for k in range(6)
+    ]
+    row[5]["velocity"] = [-1.0, 0, 0]
+    # Contacts are resolved from the near end; the impulse comes from the far end and needs a sweep for each.
+    chain = scene_of(
+        row,
+        gravity={"constant": 0.0},
+        contact={"sweeps": 1, "restitution": 0.0, "static_friction": 0.0, "allow_overlap": True},
+        time={"duration": 0.2, "fixed_dt": 0.01},
+    )
+    texts = [event.text for frame in Space(chain).run() for event in frame.events]
+    assert len([text for text in texts if "still closing" in text]) == 1
+
+
+def test_an_energy_error_is_the_same_however_the_scene_moves() -> None:
+    errors = []
+    for boost in (0.0, 1e4):
+        bodies: list[dict[str, Any]] = [
+            {"mass": 1.0, "radius": 0.1, "velocity": [boost, 0, 0]},
+            {"mass": 1.0, "radius": 0.1, "position": [1, 0, 0], "velocity": [boost, 1.0, 0]},
+        ]
+        time = {"duration": 5.0, "fixed_dt": 0.02}
+        space = Space(scene_of(bodies, gravity={"constant": 1.0}, contact={"enabled": False}, time=time))
+        last(space)
+        assert space.moments.energy_error is not None
+        errors.append(space.moments.energy_error.value)
+    # Speeds of 10⁴ m/s squared, 10⁸ J, are rounded to 10⁻⁸ J: of a scale of 2 J.
+    assert errors[1] == pytest.approx(errors[0], abs=1e-7)
+
+
+def test_frames_fall_on_the_multiples_of_a_fixed_step() -> None:
+    scene = pair(time={"duration": 1.0, "fixed_dt": 0.01}, record={"every": 0.1})
+    assert [frame.step for frame in Space(scene).run()] == list(range(0, 101, 10))
 
 
 def test_a_step_that_no_longer_moves_the_clock_stops_the_run() -> None:

@@ -12,7 +12,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import colour_contacts, stage_order
 from carom.physics.contact.search import contact_geometry, find_pairs
 from carom.physics.contact.solver import STABILISATION
-from carom.physics.contact.stabilisation import push_apart, rest_speed
+from carom.physics.contact.stabilisation import push_apart
 from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +35,7 @@ def push(
         bodies.radius,
         open_space,
         restitution,
-        rest,
+        np.full(len(pairs), rest),
         sweeps,
         ledger,
         pushes,
@@ -88,10 +88,3 @@ def test_an_impact_that_will_stick_is_pushed() -> None:
     bodies.velocity[:] = [[1, 2, 3], [0, 0, 0]]
     _, left = push(bodies, rest=0.0, restitution=0.0)
     assert abs(left[0]) <= 1e-15
-
-
-def test_the_rest_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
-    acceleration = np.array([[3.0, 0.0, -9.0], [0.0, 0.0, -9.0], [100.0, 0.0, 0.0]])
-    speed = rest_speed(np.array([[0, 1]]), acceleration, np.array([0.0, 0.0, -9.0]), 0.1)
-    assert speed == pytest.approx(2 * 3.0 * 0.1)
-    assert rest_speed(np.array([[0, 1]]), np.zeros((2, 3)), np.zeros(3), 0.1) == 0.0

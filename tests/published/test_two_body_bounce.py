@@ -1,8 +1,8 @@
 """Two equal spheres fall together under their own gravity and bounce with e = 1/2.
 
 G = m = 1, r = 2, separation 20, from rest. Between bounces the pair is on a degenerate Kepler orbit, so everything is
-analytic: the fall takes √(R³/(G M)) (arccos √q + √(q (1 - q))) / √2 with R = 20, M = 2, q = 4/20, the speed of approach is
-√(2 G M (1/4 - 1/20)), and each rebound keeps a quarter of the kinetic energy, which sets the next apocentre.
+analytic: the fall takes √(R³/(G M)) (arccos √q + √(q (1 - q))) / √2 with R = 20, M = 2, q = 4/20, the speed of approach
+is √(2 G M (1/4 - 1/20)), and each rebound keeps a quarter of the kinetic energy, which sets the next apocentre.
 """
 
 from __future__ import annotations
@@ -10,15 +10,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.physics.space import Space
 from examples import scene_of
+
+FloatArray = NDArray[np.float64]
 
 CONTACT_AT = 67.40174
 APOCENTRES = (5.0, 4.210526, 4.050633, 4.012539)
 
 
-def separations(max_dt: float, target_dx: float, duration: float) -> tuple[np.ndarray, np.ndarray, Space]:
+def separations(max_dt: float, target_dx: float, duration: float) -> tuple[FloatArray, FloatArray, Space]:
     bodies = [{"position": [x, 0, 0], "radius": 2.0, "mass": 1.0} for x in (-10, 10)]
     space = Space(
         scene_of(
@@ -46,7 +49,7 @@ def test_the_numbers_of_this_file_are_those_of_kepler() -> None:
 
 def test_the_first_contact_comes_when_kepler_says() -> None:
     # The contact is found at the end of the step in which it happens, so it is late by at most one step.
-    time, distance, space = separations(max_dt=0.01, target_dx=1e-5, duration=68.0)
+    _, _, space = separations(max_dt=0.01, target_dx=1e-5, duration=68.0)
     assert space.moments.contacts is not None
     assert 0.0 <= space.moments.contacts.time - CONTACT_AT <= 0.01
 
@@ -54,7 +57,7 @@ def test_the_first_contact_comes_when_kepler_says() -> None:
 def test_the_apocentres_are_keplers() -> None:
     # A contact found up to a step late is resolved at an overlap up to v dt: the energy of the rebound is wrong by the
     # potential over that depth, so apocentres have an error of first order in dt. 0.6 dt were measured.
-    time, distance, _ = separations(max_dt=0.004, target_dx=1e-6, duration=83.5)
+    _, distance, _ = separations(max_dt=0.004, target_dx=1e-6, duration=83.5)
     peaks = [
         distance[k]
         for k in range(1, len(distance) - 1)

@@ -65,6 +65,10 @@ MISTAKES = {
         "[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,
         ["self-gravity", "does not converge", "gravity.constant = 0"],
     ),
+    "periodic with a uniform field": (
+        "[gravity]\nconstant = 0\nuniform = [0, 0, -1]\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,
+        ["gravity.uniform", "fall through the box for ever"],
+    ),
     "a periodic box narrower than two bodies": (
         "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 3]\n" + ONE_BODY,
         ["domain.size", "four times the largest radius"],

@@ -78,7 +78,7 @@ def test_the_same_seed_gives_the_same_start_and_another_a_different_one() -> Non
 def test_a_dense_region_is_filled_and_one_too_dense_is_refused() -> None:
     start = placed(count=2000, radius=1.0, region={"radius": 19.5})
     assert len(overlapping_pairs(start.position, start.radius)) == 0
-    with pytest.raises(SceneError, match="would fill 0.485 of it"):
+    with pytest.raises(SceneError, match=r"would fill 0\.485 of it"):
         placed(count=2000, radius=1.0, region={"radius": 16.04})
 
 

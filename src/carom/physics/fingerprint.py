@@ -1,4 +1,4 @@
-"""A 64-bit fingerprint of the exact state: XXH64 of the arrays' bytes, little-endian, one after the other."""
+"""A 64-bit fingerprint of the exact state: XXH64 of the arrays' bytes as they lie in memory, one after the other."""
 
 from __future__ import annotations
 

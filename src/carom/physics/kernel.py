@@ -45,7 +45,7 @@ def inline(function: Function) -> Function:
     return cast("Function", compiled)
 
 
-class _FirstCompilation(event.Listener):  # type: ignore[misc]
+class _FirstCompilation(event.Listener):
     """Calls back when a kernel is compiled that no cache has, the first time only."""
 
     def __init__(self, callback: Callable[[], None]) -> None:
@@ -62,4 +62,4 @@ class _FirstCompilation(event.Listener):  # type: ignore[misc]
 
 def on_compilation(callback: Callable[[], None]) -> None:
     """Call back once, before the first kernel is compiled; never where all of them are in the cache."""
-    event.register("numba:compile", _FirstCompilation(callback))
+    event.register("numba:compile", _FirstCompilation(callback))  # type: ignore[no-untyped-call]

@@ -42,7 +42,7 @@ class Moments:
         time: float,
         graph: CollisionGraph,
         approach: FloatArray,
-        rest_speed: float,
+        rest_speed: FloatArray,
         bodies: Bodies,
     ) -> float:
         """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""

@@ -33,6 +33,7 @@ FloatArray = NDArray[np.float64]
 
 WARM_UP_STEPS = 3
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
+MULTIPLE_TOLERANCE = 1e-9  # of a time, within which it counts as a multiple of the frames' interval
 SETTLED_MEMORY = 50  # steps over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
 
@@ -75,7 +76,7 @@ class Space:
         self._substeps = SUBSTEPS[scene.time.integrator]
         self._gravity = self._make_gravity()
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time)
+        self._timestep = Timestep(scene.time, self._field)
         self._energy_account = EnergyAccount(self._field)
         self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0)
         self._watch = EnergyWatch(scene.record.energy_tolerance, self.names)
@@ -231,7 +232,9 @@ class Space:
         before, self.time = self.time, end if self.dt_limit == "end" else self.time + self.dt
         if not self.time > before:
             raise PhysicsError(self._stuck(before))
-        due = self.dt_limit == "end" or interval == 0.0 or self.time // interval > before // interval
+        due = (
+            self.dt_limit == "end" or interval == 0.0 or _multiples(self.time, interval) > _multiples(before, interval)
+        )
         if checked and contact:
             self._suspect(contact)
         self.step += 1
@@ -261,11 +264,12 @@ class Space:
             last = index == len(self._substeps) - 1
             kick(state.velocity, state.acceleration, substep.before * dt)
             drift(state.position, state.velocity, substep.drift * dt)
-            if self._box[0] > 0.0:
-                wrap(state.position, self._box)
             self.profile.mark("integrate")
             if last and self._contact:
+                self._refuse_infinities()
                 self.contacts = self._contact.find(dt, self.profile)
+            if self._box[0] > 0.0:
+                wrap(state.position, self._box)
             potential = self._accelerate(with_potential and last)
             self.profile.mark("gravity")
             kick(state.velocity, state.acceleration, substep.after * dt)
@@ -301,6 +305,7 @@ class Space:
             for text in contact.limits_reached():
                 self._log("WARN", text)
         else:
+            self._activity -= self._activity / SETTLED_MEMORY
             self._phase = "free"
         contact.turn(self.dt)
         self.profile.mark("torque")
@@ -318,7 +323,8 @@ class Space:
         """Compute energy and momentum, and compare them with before."""
         self._energy = self._energy_account.balance(self.state, potential, self.ledger)
         if not np.isfinite(self._energy.total):
-            raise PhysicsError(self._not_finite())
+            self._refuse_infinities()
+            raise PhysicsError(f"the energy is no longer finite at step {self.step}, t = {self.time:.6g} s")
         self.moments.see_energy_error(self.step, self.time, self._energy.relative_error)
         self._momentum = self._momentum_account.balance(self.state, self.time)
         self.moments.see_momentum_error(self._momentum.linear_error, self._momentum.angular_error)
@@ -363,10 +369,19 @@ class Space:
             f"(limit: {self.dt_limit}); raise time.target_dx or time.cfl, or set time.fixed_dt"
         )
 
-    def _not_finite(self) -> str:
-        lost = np.flatnonzero(~np.isfinite(self.state.position + self.state.velocity).all(axis=1))
+    def _refuse_infinities(self) -> None:
+        finite = np.isfinite(self.state.position) & np.isfinite(self.state.velocity)
+        if finite.all():
+            return
+        lost = np.flatnonzero(~finite.all(axis=1))
         names = ", ".join(f'{body} "{self.names[body]}"' for body in lost[:5])
-        return f"the state is no longer finite at step {self.step}, t = {self.time:.6g} s: bodies {names or 'unknown'}"
+        at = f"step {self.step}, t = {self.time:.6g} s"
+        raise PhysicsError(f"the state is no longer finite at {at}: {len(lost)} bodies, among them {names}")
+
+
+def _multiples(time: float, interval: float) -> float:
+    """Count the multiples of an interval up to a time, forgiving the rounding of a clock that adds up steps."""
+    return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0
 
 
 def _cores() -> int:

@@ -1,12 +1,14 @@
 """The adaptive step, from the state of the frame before.
 
-    dt_a = √(2 target_dx / |a|max)                 no acceleration moves a body further than target_dx
-    dt_v = cfl · min_i r_i / |v_i - V|             no body crosses more than a part of its own radius
-    dt   = min(dt_a, dt_v, max_dt)                 smoothed by a moving average where it grows
+    dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body further than target_dx
+    dt_v = min_i 2 s_i / (u_i + √(u_i² + 2 |a_i| s_i))   no body moves further than s_i = cfl · r_i
+    dt   = min(dt_a, dt_v, max_dt)                       smoothed by a moving average where it grows
 
-V is the velocity of the centre of mass: a scene that moves as a whole gets the same steps. The seed takes the radius
-of the *fastest* body in dt_v, and smooths in both directions; its velocity limit is kept as "fastest-body". A shrink
-is taken at once, because a smoothed shrink breaks the bound that it exists for.
+dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
+uniform field: a scene that moves or falls as a whole gets the same steps. The seed leaves out the acceleration, takes
+speeds as they are, and the radius of the *fastest* body only, so that a small body a little slower tunnels; that
+limit is kept as "fastest-body". It also smooths in both directions; a smoothed shrink breaks the bound that it exists
+for, so ours is taken at once.
 """
 
 from __future__ import annotations
@@ -28,8 +30,9 @@ END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged 
 class Timestep:
     """Chooses each step and remembers what the average needs."""
 
-    def __init__(self, time: Time) -> None:
+    def __init__(self, time: Time, field: FloatArray) -> None:
         self._time = time
+        self._field = field
         self.previous = 0.0  # s, the average; 0 until there is one
 
     def choose(self, bodies: Bodies, remaining: float) -> tuple[float, str]:
@@ -64,10 +67,10 @@ class Timestep:
     def target(self, bodies: Bodies) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         time = self._time
-        fastest_body = time.velocity_limit == "fastest-body"
-        a_max, crossing = _limits(bodies.velocity, bodies.acceleration, bodies.mass, bodies.radius, fastest_body)
+        state = (bodies.velocity, bodies.acceleration, bodies.mass, bodies.radius, self._field, time.cfl)
+        a_max, fastest, every = _limits(*state)
         dt_a = math.sqrt(2.0 * time.target_dx / a_max) if a_max > 0.0 else math.inf
-        dt_v = time.cfl * crossing
+        dt_v = fastest if time.velocity_limit == "fastest-body" else every
         dt = min(dt_a, dt_v, time.max_dt)
         limit = "cap" if dt == time.max_dt else "velocity" if dt == dt_v else "acceleration"
         return dt, limit
@@ -75,9 +78,14 @@ class Timestep:
 
 @kernel
 def _limits(
-    velocity: FloatArray, acceleration: FloatArray, mass: FloatArray, radius: FloatArray, fastest_body: bool
-) -> tuple[float, float]:
-    """Return |a|max in m/s² and the time in which a body crosses its own radius in s, infinite at rest."""
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    mass: FloatArray,
+    radius: FloatArray,
+    field: FloatArray,
+    cfl: float,
+) -> tuple[float, float, float]:
+    """Return |a|max in m/s², and dt_v in s by the seed's rule and by ours: infinite where nothing moves."""
     M, px, py, pz = 0.0, 0.0, 0.0, 0.0
     for i in range(len(mass)):
         M += mass[i]
@@ -85,15 +93,16 @@ def _limits(
         py += mass[i] * velocity[i, 1]
         pz += mass[i] * velocity[i, 2]
     Vx, Vy, Vz = px / M, py / M, pz / M
-    a2_max, v2_max, fastest, slowness = 0.0, 0.0, 0, np.inf
+    a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
     for i in range(len(mass)):
-        a2 = acceleration[i, 0] ** 2 + acceleration[i, 1] ** 2 + acceleration[i, 2] ** 2
-        a2_max = max(a2_max, a2)
-        v2 = (velocity[i, 0] - Vx) ** 2 + (velocity[i, 1] - Vy) ** 2 + (velocity[i, 2] - Vz) ** 2
+        ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
+        a = np.sqrt(ax * ax + ay * ay + az * az)
+        a_max = max(a_max, a)
+        ux, uy, uz = velocity[i, 0] - Vx, velocity[i, 1] - Vy, velocity[i, 2] - Vz
+        u = np.sqrt(ux * ux + uy * uy + uz * uz)
+        s = cfl * radius[i]
+        every = min(every, 2.0 * s / (u + np.sqrt(u * u + 2.0 * a * s)))
+        v2 = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1] + velocity[i, 2] * velocity[i, 2]
         if v2 > v2_max:
-            v2_max, fastest = v2, i
-        if v2 > 0.0:
-            slowness = min(slowness, radius[i] / np.sqrt(v2))
-    if fastest_body and v2_max > 0.0:
-        slowness = radius[fastest] / np.sqrt(v2_max)
-    return np.sqrt(a2_max), slowness
+            v2_max, fastest = v2, s / np.sqrt(v2)
+    return a_max, fastest, every

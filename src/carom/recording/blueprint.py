@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
@@ -13,8 +12,6 @@ from carom.recording.clock import SIM_TIME
 from carom.recording.extent import View
 from carom.recording.header import Header
 
-_DIRECTION = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # from the scene to the eye
-_DISTANCE = 2.1  # in radii of what is shown: it then fills a view of Rerun's 55° from top to bottom
 _GHOST = 0x8A93A630
 _WIRE = 0x8A93A6FF  # bodies in the second view: only a hint of where they are
 
@@ -84,8 +81,8 @@ def _faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
 
 def _eye(view: View) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(
-        position=view.centre + _DISTANCE * view.size * _DIRECTION,
-        look_target=view.centre,
+        position=view.eye,
+        look_target=view.target,
         eye_up=[0.0, 0.0, 1.0],
         tracking_entity=entities.BODIES if view.follows else None,
     )
@@ -120,7 +117,14 @@ def _plots(header: Header) -> list[rrb.View | rrb.Container]:
 
 def _plot(name: str, contents: list[str]) -> rrb.TimeSeriesView:
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    return rrb.TimeSeriesView(name=name, origin="/", contents=contents, plot_legend=legend)
+    return rrb.TimeSeriesView(name=name, origin="/", contents=contents, plot_legend=legend, axis_x=_whole_time())
+
+
+def _whole_time() -> rrb.TimeAxis:
+    """Show all of the time: by default a plot shows no more than a minute about the cursor."""
+    return rrb.TimeAxis(
+        view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+    )
 
 
 def _texts() -> rrb.Container:
@@ -138,5 +142,8 @@ def _event_columns() -> rrb.TextLogColumns:
 
 def _states() -> rrb.View:
     return rrb.StateTimelineView(
-        name="Phase, and what limits dt", origin="/", contents=[entities.PHASE, entities.DT_LIMIT]
+        name="Phase, and what limits dt",
+        origin="/",
+        contents=[entities.PHASE, entities.DT_LIMIT],
+        time_view=_whole_time(),
     )

@@ -13,49 +13,68 @@ from carom.physics.frame import Frame
 FloatArray = NDArray[np.float64]
 
 _MOST = 95.0  # per cent of the bodies to be seen; the rest may be on their way out
-_GROWTH = 2.5  # a view that held more than this times the first frame would show it too small
+_GROWTH = 2.5  # an eye further away than so many times what the first frame asks for would show it too small
+_MARGIN = 1.05
+
+_TO_EYE = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # from the scene; z is up
+_RIGHT = np.cross([0.0, 0.0, 1.0], _TO_EYE) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], _TO_EYE))
+_UP = np.cross(_TO_EYE, _RIGHT)
+_SLOPE = np.tan(np.radians(55.0 / 2))  # Rerun's eye opens 55° from top to bottom
+_ASPECT = 1.25  # of the narrower of the two 3D views
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """What an eye should show: a ball, and whether to follow the bodies, which leave it as a whole."""
+    """Where an eye should be, and whether it should follow the bodies, which leave its view as a whole."""
 
-    centre: FloatArray  # (3,) m
-    size: float  # m
+    target: FloatArray  # (3,) m
+    distance: float  # m, of the eye from the target
     follows: bool
+
+    @property
+    def eye(self) -> FloatArray:
+        """Place of the eye (m)."""
+        return np.asarray(self.target + self.distance * _TO_EYE)
 
 
 class Extent:
-    """A ball around most of the bodies, followed over the recording. Robust: a few that fly off do not count."""
+    """How far away the eye must be to show most of the bodies. Robust: a few that fly off do not count."""
 
     def __init__(self, radius: FloatArray, first: FloatArray) -> None:
         self._radius = radius
         self._centre = _middle(first)
-        self._first = self._reach(first, self._centre)
+        self._first = self._distance(first, self._centre)
         self._drift = 0.0
-        self._spread = self._first  # about the centre of each moment
-        self._largest = self._first  # about the first centre
+        self._moving = self._first  # the eye's distance if it follows the bodies
+        self._still = self._first  # … and if it stays
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Take the last frame of a batch into account."""
         position = batch[-1].position - origin
         centre = _middle(position)
         self._drift = max(self._drift, float(np.linalg.norm(centre - self._centre)))
-        self._spread = max(self._spread, self._reach(position, centre))
-        self._largest = max(self._largest, self._reach(position, self._centre))
+        self._moving = max(self._moving, self._distance(position, centre))
+        self._still = max(self._still, self._distance(position, self._centre))
 
     def view(self) -> View:
         """Show the first frame and, if that leaves it large enough, all others."""
-        follows = self._drift > self._first
-        size = self._spread if follows else self._largest
-        return View(self._centre, min(size, _GROWTH * self._first), follows)
+        follows = self._drift > self._first / 2
+        distance = self._moving if follows else self._still
+        return View(self._centre, min(distance, _GROWTH * self._first), follows)
 
-    def _reach(self, position: FloatArray, centre: FloatArray) -> float:
-        distance = np.sqrt(np.sum((position - centre) ** 2, axis=1)) + self._radius
+    def _distance(self, position: FloatArray, centre: FloatArray) -> float:
+        """Return the distance from which most bodies are inside the picture's borders.
+
+        A body at height h over the line of sight and depth d towards the eye is inside if
+        h + r ≤ (distance - d) · slope.
+        """
+        offset = position - centre
+        height = np.maximum(np.abs(offset @ _UP), np.abs(offset @ _RIGHT) / _ASPECT) + self._radius
+        distance = offset @ _TO_EYE + height / _SLOPE
         finite = distance[np.isfinite(distance)]
         if len(finite) == 0:
             return float(self._radius.max())
-        return float(np.percentile(finite, _MOST, method="higher"))
+        return _MARGIN * float(np.percentile(finite, _MOST, method="higher"))
 
 
 def _middle(position: FloatArray) -> FloatArray:

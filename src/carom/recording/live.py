@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import socket
+import threading
 import warnings
-from collections.abc import Iterable
 
 import rerun as rr
 
 from carom.recording.errors import RecordingError
 
 _PROBE = 2.0  # s
+_PATIENCE = 5.0  # s; a viewer that takes longer for a second's worth of frames has hung
 
 
 class LiveView:
@@ -19,30 +20,34 @@ class LiveView:
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
         host, port = _host_and_port(address)
         _probe(host, port)  # a sink with nobody listening would block for seconds, here and at exit
-        self._address = (host, port)
         self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
         self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
 
-    def streams(self) -> Iterable[rr.RecordingStream]:
+    def streams(self) -> tuple[rr.RecordingStream, ...]:
         """Give the stream to send to, or none once the viewer has gone."""
         return () if self._stream is None else (self._stream,)
 
-    def check(self) -> None:
-        """Stop sending if the viewer has gone away: its queue would only grow."""
+    def flush(self) -> None:
+        """Wait until the viewer has what was sent; stop sending if it has gone, for its queue would only grow."""
         if self._stream is None:
             return
         try:
-            _probe(*self._address)
-        except RecordingError:
+            self._stream.flush(timeout_sec=_PATIENCE)
+        except RuntimeError:
             warnings.warn("the live viewer has gone; the recording goes on without it", stacklevel=2)
-            self._stream.set_sinks()
-            self._stream = None
+            self._hang_up()
 
     def close(self) -> None:
         """Send what is left and hang up."""
-        self.check()
+        self.flush()
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        """Disconnect, but do not wait for a viewer that never answers."""
         if self._stream is not None:
-            self._stream.disconnect()
+            disconnecting = threading.Thread(target=self._stream.disconnect, name="carom-live-end", daemon=True)
+            disconnecting.start()
+            disconnecting.join(_PATIENCE)
             self._stream = None
 
 

@@ -48,7 +48,7 @@ class Recorder:
         rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
         self.path = Path(path)
         self.header = header
-        self.frames = 0  # written so far
+        self.frames = 0  # sent so far
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
         self._clock = Clock.fitting(header.duration, header.shortest_dt_hint)
@@ -59,7 +59,7 @@ class Recorder:
         self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
         self._encoder: BatchEncoder | None = None
         self._extent: Extent | None = None
-        self._framed = 0.0  # m, radius of what the blueprint shows
+        self._framed = 0.0  # m, the eye's distance in the blueprint
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
@@ -154,7 +154,7 @@ class Recorder:
             self._last_checkpoint = kept[-1].step
         self._look(batch, encoder.origin)
         self._last = batch[-1]
-        self.frames += len(batch)
+        self.frames += len(batch)  # even if the flush finds the disk full: the reserve has taken them
         self._stream.flush()
 
     def _begin(self, first: Frame) -> BatchEncoder:
@@ -162,6 +162,7 @@ class Recorder:
         origin = np.average(first.position, axis=0, weights=self.header.mass)
         self._encoder = BatchEncoder(self.header, origin)
         self._stream.send_statics(self._clock, origin)
+        self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
         return self._encoder
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
@@ -175,12 +176,12 @@ class Recorder:
         """Frame the whole recording, if that differs from the first frame so much that one sees it."""
         if self._extent is not None:
             view = self._extent.view()
-            if view.follows or view.size > _FRAMED_ANEW * self._framed:
+            if view.follows or view.distance > _FRAMED_ANEW * self._framed:
                 self._send_blueprint(view)
 
     def _send_blueprint(self, view: View) -> None:
         self._stream.send_blueprint(blueprint(self.header, view))
-        self._framed = view.size
+        self._framed = view.distance
 
     def _fail(self, error: RecordingError) -> None:
         """Close with what there is, and only then let the physics know."""

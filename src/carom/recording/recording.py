@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, LazyChunkStream, RrdReader
+from rerun.chunk import Chunk, LazyChunkStream, RrdReader, StoreEntry
 
 from carom.recording import entities
 from carom.recording.checkpoint import StoredState, decode
@@ -52,8 +52,7 @@ class Recording:
         path = Path(path)
         if not path.is_file():
             raise RecordingError(f"there is no recording at {path}")
-        reader = _reader(path)
-        stores = reader.recordings()
+        reader, stores = _stores(path)
         if not stores:
             raise RecordingError(f"{path} holds no recording")
         version = schema_version(stores[0].application_id)
@@ -159,7 +158,12 @@ class Recording:
         return (self.checkpoint(step) for step in self.checkpoint_steps)
 
     def moment(self) -> float:
-        """Find the time (s) of the most interesting frame: hardest impact, else most contacts, else the last."""
+        """Find the time (s) to look at: the hardest impact, else the most contacts, else the end.
+
+        A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
+        """
+        if "moments.impact.time" in self.closing:
+            return float(self.closing["moments.impact.time"])
         energy, times = self.energy(), self._times()
         if "restitution" in energy.column_names:
             taken = _column(energy, "restitution")
@@ -206,11 +210,13 @@ class Recording:
     def _chunks(self, content: str, components: str | tuple[str, ...] | None = None) -> Iterator[Chunk]:
         chosen = list(components) if isinstance(components, tuple) else components
         stream = self._stream().filter(content=f"/{content}", is_static=False, components=chosen)
+        return iter(sorted(self._read(stream), key=_first_step))
+
+    def _read(self, stream: LazyChunkStream) -> list[Chunk]:
         try:
-            chunks = list(stream)
+            return list(stream)
         except RuntimeError as error:
             raise RecordingError(f"cannot read {self.path}: {error}") from error
-        return iter(sorted(chunks, key=_first_step))
 
     def _stream(self) -> LazyChunkStream:
         return self._reader.store().stream() if self.finished else self._reader.stream()
@@ -218,7 +224,7 @@ class Recording:
     def _static(self, path: str) -> dict[str, list[Any]]:
         """Read the components of a static entity."""
         found: dict[str, list[Any]] = {}
-        for chunk in self._stream().filter(content=f"/{path}", is_static=True):
+        for chunk in self._read(self._stream().filter(content=f"/{path}", is_static=True)):
             batch = chunk.to_record_batch()
             lists = [n for n in batch.schema.names if pa.types.is_list(batch.schema.field(n).type)]
             found |= {name: batch[name][0].as_py() for name in lists}
@@ -231,14 +237,19 @@ class Recording:
         return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
 
 
-def _reader(path: Path) -> RrdReader:
+def _stores(path: Path) -> tuple[RrdReader, list[StoreEntry]]:
+    """Open a file and list what is in it."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "no footer": a killed run, which is said in the outcome
         try:
-            return RrdReader(path)
+            reader = RrdReader(path)
+            return reader, reader.recordings()
         except RuntimeError as error:
             reason = str(error).rsplit(": ", 1)[-1]
-            raise RecordingError(f"{path} is not a recording, or is damaged: {reason}") from error
+            raise RecordingError(
+                f"{path} is not a recording, or is damaged ({reason}); "
+                f"`rerun rrd optimize {path} -o repaired.rrd` saves what can be read"
+            ) from error
 
 
 def _has_footer(reader: RrdReader) -> bool:

@@ -82,7 +82,7 @@ class Stream:
         self._outlet.settle()
         self._outlet.reserve(self._reserve + _FOOTER_BYTES * self._outlet.messages)
         if self._live is not None:
-            self._live.check()
+            self._live.flush()
         if self._outlet.error is not None:
             raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
         if self._outlet.full:

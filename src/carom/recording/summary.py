@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         "momentum": {"max_error": _drift(recording.momentum(), "momentum")},
         "angular_momentum": {"max_error": _drift(recording.momentum(), "angular_momentum")},
         "contacts": _contacts(recording.steps()),
+        "moments": _moments(recording.closing),
+        "profile": _below(recording.closing, "profile"),
         "versions": _below(recording.properties, "version"),
         "expect": _below(recording.closing, "expect"),
     }
@@ -65,7 +68,23 @@ def _contacts(steps: pa.Table) -> dict[str, float]:
     }
 
 
-def _below(properties: Any, section: str) -> dict[str, Any]:
-    """Entries ``section.name`` as ``name``."""
-    prefix = f"{section}."
-    return {key.removeprefix(prefix): value for key, value in properties.items() if key.startswith(prefix)}
+def _moments(closing: Mapping[str, Any]) -> dict[str, Any]:
+    """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``."""
+    moments = _below(closing, "moments")
+    for moment in moments.values():
+        if isinstance(moment, dict) and "bodies" in moment:
+            moment["bodies"] = [int(body) for body in str(moment["bodies"]).split(",") if body]
+    return moments
+
+
+def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
+    """Nest the entries whose dotted keys begin with a section."""
+    found: dict[str, Any] = {}
+    for key, value in properties.items():
+        top, *path = key.split(".")
+        if top == section and path:
+            inner = found
+            for name in path[:-1]:
+                inner = inner.setdefault(name, {})
+            inner[path[-1]] = value
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import socket
 import subprocess
@@ -25,6 +26,7 @@ _HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
 _START = 60.0  # s
 _LOAD = 120.0  # s
 _POLL = 0.1  # s
+_DYING = 2.0  # s a viewer may take to end after it stopped answering
 _GRACE = 5.0  # s between asking the process to end and ending it
 _VULKAN = (
     "it needs a Vulkan driver; without a graphics card: "
@@ -39,10 +41,16 @@ class Viewer:
         self._port = _free_port()
         self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
         command = [_binary(), "--bind", _HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
-        self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log, stdin=subprocess.DEVNULL)
+        self._process = subprocess.Popen(
+            command,
+            stdout=self._log,
+            stderr=self._log,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # the interrupt key is meant for the run, not for the window that watches it
+        )
         try:
-            self._until("start", _START, self._listens)
-            self.client = ViewerClient.connect(f"rerun+http://{_HOST}:{self._port}/proxy")
+            self.until("start", _START, self._listens)
+            self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{_HOST}:{self._port}/proxy"))
         except BaseException:
             self._end()
             raise
@@ -59,7 +67,7 @@ class Viewer:
     def show(self, recording: Recording) -> None:
         """Load a recording, and wait until it is there."""
         self._ask(lambda: self.client.open(str(recording.path.resolve())))
-        self._until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
+        self.until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
 
     def go_to(self, recording: Recording, at: float) -> None:
         """Pause at a simulated time (s)."""
@@ -70,6 +78,11 @@ class Viewer:
     def screenshot(self) -> bytes:
         """Take the whole window as a PNG."""
         return self._ask(self.client.take_screenshot)
+
+    @property
+    def address(self) -> str:
+        """Where a live recording can be sent."""
+        return f"{_HOST}:{self._port}"
 
     def wait(self) -> None:
         """Wait until the person closes the window."""
@@ -84,10 +97,12 @@ class Viewer:
         try:
             return question()
         except Exception as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_DYING)
             self._fail_if_ended()
             raise RecordingError(f"the viewer does not answer: {error}") from error
 
-    def _until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
+    def until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
         """Poll until something is done; RecordingError if the process ends or time runs out before."""
         end = time.monotonic() + limit
         while not done():
@@ -111,6 +126,11 @@ class Viewer:
             self._process.kill()
             self._process.wait()
         self._log.close()
+
+
+def start_live_viewer() -> str:
+    """Open a window that waits for a run, and outlives it; return the address to record to."""
+    return Viewer("--expect-data-soon").address
 
 
 def open_viewer(path: str | Path, at: float | None = None) -> None:

@@ -215,11 +215,8 @@ def _place_class(
     radius a candidate has, and only the first clean one of each body is kept.
     """
     n = len(radius)
-    pool, owner = np.empty((0, 3)), np.empty(0, dtype=np.int64)
+    pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
     for _ in range(MOST_ROUNDS):
-        missing = np.setdiff1d(np.arange(n), owner)
-        if len(missing) == 0:
-            return pool[np.argsort(owner)]
         fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
         fresh = _draw(region, radius[fresh_owner], rng)
         clear = _clear_of(fresh, radius[fresh_owner], trees, box)
@@ -230,8 +227,11 @@ def _place_class(
         _, first = np.unique(owner[clean], return_index=True)
         kept = clean[np.sort(first)]
         pool, owner = pool[kept], owner[kept]
+        missing = np.setdiff1d(np.arange(n), owner)
+        if len(missing) == 0:
+            return pool[np.argsort(owner)]
     raise SceneError(
-        f"group.{index}: {n - len(owner)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
+        f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
         f"placement (packing fraction {packing:.3g}); enlarge the region or lower count or radius"
     )
 

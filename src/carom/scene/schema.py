@@ -175,7 +175,7 @@ class Velocity(Section):
 
 
 class Spin(Section):
-    """Spins of a group: Maxwellian about zero."""
+    """Spins of a group: Maxwellian about its bulk rotation."""
 
     dispersion: NonNegative = Field(0.0, description="rad/s, standard deviation of each component; not negative")
 
@@ -283,6 +283,15 @@ class Scene(Section):
     def _has_a_body(self) -> Self:
         if self.count == 0:
             raise ValueError("no bodies; add a [[body]] or a [[group]]")
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_uniform_field(self) -> Self:
+        if self.domain.boundary == "periodic" and any(self.gravity.uniform):
+            raise ValueError(
+                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and a '
+                "potential that repeats does not exist; set gravity.uniform = [0, 0, 0]"
+            )
         return self
 
     @model_validator(mode="after")

@@ -28,8 +28,8 @@ class CollisionGraph:
     """
 
     pairs: IntArray  # (m, 2) body indices
-    normals: FloatArray  # (m, 3) unit vectors from i to j
-    overlaps: FloatArray  # (m,) m, r_i + r_j - distance
+    normals: FloatArray  # (m, 3) unit vectors from i to j, as the contact was found: before any push
+    overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
     colours: IntArray  # (m,) stage in which the contact is resolved
     body_colours: IntArray | None = None  # (n,) the seed's colouring of the nodes, -1: touches nobody
 

@@ -38,7 +38,7 @@ def resolve_contacts(
     restitution: float,
     static_friction: float,
     kinetic_friction: float,
-    rest_speed: float,
+    rest_speed: FloatArray,
     bias_rate: float,
     most_sweeps: int,
     ledger: FloatArray,
@@ -46,6 +46,8 @@ def resolve_contacts(
     angular_impulse: FloatArray,
 ) -> int:
     """Resolve the contacts of a step and return the number of sweeps.
+
+    Sweeps end when one of them changes next to nothing, or at ``most_sweeps``.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def resolve_contacts(
     angular_velocity
         (n, 3) rad/s, or (0, 3) where the scene requires no spin: then there is no friction.
     rest_speed
-        m/s; an approach up to this speed is a contact at rest and does not bounce.
+        (m,) m/s; an approach up to this speed is a contact at rest and does not bounce.
     bias_rate
         1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
     ledger
@@ -79,7 +81,7 @@ def resolve_contacts(
             vn = vx * nx + vy * ny + vz * nz
             if sweep == 0:
                 approach[c] = max(0.0, -vn)
-            e = restitution if -vn > rest_speed else 0.0
+            e = restitution if -vn > rest_speed[c] else 0.0
             change = -(1.0 + e) * vn
             biased = change + bias_rate * max(0.0, overlaps[c])
             if biased <= 0.0:
@@ -137,3 +139,20 @@ def resolve_contacts(
         if largest_change <= CONVERGED * first_change:
             return sweep + 1
     return most_sweeps
+
+
+@kernel
+def still_closing(
+    pairs: IntArray, normals: FloatArray, velocity: FloatArray, approach: FloatArray, rest_speed: FloatArray
+) -> bool:
+    """Tell whether a contact closes faster than one at rest after the sweeps: there were too few of them."""
+    largest = 0.0
+    for c in range(len(pairs)):
+        largest = max(largest, approach[c])
+    for c in range(len(pairs)):
+        vn = 0.0
+        for k in range(3):
+            vn += (velocity[pairs[c, 1], k] - velocity[pairs[c, 0], k]) * normals[c, k]
+        if -vn > max(rest_speed[c], CONVERGED * largest):
+            return True
+    return False

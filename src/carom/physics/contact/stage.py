@@ -19,9 +19,10 @@ from carom.physics.contact.graph import (
     empty_graph,
     stage_order,
 )
+from carom.physics.contact.rest import rest_speeds
 from carom.physics.contact.search import contact_geometry, find_pairs
-from carom.physics.contact.solver import resolve_contacts
-from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, rest_speed, work_of_pushes
+from carom.physics.contact.solver import resolve_contacts, still_closing
+from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, work_of_pushes
 from carom.physics.kernel import kernel
 from carom.physics.profile import Profile
 from carom.scene.requirements import Requirements
@@ -75,8 +76,9 @@ class ContactStage:
         self._pushes = np.zeros((m, 3))  # m, Σ δ n of each contact
         self.contributions: FloatArray = np.zeros((m, 3))  # J, the ledger of each contact in this step
         self.approach: FloatArray = np.zeros(m)  # m/s, closing speed before the impulses
-        self.rest_speed = 0.0  # m/s
+        self.rest_speed: FloatArray = np.zeros(m)  # m/s, up to which a contact is at rest
         self.sweeps = 0
+        self._too_few_sweeps = False
 
     def _order_and_push(self, pairs: IntArray, dt: float, profile: Profile) -> None:
         bodies = self._bodies
@@ -88,7 +90,7 @@ class ContactStage:
             colours = colour_contacts(pairs, len(bodies))
         self._begin(CollisionGraph(pairs, normals, overlaps, colours, body_colours))
         profile.mark("colouring")
-        self.rest_speed = rest_speed(pairs, bodies.acceleration, self._field, dt)
+        self.rest_speed = rest_speeds(pairs, bodies.acceleration, self._field, dt)
         if self._contact.stabilisation == "split":
             self._push()
         profile.mark("stabilisation")
@@ -121,6 +123,8 @@ class ContactStage:
             self.approach,
             self._angular_impulse,
         )
+        if self.sweeps == contact.sweeps:
+            self._too_few_sweeps = still_closing(graph.pairs, normals, bodies.velocity, self.approach, self.rest_speed)
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt, and angular accelerations, τ / I, of this step."""
@@ -133,7 +137,7 @@ class ContactStage:
         reached = []
         if self._contact.colouring == "contacts" and self._graph.colours.max() == OVERFLOW:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
-        if self.sweeps == self._contact.sweeps:
+        if self._too_few_sweeps:
             reached.append(
                 f"Contacts were still closing after contact.sweeps = {self._contact.sweeps} passes; "
                 "what is left is resolved in later steps."

@@ -1,7 +1,9 @@
 """Gravity as a direct sum over all pairs, in strict arithmetic.
 
-    a_i = G Σ_j m_j d_ij / (d_ij² + ε²)^{3/2}        d_ij = x_j - x_i
+    a_i = G Σ_j m_j d_ij / (d_ij² + ε²)^{3/2}        d_ij = x_j - x_i,  j ≠ i
     φ_i = -G Σ_j m_j / (d_ij² + ε²)^{1/2}             U = ½ Σ_i m_i φ_i
+
+Without softening, coincident bodies neither pull each other nor have a potential: both are undefined.
 
 A block of 64 targets lies in the SIMD lanes and every source is taken in turn, so each target sums its sources in
 the order of their indices: the same bits on any SIMD width and any number of threads, at the speed of a reassociated
@@ -110,9 +112,8 @@ def _pull(
             xj, yj, zj, mj = x[j], y[j], z[j], m[j]
             for k in range(LANES):
                 dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
-                d2 = dx * dx + dy * dy + dz * dz
-                r2 = d2 + eps2
-                s = mj / (r2 * np.sqrt(r2)) if d2 > 0.0 else 0.0
+                r2 = dx * dx + dy * dy + dz * dz + eps2
+                s = mj / (r2 * np.sqrt(r2)) if r2 > 0.0 else 0.0
                 ax[k] += s * dx
                 ay[k] += s * dy
                 az[k] += s * dz
@@ -135,6 +136,7 @@ def _pull_and_potential(
     acceleration: FloatArray,
     potential: FloatArray,
 ) -> None:
+    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
     tx, ty, tz = np.empty(LANES), np.empty(LANES), np.empty(LANES)
     ax, ay, az, p = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
     for first in range(lo, hi, LANES):
@@ -147,10 +149,9 @@ def _pull_and_potential(
             xj, yj, zj, mj = x[j], y[j], z[j], m[j]
             for k in range(LANES):
                 dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
-                d2 = dx * dx + dy * dy + dz * dz
-                r2 = d2 + eps2
+                r2 = dx * dx + dy * dy + dz * dz + eps2
                 r = np.sqrt(r2)
-                s = mj / (r2 * r) if d2 > 0.0 else 0.0
+                s = mj / (r2 * r) if r2 > 0.0 else 0.0
                 ax[k] += s * dx
                 ay[k] += s * dy
                 az[k] += s * dz
@@ -159,7 +160,7 @@ def _pull_and_potential(
             acceleration[first + k, 0] = G * ax[k]
             acceleration[first + k, 1] = G * ay[k]
             acceleration[first + k, 2] = G * az[k]
-            potential[first + k] = -G * p[k]
+            potential[first + k] = -G * (p[k] - own * m[first + k])
 
 
 @kernel

@@ -1,0 +1,42 @@
+import numpy as np
+import pytest
+
+from carom.recording import RecordingError
+from carom.recording.clock import Clock
+
+
+def test_an_ordinary_scene_is_shown_in_plain_seconds() -> None:
+    assert Clock.fitting(600.0, 1e-3).scale == 1.0
+
+
+@pytest.mark.parametrize("duration", [1e10, 3.2e16, 1e30])
+def test_the_age_of_a_galaxy_fits_the_timeline(duration: float) -> None:
+    clock = Clock.fitting(duration, 1.0)
+    assert np.log10(clock.scale) == round(np.log10(clock.scale))
+    assert 0 < clock.nanoseconds([duration])[0] < 2**63
+
+
+def test_picoseconds_are_told_apart() -> None:
+    clock = Clock.fitting(1e-9, 1e-12)
+    shown = clock.nanoseconds([k * 1e-12 for k in range(1000)])
+    assert len(np.unique(shown)) == 1000
+
+
+def test_a_long_duration_counts_for_more_than_a_short_step() -> None:
+    assert Clock.fitting(1e5, 1e-12).nanoseconds([1e5])[0] < 2**63
+    assert Clock.fitting(1e12, 1e-12).scale > 1
+
+
+def test_times_are_rounded_and_not_truncated() -> None:
+    times = np.linspace(0.0, 999.9, 10_000)
+    assert np.array_equal(Clock().nanoseconds(times), np.arange(10_000) * 100_000_000)
+
+
+def test_an_unknown_duration_needs_no_scale() -> None:
+    assert Clock.fitting(np.inf, 0.0).scale == 1.0
+
+
+@pytest.mark.parametrize("time", [np.nan, np.inf, 1e11])
+def test_a_time_that_does_not_fit_is_refused(time: float) -> None:
+    with pytest.raises(RecordingError, match="does not fit"):
+        Clock().nanoseconds([time])

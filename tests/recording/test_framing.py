@@ -1,0 +1,24 @@
+import struct
+
+import pytest
+
+from carom.recording.framing import MessageSplitter
+
+HEADER = b"RRF2" + bytes(8)
+MESSAGES = [struct.pack("<QQ", 2, len(body)) + body for body in (b"first", b"", b"x" * 5000)]
+END = struct.pack("<QQ", 0, 4) + b"foot"
+STREAM_FOOTER = b"RRF2FOOT".rjust(32, b".")
+
+
+@pytest.mark.parametrize("size", [1, 7, 16, 100_000])
+def test_messages_come_out_whole_however_the_stream_is_cut(size: int) -> None:
+    stream = HEADER + b"".join(MESSAGES) + END + STREAM_FOOTER
+    splitter = MessageSplitter()
+    whole = [m for start in range(0, len(stream), size) for m in splitter.feed(stream[start : start + size])]
+    assert whole == [HEADER, *MESSAGES, END, STREAM_FOOTER]
+
+
+def test_a_torn_message_is_held_back() -> None:
+    splitter = MessageSplitter()
+    assert splitter.feed(HEADER + MESSAGES[0] + MESSAGES[2][:-1]) == [HEADER, MESSAGES[0]]
+    assert splitter.feed(MESSAGES[2][-1:]) == [MESSAGES[2]]

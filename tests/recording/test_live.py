@@ -1,0 +1,37 @@
+import socket
+from pathlib import Path
+
+import pytest
+
+from carom.recording import Recorder, Recording, RecordingError
+from carom.recording.viewer import Viewer
+from merry import Merry
+
+
+def test_nobody_listening_is_told_at_once(tmp_path: Path, merry: Merry) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(RecordingError, match="no viewer listens"):
+            Recorder(tmp_path / "run.rrd", merry.header, live=address)
+    assert not (tmp_path / "run.rrd").exists()
+
+
+def test_an_address_without_a_port_is_explained(tmp_path: Path, merry: Merry) -> None:
+    with pytest.raises(RecordingError, match="HOST:PORT"):
+        Recorder(tmp_path / "run.rrd", merry.header, live="localhost")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:the live viewer has gone")
+def test_a_viewer_that_goes_away_does_not_stop_the_file(tmp_path: Path, merry: Merry) -> None:
+    frames = list(merry.frames(400))
+    with Viewer("--headless") as viewer:
+        recorder = Recorder(tmp_path / "run.rrd", merry.header, live=viewer.address)
+        for frame in frames[:200]:
+            recorder.put(frame)
+        viewer.until("receive the run", 30, lambda: bool(viewer.client.get_state().recordings))
+    for frame in frames[200:]:
+        recorder.put(frame)
+    recorder.finish("completed")
+    assert Recording.open(tmp_path / "run.rrd").frames == 400

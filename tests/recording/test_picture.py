@@ -1,0 +1,113 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from carom.recording import Recorder, RecordingError, palette
+from carom.recording.picture import render
+from merry import Merry
+
+SIZE = (1600, 1000)
+Pixels = NDArray[np.int64]
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
+    folder = tmp_path_factory.mktemp("picture")
+    merry = Merry(60)
+    with Recorder(folder / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(150):
+            recorder.put(frame)
+        recorder.finish("completed")
+    assert render(folder / "run.rrd", 3.0, folder / "run.png", SIZE) == 3.0
+    return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
+
+
+def region(pixels: Pixels, left: float, top: float, right: float, bottom: float) -> Pixels:
+    """Cut out a part of the window, given in fractions of its sides."""
+    height, width, _ = pixels.shape
+    return pixels[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
+
+
+def bodies_view(pixels: Pixels) -> Pixels:
+    return region(pixels, 0.0, 0.06, 0.59, 0.54)
+
+
+def graph_view(pixels: Pixels) -> Pixels:
+    return region(pixels, 0.61, 0.06, 1.0, 0.54)
+
+
+def plots(pixels: Pixels) -> Pixels:
+    return region(pixels, 0.0, 0.58, 1.0, 0.78)
+
+
+def of_colour(pixels: Pixels, colour: int, tolerance: int = 25) -> int:
+    """Count the pixels near a colour of the palette."""
+    wanted = np.array([colour >> 24 & 0xFF, colour >> 16 & 0xFF, colour >> 8 & 0xFF])
+    return int(np.sum(np.all(np.abs(pixels - wanted) <= tolerance, axis=2)))
+
+
+def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:
+    """Count the pixels of a colour in any shade: light falls on the spheres from one side."""
+    wanted = np.array([colour >> 24 & 0xFF, colour >> 16 & 0xFF, colour >> 8 & 0xFF]) / 255
+    brightness = pixels.sum(axis=2)
+    share = pixels / np.maximum(brightness, 1)[..., None]
+    near = np.all(np.abs(share - wanted / wanted.sum()) < apart, axis=2)
+    return int(np.sum(near & (brightness > 90)))
+
+
+@pytest.mark.slow
+def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
+    view = bodies_view(picture)
+    for colour in (palette.SKY, palette.ORANGE, palette.GREEN):
+        assert of_hue(view, colour) > 0.005 * view.shape[0] * view.shape[1]
+    drawn = np.argwhere(view.sum(axis=2) > 150)
+    spread = np.ptp(drawn, axis=0) / view.shape[:2]
+    assert spread[0] > 0.6, "the bodies are to fill the view from top to bottom"
+
+
+@pytest.mark.slow
+def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
+    view = graph_view(picture)
+    assert of_colour(view, 0x8A93A6FF, 60) > 1000, "wires"
+    assert of_hue(view, palette.ORANGE) > 300, "torques"
+    assert of_hue(view, palette.GREEN) > 100, "angular accelerations"
+    for stage in (palette.YELLOW, palette.PURPLE):
+        assert of_colour(view, stage) > 30, "contacts, by stage"
+
+
+@pytest.mark.slow
+def test_the_plots_show_their_series(picture: Pixels) -> None:
+    view = plots(picture)
+    for colour in (palette.SKY, palette.ORANGE, palette.PURPLE, palette.VERMILION, palette.YELLOW, palette.WHITE):
+        assert of_colour(view, colour) > 50
+
+
+@pytest.mark.slow
+def test_the_ground_is_dark(picture: Pixels) -> None:
+    assert np.median(picture.sum(axis=2)) < 100
+
+
+@pytest.mark.slow
+def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
+    merry = Merry(8)
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(60):
+            recorder.put(frame)
+        recorder.finish("completed", {"moments.impact.time": 1.25})
+    assert render(tmp_path / "run.rrd", None, tmp_path / "run.png", (800, 600)) == 1.25
+    assert Image.open(tmp_path / "run.png").size == (800, 600)
+
+
+def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        recorder.put(next(merry.frames(1)))
+        recorder.finish("completed")
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")  # the Vulkan loader then finds no driver
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
+    monkeypatch.setenv("LIBGL_DRIVERS_PATH", "/nowhere")
+    with pytest.raises(RecordingError, match="apt-get install mesa-vulkan-drivers"):
+        render(tmp_path / "run.rrd", 0.0, tmp_path / "run.png")
+    assert not (tmp_path / "run.png").exists()

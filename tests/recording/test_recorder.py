@@ -1,0 +1,271 @@
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from carom.recording import Recorder, Recording, RecordingError
+from merry import Merry
+
+TESTS = Path(__file__).parents[1]  # where merry.py is
+
+
+def record(path: Path, merry: Merry, frames: int, outcome: str = "completed") -> Recorder:
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(frames):
+            recorder.put(frame)
+        recorder.finish(outcome, {"contacts.total": 1234, "expect.energy_error": True})
+    return recorder
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).store().stream()}
+
+
+def test_what_was_put_in_comes_out(tmp_path: Path, merry: Merry) -> None:
+    frames = list(merry.frames(150))
+    record(tmp_path / "run.rrd", merry, 150)
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.frames == 150
+    assert recording.title == merry.header.title
+    assert recording.scene_toml == merry.header.scene_toml
+    assert recording.properties == merry.header.properties
+    assert recording.outcome == "completed"
+    bodies = recording.bodies
+    assert bodies.name == merry.header.names
+    assert bodies.mass.tobytes() == merry.header.mass.tobytes()
+    prints = recording.fingerprints()
+    assert prints["fingerprint"].to_pylist() == [frame.fingerprint for frame in frames]
+    assert prints["time"].to_pylist() == [frame.time for frame in frames]
+    energy = recording.energy()
+    assert energy["total"].to_pylist() == [frame.energy.total for frame in frames]
+    assert energy["friction"].to_pylist() == [frame.energy.ledger.friction for frame in frames]
+    steps = recording.steps()
+    assert steps["contacts"].to_pylist() == [len(frame.contacts.pairs) for frame in frames]
+    assert steps["dt"].to_pylist() == [frame.dt for frame in frames]
+    assert np.array_equal(np.stack(recording.momentum()["momentum"].to_numpy()), [f.momentum for f in frames])
+    texts = recording.events()["text"].to_pylist()
+    assert texts == [event.text for frame in frames for event in frame.events] + ["end: completed"]
+
+
+def test_phases_have_rows_only_where_they_change(tmp_path: Path, merry: Merry) -> None:
+    record(tmp_path / "run.rrd", merry, 150)
+    phases = Recording.open(tmp_path / "run.rrd").phases()
+    assert phases["step"].to_pylist() == [0, 20, 80, 100]
+    assert phases["state"].to_pylist() == ["free", "colliding", "free", "colliding"]
+
+
+def test_a_frame_without_contacts_clears_the_lines_of_the_one_before(tmp_path: Path, merry: Merry) -> None:
+    record(tmp_path / "run.rrd", merry, 120)
+    rows: dict[int, int] = {}
+    for chunk in RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/contacts", is_static=False):
+        batch = chunk.to_record_batch()
+        rows |= dict(zip(batch["step"].to_pylist(), map(len, batch["LineStrips3D:strips"]), strict=True))
+    assert rows == {frame.step: len(frame.contacts.pairs) for frame in merry.frames(120)}
+    assert 0 in rows.values()
+
+
+def test_across_a_periodic_boundary_lines_take_the_short_way(tmp_path: Path) -> None:
+    merry = Merry(30, box=np.full(3, 4.0))
+    record(tmp_path / "run.rrd", merry, 60)
+    for chunk in RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/contacts", is_static=False):
+        for row in chunk.to_record_batch()["LineStrips3D:strips"].to_pylist():
+            lines = np.array(row).reshape(-1, 2, 3)
+            assert np.all(np.abs(lines[:, 1] - lines[:, 0]) <= 2.0001)
+
+
+def test_what_a_scene_does_not_require_leaves_no_entity(tmp_path: Path) -> None:
+    record(tmp_path / "all.rrd", Merry(5), 30)
+    record(tmp_path / "few.rrd", Merry(5, spins=False, collides=False, gravitates=False), 30)
+    missing = entities(tmp_path / "all.rrd") - entities(tmp_path / "few.rrd")
+    assert missing >= {
+        "/world/torque",
+        "/world/angular_acceleration",
+        "/world/contacts",
+        "/energy/rotational",
+        "/energy/gravitational",
+        "/energy/ledger/friction",
+        "/energy/ledger/restitution",
+        "/step/contacts",
+    }
+    assert not any(path.startswith("/energy/field") for path in entities(tmp_path / "all.rrd"))
+
+
+@pytest.mark.parametrize(("bodies", "spins", "expected"), [(2001, True, "InstancePoses3D"), (2001, False, "Points3D")])
+def test_many_bodies_are_drawn_as_what_a_viewer_can_afford(
+    tmp_path: Path, bodies: int, spins: bool, expected: str
+) -> None:
+    record(tmp_path / "run.rrd", Merry(bodies, spins=spins), 3)
+    stream = RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/bodies", is_static=False)
+    for chunk in stream:
+        assert any(name.startswith(expected) for name in chunk.to_record_batch().schema.names)
+
+
+def test_body_colours_follow_the_graph_where_the_scene_colours_bodies(tmp_path: Path) -> None:
+    merry = Merry(30, body_colouring=True)
+    record(tmp_path / "run.rrd", merry, 60)
+    stream = RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/bodies", is_static=False)
+    colours = [row for chunk in stream for row in chunk.to_record_batch()["Ellipsoids3D:colors"].to_pylist()]
+    assert len(set(colours[0])) == 1
+    assert len(set(colours[-1])) > 1
+
+
+def test_the_file_is_at_most_a_fifth_larger_than_what_is_in_it(tmp_path: Path) -> None:
+    recorder = record(tmp_path / "run.rrd", Merry(300), 300)
+    assert (tmp_path / "run.rrd").stat().st_size <= 1.2 * recorder.payload_bytes
+
+
+def test_a_scene_of_billions_of_years_says_how_time_is_scaled(tmp_path: Path) -> None:
+    merry = Merry(5, duration=1e17)
+    frames = [replace(frame, time=frame.time * 2e16) for frame in merry.frames(20)]
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in frames:
+            recorder.put(replace(frame, events=()))
+        recorder.finish("completed")
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.info["time_scale"] == 1e8
+    assert recording.fingerprints()["time"].to_pylist() == [frame.time for frame in frames]
+
+
+def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, merry: Merry) -> None:
+    with pytest.raises(ZeroDivisionError), Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(10):
+            recorder.put(frame)
+        raise ZeroDivisionError("the physics fell over")
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.frames == 10
+    assert recording.outcome == "interrupted: ZeroDivisionError: the physics fell over"
+
+
+def test_a_run_without_a_frame_is_still_a_recording(tmp_path: Path, merry: Merry) -> None:
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        recorder.finish("failed before the first step")
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.frames == 0
+    assert recording.outcome == "failed before the first step"
+
+
+def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path, merry: Merry) -> None:
+    with pytest.raises(RecordingError, match=r"cannot write .*No such file"):
+        Recorder(tmp_path / "missing" / "run.rrd", merry.header)
+
+
+def test_a_bad_frame_stops_the_physics_and_leaves_the_good_ones(tmp_path: Path, merry: Merry) -> None:
+    frames = list(merry.frames(3))
+    bad = replace(frames[2], time=float("nan"))
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        recorder.put(frames[0])
+        recorder.put(frames[1])
+        recorder.put(bad)
+        with pytest.raises(RecordingError, match="does not fit the timeline"):
+            recorder.finish("completed")
+        with pytest.raises(RecordingError):
+            recorder.put(frames[2])
+    assert "does not fit the timeline" in Recording.open(tmp_path / "run.rrd").outcome
+
+
+def test_a_full_queue_holds_the_physics_and_drops_nothing(tmp_path: Path, merry: Merry) -> None:
+    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=1) as recorder:
+        producers = [threading.Thread(target=recorder.put, args=(frame,)) for frame in merry.frames(40)]
+        for producer in producers:
+            producer.start()
+        for producer in producers:
+            producer.join()
+        recorder.finish("completed")
+    assert Recording.open(tmp_path / "run.rrd").frames == 40
+
+
+CHILD = """
+import os, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from merry import Merry
+from carom.recording import Recorder, RecordingError
+merry = Merry(200)
+path = Path({path!r})
+{before}
+recorder = Recorder(path, merry.header)
+try:
+    for frame in merry.frames(2000):
+        recorder.put(frame)
+        {each}
+except RecordingError as error:
+    print("stopped at", frame.step, error, flush=True)
+    try:
+        recorder.finish("completed")
+    except RecordingError:
+        sys.exit(1)
+"""
+
+
+def child(path: Path, before: str = "", each: str = "pass") -> "subprocess.CompletedProcess[str]":
+    script = textwrap.dedent(CHILD).format(tests=str(TESTS), path=str(path), before=before, each=each)
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_a_killed_run_leaves_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    kill = "recorder.frames >= 200 and os.kill(os.getpid(), 9)"  # the first batch, of about 100, is in the file
+    assert child(path, each=kill).returncode == -signal.SIGKILL
+    recording = Recording.open(path)
+    assert not recording.finished
+    assert recording.frames >= 100
+    assert recording.outcome.startswith("unfinished")
+    assert recording.energy().num_rows == recording.frames
+    assert 0 in recording.checkpoint_steps
+    assert len(recording.bodies.name) == 200
+    assert recording.summary()["outcome"].startswith("unfinished")
+
+
+def assert_ended_by_a_full_disk(run: "subprocess.CompletedProcess[str]", path: Path) -> None:
+    assert run.returncode == 1, run.stderr
+    assert "no space left on the disk" in run.stdout
+    recording = Recording.open(path)
+    assert recording.finished
+    assert "no space left on the disk" in recording.outcome
+    assert recording.frames > 10
+    assert recording.checkpoint(recording.checkpoint_steps[-1]).step == recording.frames - 1
+    assert recording.events()["text"].to_pylist()[-1].startswith("end: cannot go on")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
+def test_a_full_disk_leaves_a_readable_file(tmp_path: Path) -> None:
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", tmp_path], check=False)
+    if mounted.returncode != 0:
+        pytest.skip("this root may not mount")
+    try:
+        path = tmp_path / "run.rrd"
+        assert_ended_by_a_full_disk(child(path), path)
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
+
+
+def test_a_limit_on_the_size_of_files_leaves_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))"
+    assert_ended_by_a_full_disk(child(path, before=limit), path)
+
+
+def test_a_disk_that_fails_in_the_middle_of_a_message_leaves_whole_messages(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    fail = """
+import errno, carom.recording.outlet as outlet
+write = os.write
+def fails(descriptor, data):
+    if len(data) > 100_000 and os.fstat(descriptor).st_size > 1_000_000:
+        write(descriptor, data[:50_000])
+        raise OSError(errno.EIO, "Input/output error")
+    return write(descriptor, data)
+outlet.os.write = fails
+"""
+    run = child(path, before=fail)
+    assert run.returncode == 1, run.stderr
+    assert "Input/output error" in run.stdout
+    assert Recording.open(path).frames > 10

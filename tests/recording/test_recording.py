@@ -1,0 +1,104 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+
+from carom.recording import Recorder, Recording, RecordingError
+from merry import Merry
+
+
+@pytest.fixture
+def path(tmp_path: Path, merry: Merry) -> Path:
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(100):
+            recorder.put(frame)
+        recorder.finish(
+            "completed",
+            {
+                "contacts.total": 1234,
+                "expect.energy_error.met": True,
+                "profile.gravity": 0.5,
+                "moments.impact.bodies": "3,17",
+            },
+        )
+    return tmp_path / "run.rrd"
+
+
+def foreign(path: Path, application_id: str) -> Path:
+    with rr.RecordingStream(application_id) as stream:
+        stream.set_sinks(rr.FileSink(path))
+        stream.log("x", rr.Scalars(1.0))
+    return path
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no recording at .*nothing\.rrd"):
+        Recording.open(tmp_path / "nothing.rrd")
+
+
+@pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 100, b"RRF2" + bytes(500)])
+def test_what_is_not_a_recording_is_refused_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "scene.toml").write_bytes(content)
+    with pytest.raises(RecordingError, match=r"scene\.toml (is not a recording|holds no recording)"):
+        Recording.open(tmp_path / "scene.toml")
+
+
+def test_somebody_elses_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="not made by carom"):
+        Recording.open(foreign(tmp_path / "other.rrd", "rerun_example_dna"))
+
+
+def test_a_newer_schema_is_refused_and_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"schema version 99.*upgrade carom"):
+        Recording.open(foreign(tmp_path / "newer.rrd", "carom-99-0123456789ab"))
+
+
+def test_a_file_torn_by_a_power_cut_is_refused_and_says_that_it_is_damaged(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(RecordingError, match="damaged"):
+        Recording.open(path)
+
+
+def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry) -> None:
+    frames = list(merry.frames(100))
+    summary = Recording.open(path).summary()
+    assert summary["scene"]["title"] == merry.header.title
+    assert (summary["bodies"], summary["frames"], summary["steps"]) == (60, 100, 99)
+    assert summary["sim_time"] == frames[-1].time
+    assert summary["outcome"] == "completed"
+    assert summary["energy"]["initial"] == frames[0].energy.total
+    assert summary["energy"]["final"] == frames[-1].energy.total
+    worst = max(abs(f.energy.integration_error / f.energy.scale) for f in frames)
+    assert summary["energy"]["max_error"] == pytest.approx(worst)
+    drift = max(np.linalg.norm(f.momentum - frames[0].momentum) for f in frames)
+    scale = np.sum(merry.header.mass) * 3.0
+    assert summary["momentum"]["max_error"] == pytest.approx(drift / scale)
+    assert summary["angular_momentum"]["max_error"] > 0
+    deepest = max(
+        overlap / merry.header.radius[pair].min()
+        for f in frames
+        for overlap, pair in zip(f.contacts.overlaps, f.contacts.pairs, strict=True)
+    )
+    assert summary["contacts"]["max_overlap"] == pytest.approx(deepest)
+    assert summary["versions"] == {"carom": "0.1.0", "rerun": "0.41.0"}
+
+
+def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(path: Path) -> None:
+    summary = Recording.open(path).summary()
+    assert summary["contacts"]["total"] == 1234
+    assert summary["expect"] == {"energy_error": {"met": True}}
+    assert summary["profile"] == {"gravity": 0.5}
+    assert summary["moments"] == {"impact": {"bodies": [3, 17]}}
+
+
+def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, merry: Merry) -> None:
+    frames = list(merry.frames(60))
+    hit = frames[33].energy
+    harder = replace(hit, ledger=replace(hit.ledger, restitution=hit.ledger.restitution + 1e6))
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in frames:
+            recorder.put(replace(frame, energy=harder) if frame.step == 33 else frame)
+        recorder.finish("completed")
+    assert Recording.open(tmp_path / "run.rrd").moment() == frames[33].time
