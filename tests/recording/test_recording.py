@@ -93,6 +93,13 @@ def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(p
     assert summary["moments"] == {"impact": {"bodies": [3, 17]}}
 
 
+def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, merry: Merry) -> None:
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        recorder.finish("failed: no room for the bodies")
+    with pytest.raises(RecordingError, match="holds no frame: failed: no room"):
+        Recording.open(tmp_path / "run.rrd").moment()
+
+
 def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, merry: Merry) -> None:
     frames = list(merry.frames(60))
     hit = frames[33].energy

@@ -91,10 +91,11 @@ class CheckpointPlan:
         self._warned = 0
 
     def chosen(self, batch: Sequence[Frame], bytes_before: int, bytes_of_batch: int) -> list[Frame]:
-        """Frames of the batch to keep, when the recording has so many bytes before it and the batch so many."""
+        """Choose the frames to keep, when the recording has so many bytes before the batch, and the batch so many."""
+        others = bytes_before - (self._regular + self._warned) * self._size
         kept = []
         for index, frame in enumerate(batch):
-            room = self._SHARE * (bytes_before + bytes_of_batch * (index + 1) / len(batch))
+            room = self._SHARE * (others + bytes_of_batch * (index + 1) / len(batch))
             if frame.step == 0 or (self._regular + 1) * self._size <= room:
                 self._regular += 1
                 kept.append(frame)

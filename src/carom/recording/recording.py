@@ -164,17 +164,19 @@ class Recording:
         """
         if "moments.impact.time" in self.closing:
             return float(self.closing["moments.impact.time"])
-        energy, times = self.energy(), self._times()
+        if self.frames == 0:
+            raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
+        energy = self.energy()
         if "restitution" in energy.column_names:
             taken = _column(energy, "restitution")
             taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
             lost = np.diff(taken, prepend=0.0)
             if lost.max() > 0:
-                return float(times[int(np.argmax(lost))])
+                return float(_column(energy, "time")[np.argmax(lost)])
         steps = self.steps()
         if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
-            return float(times[int(np.argmax(_column(steps, "contacts")))])
-        return float(times[-1])
+            return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
+        return float(_column(self._fingerprints, "time")[-1])
 
     def summary(self) -> dict[str, Any]:
         """How the run went, as nested numbers and strings."""
@@ -183,9 +185,6 @@ class Recording:
     @cached_property
     def _fingerprints(self) -> pa.Table:
         return self._table(entities.FINGERPRINT)
-
-    def _times(self) -> NDArray[np.float64]:
-        return _column(self._fingerprints, "time")
 
     def _series(self, root: str) -> pa.Table:
         """All Scalars below an entity, side by side; every frame has a row in each."""
@@ -196,7 +195,8 @@ class Recording:
             parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.to_record_batch())
         for name, batches in parts.items():
             columns[name] = _flat(batches, "Scalars:scalars")
-        return pa.table(columns)
+        whole = min(len(column) for column in columns.values())  # a killed run may have sent half a batch
+        return pa.table({name: column[:whole] for name, column in columns.items()})
 
     def _table(self, path: str, components: tuple[str, ...] | None = None) -> pa.Table:
         batches = [chunk.to_record_batch() for chunk in self._chunks(path, components)]
