@@ -157,7 +157,7 @@ def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path, merry: Merry
         Recorder(tmp_path / "missing" / "run.rrd", merry.header)
 
 
-def test_a_bad_frame_stops_the_physics_and_leaves_the_good_ones(tmp_path: Path, merry: Merry) -> None:
+def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, merry: Merry) -> None:
     frames = list(merry.frames(3))
     bad = replace(frames[2], time=float("nan"))
     with Recorder(tmp_path / "run.rrd", merry.header) as recorder:

@@ -28,10 +28,12 @@ from carom.recording.stream import Stream
 FloatArray = NDArray[np.float64]
 
 _BATCH_BYTES = 1_000_000  # a chunk costs about 1.3 kB besides its data, whatever its size
-_BATCH_FRAMES = 512
+_BATCH_FRAMES = 2048
+_QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # what a killed run may lose
 _QUEUE_BYTES = 64_000_000
-_FRAMED_ANEW = 1.15  # a second blueprint costs 80 kB
+_FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: send a second one only if the eye's distance grew by more
+_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets its one blueprint at the end
 _WAKE = 0.1  # s; how soon a blocked `put` learns that the recorder failed
 
 
@@ -53,7 +55,7 @@ class Recorder:
         self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
         self._clock = Clock.fitting(header.duration, header.shortest_dt_hint)
         self._queue: queue.Queue[Frame | None] = queue.Queue(
-            queue_size or max(2, min(_BATCH_FRAMES, _QUEUE_BYTES // frame_bytes))
+            queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         )
         self._batch_frames = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500)))
         self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
@@ -166,9 +168,10 @@ class Recorder:
         return self._encoder
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
-        """Follow where the bodies are; the first frame is framed at once, for a live viewer and a killed run."""
+        """Follow where the bodies are; lay out what there is, early for a live viewer and for a run that is killed."""
         if self._extent is None:
             self._extent = Extent(self.header.radius, batch[0].position - origin)
+        if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._send_blueprint(self._extent.view())
         self._extent.see(batch, origin)
 

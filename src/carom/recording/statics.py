@@ -116,7 +116,7 @@ def _series(header: Header) -> Iterable[Static]:
 
 
 def _line(name: str, colour: int) -> rr.SeriesLines:
-    return rr.SeriesLines(names=name, colors=colour, widths=1.5)
+    return rr.SeriesLines(names=name, colors=colour)
 
 
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:

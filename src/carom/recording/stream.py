@@ -42,6 +42,11 @@ class Stream:
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))
         self._outlet.opened()
 
+    @property
+    def is_live(self) -> bool:
+        """Whether somebody watches."""
+        return self._live is not None
+
     def send(self, rows: Rows, clock: Clock) -> None:
         """Send one entity's rows."""
         index = clock.columns(rows.steps, rows.times)

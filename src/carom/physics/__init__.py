@@ -1,0 +1,1 @@
+"""How it moves: arrays and kernels. No files, no printing."""
