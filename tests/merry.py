@@ -105,6 +105,7 @@ class Merry:
             events=events,
             fingerprint=(0x9E3779B97F4A7C15 * (step + 1)) % 2**64,
             checkpoint=Checkpoint(acceleration=-position, previous_dt=dt),
+            momentum_error=1e-15 * step,
         )
 
     def contacts(self, position: np.ndarray, step: int) -> CollisionGraph:

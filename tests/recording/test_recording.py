@@ -1,7 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import rerun as rr
 
@@ -72,10 +71,8 @@ def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry)
     assert summary["energy"]["final"] == frames[-1].energy.total
     worst = max(abs(f.energy.integration_error / f.energy.scale) for f in frames)
     assert summary["energy"]["max_error"] == pytest.approx(worst)
-    drift = max(np.linalg.norm(f.momentum - frames[0].momentum) for f in frames)
-    scale = np.sum(merry.header.mass) * 3.0
-    assert summary["momentum"]["max_error"] == pytest.approx(drift / scale)
-    assert summary["angular_momentum"]["max_error"] > 0
+    assert summary["momentum"]["max_error"] == max(f.momentum_error for f in frames) > 0
+    assert summary["angular_momentum"]["max_error"] is None, "a frame that does not know it makes it unknown"
     deepest = max(
         overlap / merry.header.radius[pair].min()
         for f in frames

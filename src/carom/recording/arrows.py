@@ -29,12 +29,12 @@ def longest(radius: NDArray[np.float64], reach: float) -> float:
 
 
 def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lengths along the last axis, without overflow or underflow of the squares."""
-    x, y, z = np.moveaxis(np.abs(vectors), -1, 0)  # NumPy's reductions are slow over an axis of three
-    largest = np.maximum(np.maximum(x, y), z)
-    unit = np.where(largest > 0, largest, 1.0)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(unit * np.sqrt((x / unit) ** 2 + (y / unit) ** 2 + (z / unit) ** 2))
+    """Return the lengths of ``(k, 3)`` vectors; the largest component is the unit, so that no square overflows."""
+    largest = np.abs(vectors).max(initial=0.0, where=np.isfinite(vectors))
+    if largest == 0.0:
+        return np.zeros(len(vectors))
+    unit = vectors / largest
+    return np.asarray(largest * np.sqrt(np.einsum("ki,ki->k", unit, unit)))
 
 
 def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
@@ -43,14 +43,14 @@ def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
 
 
 def drawn(
-    vectors: NDArray[np.float64],
+    direction: NDArray[np.float64],
     magnitude: NDArray[np.float64],
     radius: NDArray[np.float64],
     m_ref: float,
     l_max: float,
 ) -> NDArray[np.float32]:
-    """Draw arrows ``(k, 3)`` in metres for vectors ``(k, 3)`` of bodies of the given radii."""
+    """Draw arrows ``(k, 3)`` in metres along unit vectors ``(k, 3)`` from bodies of the given radii."""
     s = np.cbrt(magnitude / m_ref)
     # s / (1 + s), written so that s = ∞ gives 1
     length = radius + l_max * (1.0 - 1.0 / (1.0 + s))
-    return (vectors / magnitude[:, None] * length[:, None]).astype(np.float32)
+    return (direction * length[:, None]).astype(np.float32)

@@ -116,14 +116,14 @@ class BatchEncoder:
 
     def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         """All entities' rows of a batch, checkpoints apart."""
-        position = np.stack([frame.position for frame in batch]) - self.origin
-        yield self._bodies(batch, position)
+        points = (np.concatenate([frame.position for frame in batch]) - self.origin).astype(np.float32)
+        yield self._bodies(batch, points)
         if self.header.spins:
-            yield self._arrows(TORQUE, batch, position, [f.torque for f in batch])
-            yield self._arrows(ANGULAR_ACCELERATION, batch, position, [f.angular_acceleration for f in batch])
+            yield from self._arrows(batch, points)
         if self.header.collides:
-            yield self._contacts(batch, position)
-            yield from self._collision_scalars(batch)
+            contacts = _Contacts.of(batch)
+            yield self._contacts(batch, contacts, points)
+            yield from self._collision_scalars(batch, contacts)
         yield from self._energies(batch)
         yield _scalars(DT, batch, [frame.dt for frame in batch])
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
@@ -137,8 +137,7 @@ class BatchEncoder:
         arrays = checkpoint.encode(frames)
         return _any_values(CHECKPOINT, frames, arrays)
 
-    def _bodies(self, batch: Sequence[Frame], position: FloatArray) -> Rows:
-        points = position.reshape(-1, 3).astype(np.float32)
+    def _bodies(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Rows:
         each = [self.header.bodies] * len(batch)
         turned = None
         if self.header.spins:
@@ -165,29 +164,40 @@ class BatchEncoder:
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
 
-    def _arrows(
-        self, path: str, batch: Sequence[Frame], position: FloatArray, vectors: Sequence[FloatArray | None]
+    def _arrows(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
+        """Torques, and angular accelerations τ/I, of the bodies that feel any."""
+        still = np.zeros((self.header.bodies, 3))
+        field = np.concatenate([still if frame.torque is None else frame.torque for frame in batch])
+        which = np.flatnonzero((field[:, 0] != 0) | (field[:, 1] != 0) | (field[:, 2] != 0))
+        torque, body = field[which], which % self.header.bodies
+        magnitude = arrows.magnitudes(torque)
+        drawable = np.isfinite(magnitude) & (magnitude > 0)
+        if not drawable.all():
+            which, torque, body, magnitude = which[drawable], torque[drawable], body[drawable], magnitude[drawable]
+        direction, inertia = torque / magnitude[:, None], self.header.inertia[body]
+        for path, lengths in ((TORQUE, magnitude), (ANGULAR_ACCELERATION, magnitude / inertia)):
+            yield self._arrow_rows(path, batch, points[which], direction, lengths, which)
+
+    def _arrow_rows(
+        self,
+        path: str,
+        batch: Sequence[Frame],
+        origin: NDArray[np.float32],
+        direction: FloatArray,
+        magnitude: FloatArray,
+        which: NDArray[np.intp],
     ) -> Rows:
-        field = np.stack([np.zeros_like(p) if v is None else v for p, v in zip(position, vectors, strict=True)])
-        frame, body = np.nonzero((field[..., 0] != 0) | (field[..., 1] != 0) | (field[..., 2] != 0))
-        magnitude = arrows.magnitudes(field[frame, body])
-        finite = np.isfinite(magnitude)
-        frame, body, magnitude = frame[finite], body[finite], magnitude[finite]
+        """Arrows of one kind; ``which`` counts the bodies through all frames of the batch."""
+        frame, body = np.divmod(which, self.header.bodies)
         if len(frame) and path not in self.arrow_references:
             unit = self._natural_unit(path, batch[frame[0]])
             self.arrow_references[path] = arrows.reference(magnitude[frame == frame[0]], unit)
-        vector = arrows.drawn(
-            field[frame, body],
-            magnitude,
-            self.header.radius[body],
-            self.arrow_references.get(path, 1.0),
-            arrow_length(self.header, path),
-        )
-        origin = position[frame, body].astype(np.float32)
-        lengths = np.bincount(frame, minlength=len(batch))
+        reference, longest = self.arrow_references.get(path, 1.0), arrow_length(self.header, path)
+        vector = arrows.drawn(direction, magnitude, self.header.radius[body], reference, longest)
+        each = np.bincount(frame, minlength=len(batch))
         columns = [
-            *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(lengths),
-            *_any_column("body", body.astype(np.uint32)).partition(lengths),
+            *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
+            *_any_column("body", body.astype(np.uint32)).partition(each),
         ]
         return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin) + 4 * len(body))
 
@@ -199,38 +209,28 @@ class BatchEncoder:
         torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
-    def _contacts(self, batch: Sequence[Frame], position: FloatArray) -> Rows:
-        edges = [len(frame.contacts.pairs) for frame in batch]
-        pairs = np.concatenate([frame.contacts.pairs for frame in batch])
-        which = np.repeat(np.arange(len(batch)), edges)
-        start = position[which, pairs[:, 0]]
-        reach = position[which, pairs[:, 1]] - start
+    def _contacts(self, batch: Sequence[Frame], contacts: _Contacts, points: NDArray[np.float32]) -> Rows:
+        first = contacts.frame * self.header.bodies
+        start, end = points[first + contacts.pairs[:, 0]], points[first + contacts.pairs[:, 1]]
         if self.header.box is not None:
-            reach -= self.header.box * np.round(reach / self.header.box)  # the nearest image
-        strips = np.stack([start, start + reach], axis=1).astype(np.float32)
-        colours = palette.stage_colours(np.concatenate([frame.contacts.colours for frame in batch]))
+            box = self.header.box.astype(np.float32)
+            end -= box * np.round((end - start) / box)  # the nearest image
+        strips = np.concatenate((start, end), axis=1)
+        colours = palette.stage_colours(contacts.colours)
         columns = [
-            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=edges),
-            *rr.LineStrips3D.columns(colors=colours).partition(edges),
+            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=contacts.each),
+            *rr.LineStrips3D.columns(colors=colours).partition(contacts.each),
         ]
         return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, colours))
 
-    def _collision_scalars(self, batch: Sequence[Frame]) -> Iterable[Rows]:
-        graphs = [frame.contacts for frame in batch]
-        yield _scalars(STEP_CONTACTS, batch, [len(graph.pairs) for graph in graphs])
-        yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
+    def _collision_scalars(self, batch: Sequence[Frame], contacts: _Contacts) -> Iterable[Rows]:
+        i, j = contacts.pairs.T
+        relative = contacts.overlaps / np.minimum(self.header.radius[i], self.header.radius[j])
+        yield _scalars(STEP_CONTACTS, batch, contacts.each)
+        yield _scalars(COLOURS, batch, contacts.largest(contacts.colours + 1))
         yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
-        yield _scalars(OVERLAP, batch, [float(max(g.overlaps.max(), 0)) if len(g.overlaps) else 0 for g in graphs])
-        yield _scalars(RELATIVE_OVERLAP, batch, self._relative_overlaps(batch))
-
-    def _relative_overlaps(self, batch: Sequence[Frame]) -> FloatArray:
-        """Each frame's deepest overlap over the smaller of the two radii."""
-        pairs = np.concatenate([frame.contacts.pairs for frame in batch])
-        overlap = np.concatenate([frame.contacts.overlaps for frame in batch])
-        which = np.repeat(np.arange(len(batch)), [len(frame.contacts.pairs) for frame in batch])
-        deepest = np.zeros(len(batch))
-        np.maximum.at(deepest, which, overlap / self.header.radius[pairs].min(axis=1, initial=np.inf))
-        return deepest
+        yield _scalars(OVERLAP, batch, contacts.largest(contacts.overlaps))
+        yield _scalars(RELATIVE_OVERLAP, batch, contacts.largest(relative))
 
     def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         energies = [frame.energy for frame in batch]
@@ -255,24 +255,49 @@ class BatchEncoder:
             yield _rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
 
     def _momenta(self, batch: Sequence[Frame]) -> Rows:
-        velocity = np.stack([frame.velocity for frame in batch])
-        mass = self.header.mass
-        speed = arrows.magnitudes(velocity)
-        distance = arrows.magnitudes(np.stack([frame.position for frame in batch]))
-        angular_scale = (distance * speed) @ mass
-        if self.header.spins:
-            spin = np.stack([f.angular_velocity for f in batch if f.angular_velocity is not None])
-            angular_scale += arrows.magnitudes(spin) @ self.header.inertia
+        angular = [np.nan if f.angular_momentum_error is None else f.angular_momentum_error for f in batch]
         arrays = {
             "momentum": np.concatenate([frame.momentum for frame in batch]),
-            "momentum_scale": speed @ mass,
+            "momentum_error": np.array([frame.momentum_error for frame in batch]),
             "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
-            "angular_momentum_scale": angular_scale,
+            "angular_momentum_error": np.array(angular),
         }
         return _any_values(MOMENTUM, batch, arrays)
 
 
-def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | FloatArray) -> Rows:
+@dataclass(frozen=True, slots=True)
+class _Contacts:
+    """The contacts of a batch, frame after frame."""
+
+    frame: NDArray[np.intp]  # (m,) index into the batch
+    each: NDArray[np.intp]  # contacts of each frame
+    pairs: NDArray[np.int64]  # (m, 2)
+    overlaps: FloatArray  # (m,) m
+    colours: NDArray[np.int64]  # (m,)
+
+    @classmethod
+    def of(cls, batch: Sequence[Frame]) -> _Contacts:
+        graphs = [frame.contacts for frame in batch]
+        each = np.array([len(graph.pairs) for graph in graphs])
+        return cls(
+            frame=np.repeat(np.arange(len(batch)), each),
+            each=each,
+            pairs=np.concatenate([graph.pairs for graph in graphs]),
+            overlaps=np.concatenate([graph.overlaps for graph in graphs]),
+            colours=np.concatenate([graph.colours for graph in graphs]),
+        )
+
+    def largest(self, values: NDArray[np.generic]) -> FloatArray:
+        """Return the largest of (m,) values in each frame, at least 0."""
+        found = np.zeros(len(self.each))
+        some = self.each > 0
+        if some.any():
+            first = np.cumsum(self.each) - self.each
+            found[some] = np.maximum(np.maximum.reduceat(values, first[some]), 0)
+        return found
+
+
+def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:
     array = np.asarray(values, dtype=np.float64)
     return _rows(path, batch, rr.Scalars.columns(scalars=array), _bytes(array))
 
@@ -309,7 +334,7 @@ def _any_column(name: str, array: NDArray[np.generic]) -> ComponentColumnList:
 
 
 def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
-    """Make lines ``(m, 2, 3)`` without a Python loop over them, which is what Rerun's own conversion is."""
+    """Make lines from the coordinates of their ends, ``(m, 6)``. Rerun's own conversion loops over them in Python."""
     vectors = pa.FixedSizeListArray.from_arrays(pa.array(points.ravel()), type=_VECTOR)
     offsets = pa.array(np.arange(0, 2 * len(points) + 1, 2, dtype=np.int32))
     return LineStrip3DBatch(pa.ListArray.from_arrays(offsets, vectors, type=_STRIP))

@@ -124,7 +124,7 @@ class Recording:
         return self._series(entities.STEP)
 
     def momentum(self) -> pa.Table:
-        """Momentum (kg m/s), angular momentum (kg m²/s), and the scales to compare their errors with."""
+        """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
         return self._table(entities.MOMENTUM)
 
     def events(self) -> pa.Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,8 @@ class Stream:
         self.path = path
         self.payload_bytes = 0
         self._header = header
+        self._indexed: tuple[Sequence[int], Sequence[float]] = ((), ())
+        self._index: list[rr.TimeColumn] = []
         identity = application_id(header)
         self._live = None if live is None else LiveView(live, identity, header.run_id)
         # what is under way when the disk is found full, and the last checkpoint, must still fit
@@ -49,9 +51,10 @@ class Stream:
 
     def send(self, rows: Rows, clock: Clock) -> None:
         """Send one entity's rows."""
-        index = clock.columns(rows.steps, rows.times)
+        if (rows.steps, rows.times) != self._indexed:  # most entities of a batch have the same rows
+            self._indexed, self._index = (rows.steps, rows.times), clock.columns(rows.steps, rows.times)
         for stream in self._streams():
-            stream.send_columns(rows.path, index, rows.columns)
+            stream.send_columns(rows.path, self._index, rows.columns)
         self.payload_bytes += rows.bytes
 
     def send_event(self, event: Event, clock: Clock) -> None:

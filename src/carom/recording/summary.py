@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from carom.recording.recording import Recording
@@ -28,8 +27,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         "sim_time": float(frames["time"][-1].as_py()) if recording.frames else 0.0,
         "outcome": recording.outcome,
         "energy": _energy(recording.energy()),
-        "momentum": {"max_error": _drift(recording.momentum(), "momentum")},
-        "angular_momentum": {"max_error": _drift(recording.momentum(), "angular_momentum")},
+        "momentum": {"max_error": _largest(recording.momentum(), "momentum_error")},
+        "angular_momentum": {"max_error": _largest(recording.momentum(), "angular_momentum_error")},
         "contacts": _contacts(recording.steps()),
         "moments": _moments(recording.closing),
         "profile": _below(recording.closing, "profile"),
@@ -49,14 +48,11 @@ def _energy(energy: pa.Table) -> dict[str, float]:
     return {"initial": float(total[0]), "final": float(total[-1]), "max_error": worst}
 
 
-def _drift(momenta: pa.Table, name: str) -> float:
-    """Largest change of a conserved vector, relative to the largest sum of the bodies' own magnitudes."""
-    if momenta.num_rows == 0:
-        return 0.0
-    vectors: NDArray[np.float64] = np.stack(momenta[name].to_numpy())
-    scale = float(np.max(momenta[f"{name}_scale"].to_numpy()))
-    change = float(np.max(np.linalg.norm(vectors - vectors[0], axis=1)))
-    return change / scale if scale > 0 else change
+def _largest(momenta: pa.Table, name: str) -> float | None:
+    """Return the largest error of the recorded frames; None where it is not defined, as in a periodic box."""
+    errors = np.concatenate([np.zeros(1), *(np.ravel(value) for value in momenta[name].to_numpy())])
+    worst = float(np.max(errors))
+    return None if np.isnan(worst) else worst
 
 
 def _contacts(steps: pa.Table) -> dict[str, float]:
