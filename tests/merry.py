@@ -10,7 +10,7 @@ import numpy as np
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.energy import Energy, Ledger
 from carom.physics.frame import Checkpoint, Event, Frame
-from carom.recording import Header
+from carom.recording.header import Header
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from carom.physics.frame import Frame
-from carom.recording import Recorder, Recording, RecordingError
 from carom.recording.checkpoint import CheckpointPlan, StoredState, size
+from carom.recording.errors import RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
 from merry import Merry
 
 

@@ -3,7 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording import Recorder, Recording, RecordingError
+from carom.recording.errors import RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
 from carom.recording.viewer import Viewer
 from merry import Merry
 

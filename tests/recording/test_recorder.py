@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from carom.recording import Recorder, Recording, RecordingError
+from carom.recording.errors import RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
 from merry import Merry
 
 TESTS = Path(__file__).parents[1]  # where merry.py is
@@ -187,7 +189,8 @@ import os, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from merry import Merry
-from carom.recording import Recorder, RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.errors import RecordingError
 merry = Merry(200)
 path = Path({path!r})
 {before}

@@ -4,7 +4,9 @@ from pathlib import Path
 import pytest
 import rerun as rr
 
-from carom.recording import Recorder, Recording, RecordingError
+from carom.recording.errors import RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
 from merry import Merry
 
 

@@ -8,6 +8,7 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
@@ -16,9 +17,11 @@ from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.process import RecorderProcess
 from carom.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from carom.recording.recording import Recording
 
 POLL = 0.1  # s between two looks at a run under way
 
@@ -82,6 +85,8 @@ def run(
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
+    from carom.recording.recording import Recording  # noqa: PLC0415 - the simulation itself needs no Rerun
+
     return Recording.open(outcome.path)
 
 
@@ -116,7 +121,7 @@ def simulate(
     path = Path(path)
     refuse_output(path, force)
     began = time.perf_counter()
-    recorder = Recorder(path, _header(space), live=live)
+    recorder = RecorderProcess(path, _header(space), live=live)
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
@@ -125,7 +130,7 @@ def simulate(
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
     try:
-        recorder.finish(f"{status}: {reason}" if reason else status, _summary(space, verdicts))
+        recorder.finish(f"{status}: {reason}" if reason else status, _summary(space, verdicts), space.highlights())
     except RecordingError as error:
         status, reason = "disk", str(error)
     return Outcome(
@@ -157,12 +162,16 @@ def refuse_output(path: Path, force: bool) -> None:
         raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 class _Physics:
     """The physics thread: steps a space and hands its frames to the recorder."""
 
-    def __init__(self, space: Space, recorder: Recorder) -> None:
+    def __init__(self, space: Space, recorder: RecorderProcess) -> None:
         self.space = space
         self.frames = 0
         self._recorder = recorder

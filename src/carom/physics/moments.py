@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
+from carom.physics.frame import Event
 
 FloatArray = NDArray[np.float64]
 
@@ -58,6 +59,22 @@ class Moments:
         self.total_contacts += len(graph)
         self.impacts += int(np.count_nonzero(impacts))
         return float(energy[impacts].sum())
+
+    def highlights(self, names: list[str]) -> tuple[Event, ...]:
+        """Put the extremes of contacts and energy into words, in order of time."""
+        wordings = (
+            (self.impact, "Hardest impact of the run, {value:.4g} J"),
+            (self.overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
+            (self.contacts, "Most contacts of the run, {value:.0f}"),
+            (self.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
+        )
+        events = []
+        for moment, wording in wordings:
+            if moment is not None and moment.value > 0:
+                who = " and ".join(f'body {body} "{names[body]}"' for body in moment.bodies)
+                text = wording.format(value=moment.value) + (f": {who}." if who else ".")
+                events.append(Event(moment.step, moment.time, "INFO", text))
+        return tuple(sorted(events, key=lambda event: event.step))
 
     def see_energy_error(self, step: int, time: float, error: float) -> None:
         """Take note of a checked energy."""

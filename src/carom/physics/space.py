@@ -178,6 +178,10 @@ class Space:
         """Let `run` end after the step it is in, with a last frame of that moment; any thread may call it."""
         self._stopping = True
 
+    def highlights(self) -> tuple[Event, ...]:
+        """Return the extremes of the run so far as events, each at its own time."""
+        return self.moments.highlights(self.names)
+
     def frame(self) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._counted != self.step:

@@ -85,15 +85,15 @@ class Recorder:
                 continue
             return
 
-    def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None) -> None:
-        """Write what is left and the outcome, close the file, and open it again to check it."""
+    def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
+        """Write what is left, the last events and the outcome, close the file, and open it again to check it."""
         if self._closed:
             return
         self._stop()
         self._closed = True
         if self._error is not None:
             raise self._error
-        self._close(outcome, summary or {})
+        self._close(outcome, summary or {}, events)
 
     def __enter__(self) -> Self:
         return self
@@ -189,18 +189,20 @@ class Recorder:
     def _fail(self, error: RecordingError) -> None:
         """Close with what there is, and only then let the physics know."""
         try:
-            self._close(str(error), {})
+            self._close(str(error), {}, ())
         except Exception as second:  # the first fault is the one to tell
             error.add_note(f"closing it failed, too: {second}")
         self._error = error
 
-    def _close(self, outcome: str, summary: Mapping[str, Scalar]) -> None:
+    def _close(self, outcome: str, summary: Mapping[str, Scalar], events: tuple[Event, ...]) -> None:
         last, encoder = self._last, self._encoder
         try:
             if last is not None and encoder is not None:
                 if last.step != self._last_checkpoint:
                     self._stream.send(encoder.checkpoints([last]), self._clock)
                 level = "INFO" if outcome == "completed" else "WARN"
+                for event in events:
+                    self._stream.send_event(event, self._clock)
                 self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}"), self._clock)
                 self._stream.send_property("arrows", encoder.arrow_references)
                 self._look_again()
