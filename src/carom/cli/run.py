@@ -43,18 +43,23 @@ def run(
     loaded = Scene.load(scene, changes)
     path = output or _default_path(scene)
 
+    from carom.experiment.output import refuse_output
+    from carom.recording.process import RecorderProcess
+
+    refuse_output(path, force)
+    recorder = RecorderProcess()  # loads Rerun while this process loads Numba
+
     from carom.cli.progress import Progress
-    from carom.experiment.run import refuse_output, simulate
+    from carom.experiment.run import simulate
     from carom.physics.kernel import on_compilation
     from carom.physics.space import Space
 
-    refuse_output(path, force)
     progress = Progress(loaded, quiet=as_json)
     on_compilation(lambda: progress.say("Compiling kernels, once on this machine (about 15 s) …"))
     space = Space(loaded, threads)
     address = _live_viewer() if live else None
     with progress:
-        outcome = simulate(space, path, force=force, live=address, watch=progress.update)
+        outcome = simulate(space, path, force=True, live=address, watch=progress.update, recorder=recorder)
     if as_json:
         typer.echo(json.dumps(_document(outcome), indent=2))
     else:

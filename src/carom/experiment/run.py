@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
+from carom.experiment.output import refuse_output
 from carom.physics.error import PhysicsError
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
@@ -80,7 +81,9 @@ def run(
     SceneError, RecordingError, PhysicsError
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
-    outcome = simulate(Space(scene, threads), path, force=force)
+    refuse_output(Path(path), force)
+    recorder = RecorderProcess()
+    outcome = simulate(Space(scene, threads), path, force=True, recorder=recorder)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
@@ -97,6 +100,7 @@ def simulate(
     force: bool = False,
     live: str | None = None,
     watch: Watcher | None = None,
+    recorder: RecorderProcess | None = None,
 ) -> Outcome:
     """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
 
@@ -112,6 +116,8 @@ def simulate(
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
         Called with the space about ten times a second.
+    recorder
+        A process that was started before, to save the time that it takes; one is started if there is none.
 
     Raises
     ------
@@ -121,7 +127,8 @@ def simulate(
     path = Path(path)
     refuse_output(path, force)
     began = time.perf_counter()
-    recorder = RecorderProcess(path, _header(space), live=live)
+    recorder = recorder or RecorderProcess()
+    recorder.begin(path, _header(space), live=live)
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
@@ -146,26 +153,6 @@ def simulate(
         moments=space.moments,
         verdicts=verdicts,
     )
-
-
-def refuse_output(path: Path, force: bool) -> None:
-    """Refuse a path before anything is computed for it.
-
-    Raises
-    ------
-    RecordingError
-        Naming the path and what would be right.
-    """
-    if path.is_dir():
-        raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
-    if path.exists() and not force:
-        raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
-    if not path.parent.is_dir():
-        raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
-    try:
-        path.open("ab").close()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 class _Physics:

@@ -46,16 +46,20 @@ class MomentumAccount:
         linear, angular, linear_scale, angular_scale = _sums(bodies)
         self._linear_scale = max(self._linear_scale, linear_scale)
         self._angular_scale = max(self._angular_scale, angular_scale)
-        weight = self._mass * self._field
-        path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time
+        expected_linear, expected_angular = self._expected(time)
         return Momentum(
             linear=linear,
             angular=angular,
-            linear_error=_relative(linear - self._linear - weight * time, self._linear_scale),
-            angular_error=None
-            if self._periodic
-            else _relative(angular - self._angular - np.cross(path, weight), self._angular_scale),
+            linear_error=_relative(linear - expected_linear, self._linear_scale),
+            angular_error=None if self._periodic else _relative(angular - expected_angular, self._angular_scale),
         )
+
+    def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:
+        if not self._field.any():
+            return self._linear, self._angular
+        weight = self._mass * self._field
+        path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time
+        return self._linear + weight * time, self._angular + np.cross(path, weight)
 
 
 def _relative(difference: FloatArray, scale: float) -> float:

@@ -5,7 +5,7 @@ An arrow starts at its body's centre and sticks out of the sphere by
     L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
 
 so its vector is ``(r + L) m̂``. L grows with m, is never longer than L_max and can be inverted: with u = L / L_max,
-m = m_ref · (u / (1 - u))³. The cube root keeps six decades between 9 % and 91 % of L_max. That is why m_ref may be
+m = m_ref · (u / (1 - u))³; `encoding.draw_arrows` does it. The cube root keeps six decades between 9 % and 91 % of L_max. That is why m_ref may be
 taken from the first frame that has arrows and stay for the whole recording: one that is wrong by a thousand still
 shows something.
 
@@ -40,17 +40,3 @@ def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
 def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
     """Choose m_ref from the first magnitudes: their median, unless they are rounding noise."""
     return max(float(np.median(magnitude)), _ROUND_OFF * natural_unit, np.finfo(np.float64).tiny)
-
-
-def drawn(
-    direction: NDArray[np.float64],
-    magnitude: NDArray[np.float64],
-    radius: NDArray[np.float64],
-    m_ref: float,
-    l_max: float,
-) -> NDArray[np.float32]:
-    """Draw arrows ``(k, 3)`` in metres along unit vectors ``(k, 3)`` from bodies of the given radii."""
-    s = np.cbrt(magnitude / m_ref)
-    # s / (1 + s), written so that s = ∞ gives 1
-    length = radius + l_max * (1.0 - 1.0 / (1.0 + s))
-    return (direction * length[:, None]).astype(np.float32)

@@ -17,7 +17,7 @@ from rerun import ComponentColumnList
 from rerun.components import LineStrip3DBatch
 
 from carom.physics.frame import Frame
-from carom.recording import arrows, checkpoint, palette
+from carom.recording import arrows, checkpoint, encoding, palette
 from carom.recording.header import Header
 
 SCHEMA_VERSION = 1
@@ -113,17 +113,19 @@ class BatchEncoder:
         self.origin = origin
         self.arrow_references: dict[str, float] = {}
         self._last_state: dict[str, str] = {}
+        self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         """All entities' rows of a batch, checkpoints apart."""
-        points = (np.concatenate([frame.position for frame in batch]) - self.origin).astype(np.float32)
-        yield self._bodies(batch, points)
+        points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
+        for frame, centres in zip(batch, points, strict=True):
+            encoding.cast_positions(frame.position, self.origin, centres)
+        yield self._bodies(batch, points.reshape(-1, 3))
         if self.header.spins:
             yield from self._arrows(batch, points)
         if self.header.collides:
-            contacts = _Contacts.of(batch)
-            yield self._contacts(batch, contacts, points)
-            yield from self._collision_scalars(batch, contacts)
+            yield self._contacts(batch, points)
+            yield from self._collision_scalars(batch)
         yield from self._energies(batch)
         yield _scalars(DT, batch, [frame.dt for frame in batch])
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
@@ -141,7 +143,10 @@ class BatchEncoder:
         each = [self.header.bodies] * len(batch)
         turned = None
         if self.header.spins:
-            turned = np.concatenate([f.orientation for f in batch if f.orientation is not None]).astype(np.float32)
+            turned = np.empty((len(points), 4), dtype=np.float32)
+            for frame, quaternions in zip(batch, np.split(turned, len(batch)), strict=True):
+                if frame.orientation is not None:
+                    encoding.cast_orientations(frame.orientation, quaternions)
         colours = self._node_colours(batch)
         match shape(self.header):
             case "ellipsoids":
@@ -166,40 +171,44 @@ class BatchEncoder:
 
     def _arrows(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
         """Torques, and angular accelerations τ/I, of the bodies that feel any."""
-        still = np.zeros((self.header.bodies, 3))
-        field = np.concatenate([still if frame.torque is None else frame.torque for frame in batch])
-        which = np.flatnonzero((field[:, 0] != 0) | (field[:, 1] != 0) | (field[:, 2] != 0))
-        torque, body = field[which], which % self.header.bodies
-        magnitude = arrows.magnitudes(torque)
-        drawable = np.isfinite(magnitude) & (magnitude > 0)
-        if not drawable.all():
-            which, torque, body, magnitude = which[drawable], torque[drawable], body[drawable], magnitude[drawable]
-        direction, inertia = torque / magnitude[:, None], self.header.inertia[body]
-        for path, lengths in ((TORQUE, magnitude), (ANGULAR_ACCELERATION, magnitude / inertia)):
-            yield self._arrow_rows(path, batch, points[which], direction, lengths, which)
+        most = self.header.bodies * len(batch)
+        body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
+        each, total = [], 0
+        for frame in batch:
+            found = 0 if frame.torque is None else encoding.turning(frame.torque, body[total:], magnitude[total:])
+            each.append(found)
+            total += found
+        for path in (TORQUE, ANGULAR_ACCELERATION):
+            yield self._arrow_rows(path, batch, points, each, body[:total], magnitude[:total])
 
     def _arrow_rows(
         self,
         path: str,
         batch: Sequence[Frame],
-        origin: NDArray[np.float32],
-        direction: FloatArray,
+        points: NDArray[np.float32],
+        each: Sequence[int],
+        body: NDArray[np.uint32],
         magnitude: FloatArray,
-        which: NDArray[np.intp],
     ) -> Rows:
-        """Arrows of one kind; ``which`` counts the bodies through all frames of the batch."""
-        frame, body = np.divmod(which, self.header.bodies)
-        if len(frame) and path not in self.arrow_references:
-            unit = self._natural_unit(path, batch[frame[0]])
-            self.arrow_references[path] = arrows.reference(magnitude[frame == frame[0]], unit)
-        reference, longest = self.arrow_references.get(path, 1.0), arrow_length(self.header, path)
-        vector = arrows.drawn(direction, magnitude, self.header.radius[body], reference, longest)
-        each = np.bincount(frame, minlength=len(batch))
+        """Arrows of one kind: ``each`` frame's bodies follow each other in ``body``, with their torques' magnitudes."""
+        inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
+        if len(body) and path not in self.arrow_references:
+            k = next(index for index, count in enumerate(each) if count)
+            first = magnitude[: each[k]] / inertia[body[: each[k]]]
+            self.arrow_references[path] = arrows.reference(first, self._natural_unit(path, batch[k]))
+        unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
+        origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
+        end = 0
+        for frame, centres, count in zip(batch, points, each, strict=True):
+            own, end = slice(end, end + count), end + count
+            if frame.torque is not None:
+                which, size, at, along = body[own], magnitude[own], origin[own], vector[own]
+                encoding.draw_arrows(frame.torque, which, size, centres, self.header.radius, unit, longest, at, along)
         columns = [
             *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
-            *_any_column("body", body.astype(np.uint32)).partition(each),
+            *_any_column("body", body).partition(each),
         ]
-        return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin) + 4 * len(body))
+        return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin, body))
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
         """Estimate what takes a body's momentum, at its rim, in one step: no tiny torque or angular acceleration."""
@@ -209,28 +218,31 @@ class BatchEncoder:
         torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
-    def _contacts(self, batch: Sequence[Frame], contacts: _Contacts, points: NDArray[np.float32]) -> Rows:
-        first = contacts.frame * self.header.bodies
-        start, end = points[first + contacts.pairs[:, 0]], points[first + contacts.pairs[:, 1]]
-        if self.header.box is not None:
-            box = self.header.box.astype(np.float32)
-            end -= box * np.round((end - start) / box)  # the nearest image
-        strips = np.concatenate((start, end), axis=1)
-        colours = palette.stage_colours(contacts.colours)
+    def _contacts(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Rows:
+        each = [len(frame.contacts.pairs) for frame in batch]
+        strips, colours = np.empty((sum(each), 6), dtype=np.float32), np.empty(sum(each), dtype=np.uint32)
+        cycle, serial = np.array(palette.STAGES, dtype=np.uint32), palette.SERIAL_STAGE
+        end = 0
+        for frame, centres, count in zip(batch, points, each, strict=True):
+            graph, own, end = frame.contacts, slice(end, end + count), end + count
+            lines, shown = strips[own], colours[own]
+            encoding.draw_edges(
+                graph.pairs, graph.colours, centres, self._box, cycle, serial, np.uint32(palette.WHITE), lines, shown
+            )
         columns = [
-            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=contacts.each),
-            *rr.LineStrips3D.columns(colors=colours).partition(contacts.each),
+            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
+            *rr.LineStrips3D.columns(colors=colours).partition(each),
         ]
         return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, colours))
 
-    def _collision_scalars(self, batch: Sequence[Frame], contacts: _Contacts) -> Iterable[Rows]:
-        i, j = contacts.pairs.T
-        relative = contacts.overlaps / np.minimum(self.header.radius[i], self.header.radius[j])
-        yield _scalars(STEP_CONTACTS, batch, contacts.each)
-        yield _scalars(COLOURS, batch, contacts.largest(contacts.colours + 1))
+    def _collision_scalars(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        graphs = [frame.contacts for frame in batch]
+        depths = [encoding.deepest(graph.pairs, graph.overlaps, self.header.radius) for graph in graphs]
+        yield _scalars(STEP_CONTACTS, batch, [len(graph.pairs) for graph in graphs])
+        yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
         yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
-        yield _scalars(OVERLAP, batch, contacts.largest(contacts.overlaps))
-        yield _scalars(RELATIVE_OVERLAP, batch, contacts.largest(relative))
+        yield _scalars(OVERLAP, batch, [absolute for absolute, _ in depths])
+        yield _scalars(RELATIVE_OVERLAP, batch, [relative for _, relative in depths])
 
     def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         energies = [frame.energy for frame in batch]
@@ -263,38 +275,6 @@ class BatchEncoder:
             "angular_momentum_error": np.array(angular),
         }
         return _any_values(MOMENTUM, batch, arrays)
-
-
-@dataclass(frozen=True, slots=True)
-class _Contacts:
-    """The contacts of a batch, frame after frame."""
-
-    frame: NDArray[np.intp]  # (m,) index into the batch
-    each: NDArray[np.intp]  # contacts of each frame
-    pairs: NDArray[np.int64]  # (m, 2)
-    overlaps: FloatArray  # (m,) m
-    colours: NDArray[np.int64]  # (m,)
-
-    @classmethod
-    def of(cls, batch: Sequence[Frame]) -> _Contacts:
-        graphs = [frame.contacts for frame in batch]
-        each = np.array([len(graph.pairs) for graph in graphs])
-        return cls(
-            frame=np.repeat(np.arange(len(batch)), each),
-            each=each,
-            pairs=np.concatenate([graph.pairs for graph in graphs]),
-            overlaps=np.concatenate([graph.overlaps for graph in graphs]),
-            colours=np.concatenate([graph.colours for graph in graphs]),
-        )
-
-    def largest(self, values: NDArray[np.generic]) -> FloatArray:
-        """Return the largest of (m,) values in each frame, at least 0."""
-        found = np.zeros(len(self.each))
-        some = self.each > 0
-        if some.any():
-            first = np.cumsum(self.each) - self.each
-            found[some] = np.maximum(np.maximum.reduceat(values, first[some]), 0)
-        return found
 
 
 def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:

@@ -39,13 +39,6 @@ _GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) ev
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
 
 
-def stage_colours(stages: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Colours of contacts by the stage they are resolved in; the serial stage is white."""
-    cycle = np.array(STAGES, dtype=np.uint32)
-    colours = cycle[stages % len(cycle)]
-    return np.where(stages >= SERIAL_STAGE, np.uint32(WHITE), colours)
-
-
 def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
     """Colours of bodies by their colour in the collision graph; grey touches nobody."""
     cycle = np.array(BODIES, dtype=np.uint32)

@@ -1,9 +1,8 @@
 """The recorder in a process of its own, behind a pipe.
 
 In a thread of the simulation's process a recorder takes the interpreter's lock for most of its time, and the physics,
-which wants the lock back after every kernel, waits for it: recording every step of 1000 bodies then costs a third of
-the run (benchmarks/recording.py), though a second core is idle. Here the physics only hands a frame to a thread that
-writes it into a pipe. Queue and pipe are bounded and block when they are full: no frame is dropped, and none piles up.
+which wants the lock back after every kernel, waits for it (benchmarks/recording.py). Here the physics only writes a
+frame into a pipe. The pipe holds a few frames and blocks when it is full: none is dropped, and none piles up.
 
 It is also the safer form: a simulation that is killed leaves a process behind that closes the file properly.
 """
@@ -13,13 +12,14 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import queue
 import subprocess
 import sys
-import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
 
 import carom
 from carom.physics.frame import Event, Frame
@@ -29,9 +29,7 @@ from carom.recording.header import Header, Scalar
 if TYPE_CHECKING:
     from carom.recording.recorder import Recorder
 
-_QUEUE_BYTES = 64_000_000
-_MOST_FRAMES = 512
-_WAKE = 0.1  # s; how soon a blocked `put` learns that the recorder failed
+_NO_NORMALS = np.empty((0, 3))
 _PIPE = 1 << 20  # bytes; the most an unprivileged process may ask for
 _SERVE = "from carom.recording.process import serve; serve()"
 _ABANDONED = "interrupted: the simulation ended without a word"
@@ -40,8 +38,9 @@ _ABANDONED = "interrupted: the simulation ended without a word"
 class RecorderProcess:
     """Writes one recording, like `Recorder`, without costing the physics more than handing over a frame."""
 
-    def __init__(self, path: str | Path, header: Header, *, live: str | None = None) -> None:
-        self.path = Path(path)
+    def __init__(self) -> None:
+        """Start the process; it loads Rerun meanwhile, so start it before other slow things."""
+        self.path = Path()
         self.frames = 0
         self.payload_bytes = 0
         home = str(Path(carom.__file__).parents[1])
@@ -56,47 +55,29 @@ class RecorderProcess:
         assert self._child.stdin is not None and self._child.stdout is not None
         self._to, self._from = self._child.stdin, self._child.stdout
         _enlarge(self._to)
-        frame_bytes = 200 * header.bodies + 2000
-        self._queue: queue.Queue[object] = queue.Queue(max(2, min(_MOST_FRAMES, _QUEUE_BYTES // frame_bytes)))
-        self._error: RecordingError | None = None
-        self._queue.put((str(self.path.absolute()), header, live))
-        self._feeder = threading.Thread(target=self._feed, name="carom-feeder", daemon=True)
-        self._feeder.start()
+
+    def begin(self, path: str | Path, header: Header, *, live: str | None = None) -> None:
+        """Say what is recorded, and where."""
+        self.path = Path(path)
+        self._send((str(self.path.absolute()), header, live))
 
     def put(self, frame: Frame) -> None:
-        """Hand over a frame; wait while the queue is full. Raises what stopped the recorder, if anything did."""
-        self._enqueue(frame)
+        """Hand over a frame; wait while the pipe is full. Raises what stopped the recorder, if anything did."""
+        self._send(_slim(frame))
 
     def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
         """Write what is left, the last events and the outcome, close the file, and open it again to check it."""
-        self._enqueue((outcome, dict(summary or {}), events))
-        self._enqueue(None)
-        self._feeder.join()
-        if self._error is not None:
-            raise self._error
+        self._send((outcome, dict(summary or {}), events))
         self.frames, self.payload_bytes = self._answer()
         self._child.wait()
 
-    def _enqueue(self, message: object) -> None:
-        while True:
-            if self._error is not None:
-                raise self._error
-            with contextlib.suppress(queue.Full):
-                self._queue.put(message, timeout=_WAKE)
-                return
-
-    def _feed(self) -> None:
-        """Write what is queued into the pipe; the child's answer explains a pipe that breaks."""
+    def _send(self, message: object) -> None:
         try:
-            while (message := self._queue.get()) is not None:
-                pickle.dump(message, self._to, protocol=5)
-                self._to.flush()
+            pickle.dump(message, self._to, protocol=5)
+            self._to.flush()
         except OSError:
-            try:
-                self._answer()
-                self._error = RecordingError(f"recording {self.path} ended too early")
-            except RecordingError as error:
-                self._error = error
+            self._answer()  # it explains why the pipe broke
+            raise RecordingError(f"recording {self.path} ended too early") from None
 
     def _answer(self) -> Any:
         try:
@@ -116,6 +97,8 @@ def serve() -> None:
     with contextlib.suppress(BrokenPipeError):  # nobody is left to hear the answer
         try:
             answer: object = _record(sys.stdin.buffer)
+        except EOFError:
+            os._exit(0)  # nothing was ever recorded
         except RecordingError as error:
             answer = error
         except Exception as error:
@@ -146,6 +129,12 @@ def _until_the_end(frames: BinaryIO, recorder: Recorder) -> tuple[str, Mapping[s
             outcome, summary, events = message
             return outcome, summary, events
         recorder.put(message)
+
+
+def _slim(frame: Frame) -> Frame:
+    """Leave out what is not recorded: angular accelerations follow from the torques, normals from the centres."""
+    graph = replace(frame.contacts, normals=_NO_NORMALS)
+    return replace(frame, contacts=graph, angular_acceleration=None)
 
 
 def _enlarge(pipe: Any) -> None:

@@ -23,7 +23,7 @@ from carom.physics.kernel import kernel
 FloatArray = NDArray[np.float64]
 
 LANES = 64
-PARALLEL_FROM = 512  # bodies; below, handing work to a thread costs more than it saves (about 50 µs a step)
+PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder wants the other core
 
 
 class DirectGravity:
