@@ -18,11 +18,9 @@ from pathlib import Path
 
 from carom.experiment.run import simulate
 from carom.physics.space import Space
-from carom.recording.process import RecorderProcess
 from carom.scene.schema import Scene
 
 ROUNDS = 5
-START_UP = 1.5  # s
 
 
 def scene(steps: int) -> Scene:
@@ -54,10 +52,8 @@ def without(space: Space) -> float:
 
 
 def with_recording(space: Space, folder: str) -> tuple[float, float, int]:
-    recorder = RecorderProcess()  # the command starts it first, and it loads while the command does
-    time.sleep(START_UP)
     began = time.perf_counter()
-    outcome = simulate(space, Path(folder) / "run.rrd", force=True, recorder=recorder)
+    outcome = simulate(space, Path(folder) / "run.rrd", force=True)
     return time.perf_counter() - began, outcome.size / outcome.payload, outcome.moments.total_contacts
 
 

@@ -50,8 +50,8 @@ def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
 
 @pytest.mark.parametrize("threads", [2, 3, 4])
 def test_threads_change_no_bit(threads: int) -> None:
-    position, mass = random_cluster(1500)
-    serial, parallel = np.empty((1500, 3)), np.empty((1500, 3))
+    position, mass = random_cluster(2500)
+    serial, parallel = np.empty((2500, 3)), np.empty((2500, 3))
     DirectGravity(mass, 1.0, 0.0, None, 1).accelerate(position, serial, potential=False)
     with ThreadPoolExecutor(threads) as executor:
         DirectGravity(mass, 1.0, 0.0, executor, threads).accelerate(position, parallel, potential=False)

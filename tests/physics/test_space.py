@@ -169,9 +169,9 @@ def test_threads_change_no_bit_of_a_run(threads: int) -> None:
 def big() -> Scene:
     """Enough bodies that the kernels run in parallel, colliding from the start."""
     group = {
-        "count": 700,
+        "count": 2200,
         "radius": {"min": 0.2, "max": 0.5},
-        "region": {"radius": 5.0},
+        "region": {"radius": 7.5},
         "velocity": {"dispersion": 1.0},
     }
     return Scene.from_dict(

@@ -3,12 +3,6 @@ import numpy as np
 from carom.recording import palette
 
 
-def test_neighbouring_stages_differ_and_the_serial_stage_is_white() -> None:
-    colours = palette.stage_colours(np.arange(palette.SERIAL_STAGE + 3))
-    assert np.all(colours[1 : palette.SERIAL_STAGE] != colours[: palette.SERIAL_STAGE - 1])
-    assert set(colours[palette.SERIAL_STAGE :]) == {palette.WHITE}
-
-
 def test_a_body_that_touches_nobody_is_grey() -> None:
     assert palette.node_colours(np.array([-1, 0, 1])).tolist() == [palette.GREY, palette.SKY, palette.ORANGE]
 

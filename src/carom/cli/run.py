@@ -44,10 +44,8 @@ def run(
     path = output or _default_path(scene)
 
     from carom.experiment.output import refuse_output
-    from carom.recording.process import RecorderProcess
 
     refuse_output(path, force)
-    recorder = RecorderProcess()  # loads Rerun while this process loads Numba
 
     from carom.cli.progress import Progress
     from carom.experiment.run import simulate
@@ -59,7 +57,7 @@ def run(
     space = Space(loaded, threads)
     address = _live_viewer() if live else None
     with progress:
-        outcome = simulate(space, path, force=True, live=address, watch=progress.update, recorder=recorder)
+        outcome = simulate(space, path, force=True, live=address, watch=progress.update)
     if as_json:
         typer.echo(json.dumps(_document(outcome), indent=2))
     else:

@@ -8,7 +8,6 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
@@ -18,11 +17,9 @@ from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
-from carom.recording.process import RecorderProcess
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
 from carom.scene.schema import Scene
-
-if TYPE_CHECKING:
-    from carom.recording.recording import Recording
 
 POLL = 0.1  # s between two looks at a run under way
 
@@ -82,14 +79,11 @@ def run(
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
     refuse_output(Path(path), force)
-    recorder = RecorderProcess()
-    outcome = simulate(Space(scene, threads), path, force=True, recorder=recorder)
+    outcome = simulate(Space(scene, threads), path, force=True)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
-    from carom.recording.recording import Recording  # noqa: PLC0415 - the simulation itself needs no Rerun
-
     return Recording.open(outcome.path)
 
 
@@ -100,7 +94,6 @@ def simulate(
     force: bool = False,
     live: str | None = None,
     watch: Watcher | None = None,
-    recorder: RecorderProcess | None = None,
 ) -> Outcome:
     """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
 
@@ -116,8 +109,6 @@ def simulate(
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
         Called with the space about ten times a second.
-    recorder
-        A process that was started before, to save the time that it takes; one is started if there is none.
 
     Raises
     ------
@@ -127,8 +118,7 @@ def simulate(
     path = Path(path)
     refuse_output(path, force)
     began = time.perf_counter()
-    recorder = recorder or RecorderProcess()
-    recorder.begin(path, _header(space), live=live)
+    recorder = Recorder(path, _header(space), live=live)
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
@@ -158,7 +148,7 @@ def simulate(
 class _Physics:
     """The physics thread: steps a space and hands its frames to the recorder."""
 
-    def __init__(self, space: Space, recorder: RecorderProcess) -> None:
+    def __init__(self, space: Space, recorder: Recorder) -> None:
         self.space = space
         self.frames = 0
         self._recorder = recorder

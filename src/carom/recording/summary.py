@@ -68,8 +68,7 @@ def _moments(closing: Mapping[str, Any]) -> dict[str, Any]:
     """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``."""
     moments = _below(closing, "moments")
     for moment in moments.values():
-        if isinstance(moment, dict) and "bodies" in moment:
-            moment["bodies"] = [int(body) for body in str(moment["bodies"]).split(",") if body]
+        moment["bodies"] = [int(body) for body in str(moment.get("bodies", "")).split(",") if body]
     return moments
 
 
