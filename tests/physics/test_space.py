@@ -327,11 +327,11 @@ def test_a_state_that_is_not_finite_stops_the_run_and_names_the_body() -> None:
 
 
 def test_a_state_that_is_not_finite_is_named_among_many_bodies_too() -> None:
-    space = Space(gas(duration=1.0))
+    space = Space(Scene.load("elastic-gas"))
     frames = space.run()
     next(frames)
     space.state.velocity[5, 0] = np.nan
-    with pytest.raises(PhysicsError, match=r'no longer finite at step 1,.*5 "group 0 5"'):
+    with pytest.raises(PhysicsError, match=r'no longer finite at step 1,.*5 "molecule 5"'):
         next(frames)
 
 

@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +103,25 @@ def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
         recorder.finish("completed", {"moments.impact.time": 1.25})
     assert render(tmp_path / "run.rrd", None, tmp_path / "run.png", (800, 600)) == 1.25
     assert Image.open(tmp_path / "run.png").size == (800, 600)
+
+
+@pytest.mark.slow
+def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plots(tmp_path: Path) -> None:
+    carom = [sys.executable, "-m", "carom"]
+    recording, png = str(tmp_path / "cloud.rrd"), tmp_path / "cloud.png"
+    subprocess.run([*carom, "run", "cloud-collapse", "-o", recording], check=True)
+    subprocess.run([*carom, "picture", recording, "--at", "7600", "-o", str(png)], check=True)
+    pixels = np.asarray(Image.open(png).convert("RGB"), dtype=np.int64)
+    view = bodies_view(pixels)
+    assert of_hue(view, palette.SKY) > 0.05 * view.shape[0] * view.shape[1], "spheres"
+    graph = graph_view(pixels)
+    assert of_colour(graph, 0x8A93A6FF, 60) > 1000, "wires"
+    assert of_hue(graph, palette.ORANGE) > 300, "torques"
+    assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
+    for stage in (palette.YELLOW, palette.SKY):
+        assert of_colour(graph, stage) > 30, "contacts, by stage"
+    for colour in (palette.SKY, palette.ORANGE, palette.PURPLE, palette.VERMILION, palette.WHITE):
+        assert of_colour(plots(pixels), colour) > 50, "series"
 
 
 def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("one moves, so they may meet", scene_of(MOVING, gravity={"constant": 0}), "contact", True),
     ("disabled contact", scene_of(MOVING, contact={"enabled": False}), "contact", False),
     ("few bodies need no tree", pair(), "search", False),
-    ("many bodies do", cloud(count=200), "search", True),
+    ("many bodies do", cloud(count=600, time={"duration": 1.0}), "search", True),
     ("no friction, no torque", pair(contact={"static_friction": 0}), "torque", False),
     ("no friction and no spin, no orientation", pair(contact={"static_friction": 0}), "spin", False),
     ("friction turns bodies", pair(), "spin", True),

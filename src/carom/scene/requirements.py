@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from carom.scene.schema import Scene
 
-ALL_PAIRS_UP_TO = 128  # bodies; below, testing every pair beats building a k-d tree (benchmarks/search.py)
+ALL_PAIRS_UP_TO = 512  # bodies; below, testing every pair beats building a k-d tree (benchmarks/search.py)
 
 FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
 FEWEST_FRAMES = 50
