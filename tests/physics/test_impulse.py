@@ -156,7 +156,9 @@ def test_an_approach_slower_than_the_rest_speed_does_not_bounce() -> None:
 @given(seed=st.integers(0, 10**6))
 def test_enough_static_friction_stops_the_slip_at_the_contact_point(seed: int) -> None:
     bodies = touching_pair(seed)
-    bodies.velocity[1] -= 5.0 * bodies.position[1]
+    normal = bodies.position[1] / np.linalg.norm(bodies.position[1])
+    closing_speed = (bodies.velocity[0] - bodies.velocity[1]) @ normal
+    bodies.velocity[1] -= (3.0 - closing_speed) * normal
     resolve(bodies, 0.5, 1e6, 1e6)
     context = CollisionContext.from_bodies(BodyProxy(bodies, 0), BodyProxy(bodies, 1))
     assert context is not None
