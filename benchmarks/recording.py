@@ -1,9 +1,10 @@
-"""What recording costs: the same run of 1000 gravitating, colliding bodies with every step recorded, and without.
+"""What recording costs: the collapse with 1000 bodies, every step recorded, beside the same run without a file.
 
     python benchmarks/recording.py
 
-Runs are interleaved; the median of the ratios is the cost. Memory is the peak of a child process for a short run and
-for one four times as long.
+Two runs without a file are measured: one that only steps, and one that hands out the same frames, with their energies,
+to nobody. Rounds are interleaved and medians compared. Memory is the peak of a child process for a short run and for
+one four times as long.
 """
 
 from __future__ import annotations
@@ -16,34 +17,20 @@ import tempfile
 import time
 from pathlib import Path
 
-from carom.experiment.run import simulate
+from carom.experiment.run import Outcome, simulate
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 
 ROUNDS = 5
+DURATION = 12_000.0  # s simulated
 
 
-def scene(steps: int) -> Scene:
-    return Scene.from_dict(
-        {
-            "seed": 1,
-            "gravity": {"constant": 1.0},
-            "time": {"duration": steps * 2e-3, "fixed_dt": 2e-3},
-            "record": {"every": "step"},
-            "group": [
-                {
-                    "count": 1000,
-                    "radius": {"min": 0.2, "max": 0.4},
-                    "density": 3.0,
-                    "region": {"radius": 5.0},
-                    "velocity": {"dispersion": 0.5},
-                }
-            ],
-        }
-    )
+def scene(duration: float) -> Scene:
+    changes = ["group.0.count=1000", "group.0.region.radius=38", "record.every=step", f"time.duration={duration}"]
+    return Scene.load("cloud-collapse", changes)
 
 
-def without(space: Space) -> float:
+def only_steps(space: Space) -> float:
     """Step as often, with no energies but the regular checks."""
     began = time.perf_counter()
     while space.time < space.scene.time.duration:
@@ -51,40 +38,49 @@ def without(space: Space) -> float:
     return time.perf_counter() - began
 
 
-def with_recording(space: Space, folder: str) -> tuple[float, float, int]:
+def frames_for_nobody(space: Space) -> float:
+    """Hand out every frame, with its energy, momentum and fingerprint."""
+    began = time.perf_counter()
+    for _ in space.run():
+        pass
+    return time.perf_counter() - began
+
+
+def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
     began = time.perf_counter()
     outcome = simulate(space, Path(folder) / "run.rrd", force=True)
-    return time.perf_counter() - began, outcome.size / outcome.payload, outcome.moments.total_contacts
+    return time.perf_counter() - began, outcome
 
 
-def peak_memory(steps: int) -> float:
-    """Peak resident memory in MB of a process that records so many steps."""
-    code = f"import benchmarks.recording as b; b.record_once({steps})"
+def peak_memory(duration: float) -> float:
+    """Peak resident memory in MB of a process that records so long a run."""
+    code = f"import benchmarks.recording as b; b.record_once({duration})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return float(done.stdout.strip())
 
 
-def record_once(steps: int) -> None:
+def record_once(duration: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        with_recording(Space(scene(steps)), folder)
+        recorded(Space(scene(duration)), folder)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def main() -> None:
-    steps = 600
-    ratios = []
+    times: dict[str, list[float]] = {"only steps": [], "frames for nobody": [], "recorded": []}
     with tempfile.TemporaryDirectory() as folder:
-        with_recording(Space(scene(20)), folder)
+        recorded(Space(scene(100.0)), folder)
         for _ in range(ROUNDS):
-            bare = without(Space(scene(steps)))
-            recorded, overhead, contacts = with_recording(Space(scene(steps)), folder)
-            ratios.append(recorded / bare)
-            print(
-                f"{steps} steps: {bare:.2f} s without, {recorded:.2f} s recorded ({recorded / bare - 1:+.1%}); "
-                f"file {overhead:.3f} of its payload; {contacts} contacts"
-            )
-    print(f"median cost of recording every step: {statistics.median(ratios) - 1:+.1%}")
-    print(f"peak memory: {peak_memory(600):.0f} MB for 600 steps, {peak_memory(2400):.0f} MB for 2400")
+            times["only steps"].append(only_steps(Space(scene(DURATION))))
+            times["frames for nobody"].append(frames_for_nobody(Space(scene(DURATION))))
+            seconds, outcome = recorded(Space(scene(DURATION)), folder)
+            times["recorded"].append(seconds)
+    medians = {name: statistics.median(values) for name, values in times.items()}
+    print(f"{outcome.steps} steps, {outcome.moments.total_contacts / outcome.steps:.0f} contacts in each")
+    for name, seconds in medians.items():
+        print(f"{name:>18}: {seconds:.2f} s, {seconds / medians['only steps'] - 1:+.1%}")
+    print(f"recorded, over frames for nobody: {medians['recorded'] / medians['frames for nobody'] - 1:+.1%}")
+    print(f"file: {outcome.size / outcome.payload:.3f} of its payload")
+    print(f"peak memory: {peak_memory(2000.0):.0f} MB for 2000 s, {peak_memory(8000.0):.0f} MB for 8000 s simulated")
 
 
 if __name__ == "__main__":

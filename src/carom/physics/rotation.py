@@ -3,8 +3,8 @@
     q(t + dt) = exp(½ ω dt) q(t),    exp(½ ω dt) = (ω/|ω| sin θ, cos θ),    θ = ½ |ω| dt
 
 Sine and cosine come from their Taylor series on [-π/4, π/4] after a reduction by multiples of π/2, so that their
-bits are the same on any machine; the error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A body
-that turns further in one step is turned by θ modulo 2π first, which is exact but for 2π itself: θ × 4 × 10⁻¹⁷.
+bits are the same on any machine; the error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A
+body that turns further in one step is turned by θ modulo 2π first, which is exact but for 2π itself: θ × 4 × 10⁻¹⁷.
 """
 
 from __future__ import annotations

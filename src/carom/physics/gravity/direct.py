@@ -18,11 +18,13 @@ from concurrent.futures import Executor
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.kernel import inline, kernel
 
 FloatArray = NDArray[np.float64]
 
 LANES = 64
+CACHE_LINE = 64  # bytes; lanes that straddle two of them take twice as long, and malloc decides
+ROOM = LANES + CACHE_LINE // 8
 PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder wants the other core
 
 
@@ -88,6 +90,12 @@ def _chunks(n: int, threads: int) -> list[tuple[int, int]]:
     return [(lo, hi) for lo, hi in itertools.pairwise(edges) if hi > lo]
 
 
+@inline
+def _aligned(buffer: FloatArray) -> np.uint64:
+    """Return the index at which a buffer reaches a cache line, unsigned: a signed one would stop vectorisation."""
+    return np.uint64((CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8)
+
+
 @kernel
 def _pull(
     lo: int,
@@ -100,27 +108,31 @@ def _pull(
     eps2: float,
     acceleration: FloatArray,
 ) -> None:
-    tx, ty, tz = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    ax, ay, az = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    tx, ty, tz = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    ax, ay, az = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    bx, by, bz = _aligned(tx), _aligned(ty), _aligned(tz)
+    cx, cy, cz = _aligned(ax), _aligned(ay), _aligned(az)
     for first in range(lo, hi, LANES):
         lanes = min(LANES, hi - first)
-        for k in range(LANES):
-            i = first + min(k, lanes - 1)  # spare lanes repeat the last target and are thrown away
-            tx[k], ty[k], tz[k] = x[i], y[i], z[i]
-            ax[k] = ay[k] = az[k] = 0.0
+        for lane in range(LANES):
+            q = np.uint64(lane)
+            t = first + min(lane, lanes - 1)  # spare lanes repeat the last target and are thrown away
+            tx[bx + q], ty[by + q], tz[bz + q] = x[t], y[t], z[t]
+            ax[cx + q] = ay[cy + q] = az[cz + q] = 0.0
         for j in range(len(m)):
             xj, yj, zj, mj = x[j], y[j], z[j], m[j]
-            for k in range(LANES):
-                dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
+            for k in range(np.uint64(LANES)):
+                dx, dy, dz = xj - tx[bx + k], yj - ty[by + k], zj - tz[bz + k]
                 r2 = dx * dx + dy * dy + dz * dz + eps2
                 s = mj / (r2 * np.sqrt(r2)) if r2 > 0.0 else 0.0
-                ax[k] += s * dx
-                ay[k] += s * dy
-                az[k] += s * dz
-        for k in range(lanes):
-            acceleration[first + k, 0] = G * ax[k]
-            acceleration[first + k, 1] = G * ay[k]
-            acceleration[first + k, 2] = G * az[k]
+                ax[cx + k] += s * dx
+                ay[cy + k] += s * dy
+                az[cz + k] += s * dz
+        for lane in range(lanes):
+            i, q = first + lane, np.uint64(lane)
+            acceleration[i, 0] = G * ax[cx + q]
+            acceleration[i, 1] = G * ay[cy + q]
+            acceleration[i, 2] = G * az[cz + q]
 
 
 @kernel
@@ -137,30 +149,36 @@ def _pull_and_potential(
     potential: FloatArray,
 ) -> None:
     own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
-    tx, ty, tz = np.empty(LANES), np.empty(LANES), np.empty(LANES)
-    ax, ay, az, p = np.empty(LANES), np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    tx, ty, tz = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    ax, ay, az = np.empty(ROOM), np.empty(ROOM), np.empty(ROOM)
+    bx, by, bz = _aligned(tx), _aligned(ty), _aligned(tz)
+    cx, cy, cz = _aligned(ax), _aligned(ay), _aligned(az)
+    p = np.empty(ROOM)
+    cp = _aligned(p)
     for first in range(lo, hi, LANES):
         lanes = min(LANES, hi - first)
-        for k in range(LANES):
-            i = first + min(k, lanes - 1)
-            tx[k], ty[k], tz[k] = x[i], y[i], z[i]
-            ax[k] = ay[k] = az[k] = p[k] = 0.0
+        for lane in range(LANES):
+            q = np.uint64(lane)
+            t = first + min(lane, lanes - 1)  # spare lanes repeat the last target and are thrown away
+            tx[bx + q], ty[by + q], tz[bz + q] = x[t], y[t], z[t]
+            ax[cx + q] = ay[cy + q] = az[cz + q] = 0.0
+            p[cp + q] = 0.0
         for j in range(len(m)):
             xj, yj, zj, mj = x[j], y[j], z[j], m[j]
-            for k in range(LANES):
-                dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
+            for k in range(np.uint64(LANES)):
+                dx, dy, dz = xj - tx[bx + k], yj - ty[by + k], zj - tz[bz + k]
                 r2 = dx * dx + dy * dy + dz * dz + eps2
-                r = np.sqrt(r2)
-                s = mj / (r2 * r) if r2 > 0.0 else 0.0
-                ax[k] += s * dx
-                ay[k] += s * dy
-                az[k] += s * dz
-                p[k] += s * r2  # m/r from the same root and the same division
-        for k in range(lanes):
-            acceleration[first + k, 0] = G * ax[k]
-            acceleration[first + k, 1] = G * ay[k]
-            acceleration[first + k, 2] = G * az[k]
-            potential[first + k] = -G * (p[k] - own * m[first + k])
+                s = mj / (r2 * np.sqrt(r2)) if r2 > 0.0 else 0.0
+                ax[cx + k] += s * dx
+                ay[cy + k] += s * dy
+                az[cz + k] += s * dz
+                p[cp + k] += s * r2  # m/r from the same root and the same division
+        for lane in range(lanes):
+            i, q = first + lane, np.uint64(lane)
+            acceleration[i, 0] = G * ax[cx + q]
+            acceleration[i, 1] = G * ay[cy + q]
+            acceleration[i, 2] = G * az[cz + q]
+            potential[i] = -G * (p[cp + q] - own * m[i])
 
 
 @kernel
