@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.kernel import kernel
+from carom.physics.momentum import centre_velocity
 
 FloatArray = NDArray[np.float64]
 
@@ -114,15 +115,10 @@ def _translational(velocity: FloatArray, mass: FloatArray) -> float:
 
 @kernel
 def _internal(velocity: FloatArray, mass: FloatArray) -> float:
-    M, px, py, pz = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(mass)):
-        M += mass[i]
-        px += mass[i] * velocity[i, 0]
-        py += mass[i] * velocity[i, 1]
-        pz += mass[i] * velocity[i, 2]
+    Vx, Vy, Vz = centre_velocity(velocity, mass)
     total = 0.0
     for i in range(len(mass)):
-        vx, vy, vz = velocity[i, 0] - px / M, velocity[i, 1] - py / M, velocity[i, 2] - pz / M
+        vx, vy, vz = velocity[i, 0] - Vx, velocity[i, 1] - Vy, velocity[i, 2] - Vz
         total += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
     return total
 

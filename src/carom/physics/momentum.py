@@ -73,6 +73,18 @@ def _sums(bodies: Bodies) -> tuple[FloatArray, FloatArray, float, float]:
 
 
 @kernel
+def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, float, float]:
+    """Return the velocity of the centre of mass, m/s."""
+    M, px, py, pz = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(mass)):
+        M += mass[i]
+        px += mass[i] * velocity[i, 0]
+        py += mass[i] * velocity[i, 1]
+        pz += mass[i] * velocity[i, 2]
+    return px / M, py / M, pz / M
+
+
+@kernel
 def _add_momentum(
     x: FloatArray, v: FloatArray, omega: FloatArray, mass: FloatArray, inertia: FloatArray, sums: FloatArray
 ) -> None:

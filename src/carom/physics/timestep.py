@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.kernel import kernel
+from carom.physics.momentum import centre_velocity
 from carom.scene.schema import Time
 
 FloatArray = NDArray[np.float64]
@@ -86,13 +87,7 @@ def _limits(
     cfl: float,
 ) -> tuple[float, float, float]:
     """Return |a|max in m/s², and dt_v in s by the seed's rule and by ours: infinite where nothing moves."""
-    M, px, py, pz = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(mass)):
-        M += mass[i]
-        px += mass[i] * velocity[i, 0]
-        py += mass[i] * velocity[i, 1]
-        pz += mass[i] * velocity[i, 2]
-    Vx, Vy, Vz = px / M, py / M, pz / M
+    Vx, Vy, Vz = centre_velocity(velocity, mass)
     a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
     for i in range(len(mass)):
         ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
