@@ -44,7 +44,8 @@ class Outlet:
         except OSError as error:
             raise RecordingError(f"cannot write {path}: {error.strerror}") from error
         self._source, self._entry = os.pipe()
-        fcntl.fcntl(self._entry, fcntl.F_SETPIPE_SZ, _PIPE)
+        if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux; elsewhere a pipe has the size that it has
+            fcntl.fcntl(self._entry, fcntl.F_SETPIPE_SZ, _PIPE)
         soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()
