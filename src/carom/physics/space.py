@@ -349,12 +349,11 @@ class Space:
         changing = (state.position, state.velocity, state.orientation, state.angular_velocity)
         saved = [array.copy() for array in changing]
         self._accelerate(potential=False)
-        if self.requirements.warm_up.modelled:
-            tiny = WARM_UP_DT * self._timestep.target(state)[0]
-            for _ in range(WARM_UP_STEPS):
-                self._integrate(tiny, with_potential=False)
-                if self._contact:
-                    self._contact.resolve(tiny)
+        tiny = WARM_UP_DT * self.first_dt
+        for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
+            self._integrate(tiny, with_potential=False)
+            if self._contact:
+                self._contact.resolve(tiny)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
         self._accelerate(potential=True)
