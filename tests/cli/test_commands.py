@@ -115,6 +115,13 @@ def test_a_folder_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
     assert done.returncode == 2 and "/proc/x.rrd" in done.stderr and "Traceback" not in done.stderr
 
 
+def test_a_scene_that_cannot_be_placed_leaves_no_file(tmp_path: Path) -> None:
+    scene = scene_file(tmp_path, "[[body]]\n[[body]]\nposition = [1.5, 0, 0]\n")
+    done = carom("run", str(scene), "-o", "x.rrd", cwd=tmp_path)
+    assert done.returncode == 2 and "overlap by 0.5 m" in done.stderr
+    assert not (tmp_path / "x.rrd").exists()
+
+
 def test_a_full_disk_ends_the_run_with_a_readable_file(tmp_path: Path) -> None:
     done = carom("run", "elastic-gas", "-o", "x.rrd", cwd=tmp_path, limit=6_000_000)
     assert done.returncode == 1, done.stderr

@@ -214,7 +214,8 @@ def child(path: Path, before: str = "", each: str = "pass") -> "subprocess.Compl
 
 def test_a_killed_run_leaves_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
-    kill = "recorder.frames >= 200 and os.kill(os.getpid(), 9)"  # the first batch, of about 100, is in the file
+    # Frames count before they are flushed: when a second batch (each of about 250) counts, the first is in the file.
+    kill = "recorder.frames >= 400 and os.kill(os.getpid(), 9)"
     assert child(path, each=kill).returncode == -signal.SIGKILL
     recording = Recording.open(path)
     assert not recording.finished

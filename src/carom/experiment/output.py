@@ -21,7 +21,3 @@ def refuse_output(path: Path, force: bool) -> None:
         raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
-    try:
-        path.open("ab").close()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None

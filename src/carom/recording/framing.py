@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 
-MAGIC = b"RRF2"
 STREAM_HEADER = 12
 MESSAGE_HEADER = 16
 STREAM_FOOTER = 32

@@ -22,7 +22,6 @@ STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "
 SERIAL_STAGE = 64  # contacts past so many colours share one last, serial stage; drawn white
 
 BODIES = (SKY, ORANGE, GREEN, YELLOW, PURPLE, BLUE, VERMILION)
-BODY_NAMES = ("sky blue", "orange", "green", "yellow", "purple", "blue", "vermilion")
 
 PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
 DT_LIMITS = {

@@ -58,15 +58,6 @@ def scene_from_dict(data: dict[str, Any]) -> Scene:
     return _validate(data, text, _Places("", "", {}))
 
 
-def scene_from_toml(text: str, name: str) -> Scene:
-    """Build a scene from TOML that is already in memory, such as a recording's; ``name`` stands for the file."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{name}: not TOML: {error}") from None
-    return _validate(data, text, _Places(name, text, {}))
-
-
 class _Places:
     """Where each key was written: a line of a file, or an override."""
 
