@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import colour_contacts, stage_order
-from carom.physics.contact.search import contact_geometry, find_pairs
+from carom.physics.contact.grid import Grid
+from carom.physics.contact.search import contact_geometry
 from carom.physics.contact.solver import STABILISATION
 from carom.physics.contact.stabilisation import push_apart
 from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies
@@ -23,7 +24,7 @@ def push(
 ) -> tuple[FloatArray, FloatArray]:
     """Push what overlaps; return the ledger and the overlaps left."""
     open_space = np.zeros(3)
-    pairs = find_pairs(bodies.position, bodies.radius, open_space, broad_phase=False)
+    pairs = Grid(bodies.radius, open_space).pairs(bodies.position)
     ledger, pushes = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
     order = stage_order(colour_contacts(pairs, len(bodies)))
     push_apart(

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 from carom.scene.schema import Scene
 
-ALL_PAIRS_UP_TO = 512  # bodies; below, testing every pair beats building a k-d tree (benchmarks/search.py)
-
 FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
 FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # an "auto" recording of many bodies gets fewer frames to stay below
@@ -106,9 +104,8 @@ def _search(scene: Scene, contact: Part) -> Part:
     name = "broad phase"
     if not contact.modelled:
         return Part(name, False, "no contact is possible")
-    if scene.count <= ALL_PAIRS_UP_TO:
-        return Part(name, False, f"{scene.count} bodies: testing every pair is cheaper than a k-d tree")
-    return Part(name, True, "k-d trees, one for each octave of radius")
+    how = "k-d trees" if scene.contact.search == "k-d-tree" else "hashed grids"
+    return Part(name, True, f"{how}, one for each octave of radius")
 
 
 def _friction(scene: Scene, contact: Part) -> Part:

@@ -73,6 +73,9 @@ class Contact(Section):
         "split", description="how overlaps are undone; baumgarte is the seed's"
     )
     timing: Literal["end-of-step", "time-of-impact"] = Field("end-of-step", description="when a contact is resolved")
+    search: Literal["grid", "k-d-tree"] = Field(
+        "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"
+    )
     sweeps: Count = Field(8, le=10_000, description="at most this many passes over the colours in a step; 1 or more")
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"

@@ -20,7 +20,7 @@ from carom.physics.contact.graph import (
     stage_order,
 )
 from carom.physics.contact.rest import rest_speeds
-from carom.physics.contact.search import contact_geometry, find_pairs
+from carom.physics.contact.search import contact_geometry, search_by
 from carom.physics.contact.solver import resolve_contacts, still_closing
 from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, work_of_pushes
 from carom.physics.kernel import kernel
@@ -42,7 +42,7 @@ class ContactStage:
         self._bodies = bodies
         self._box = box
         self._field = field
-        self._broad_phase = requirements.search.modelled
+        self._search = search_by(contact.search, bodies.radius, box)
         self._friction = requirements.friction.modelled
         self._warned: set[str] = set()
         self._angular_impulse = np.zeros_like(bodies.torque)
@@ -55,7 +55,7 @@ class ContactStage:
 
     def find(self, dt: float, profile: Profile) -> CollisionGraph:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
-        pairs = find_pairs(self._bodies.position, self._bodies.radius, self._box, self._broad_phase)
+        pairs = self._search.pairs(self._bodies.position)
         profile.mark("search")
         if len(pairs) == 0:
             self._begin(empty_graph())
