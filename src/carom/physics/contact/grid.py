@@ -12,6 +12,8 @@ cells (twice as slow).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -162,7 +164,7 @@ def _lay(
 
 @inline
 def _cell(offset: float, density: float, count: int) -> int:
-    cell = np.int64(np.floor(offset * density))
+    cell = math.floor(offset * density)
     return cell % count if count > 0 else cell
 
 
@@ -312,7 +314,7 @@ def _search_box(
 @inline
 def _span(offset: float, reach: float, density: float) -> tuple[int, int]:
     """Return the first cell that a reach meets along an axis, and the one after the last."""
-    return np.int64(np.floor((offset - reach) * density)), np.int64(np.floor((offset + reach) * density)) + 1
+    return math.floor((offset - reach) * density), math.floor((offset + reach) * density) + 1
 
 
 @inline
