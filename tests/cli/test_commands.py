@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -14,26 +13,9 @@ from pathlib import Path
 import pytest
 
 from carom.recording.recording import Recording
+from command import carom
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
-
-
-def carom(*arguments: str, cwd: Path, limit: int | None = None) -> subprocess.CompletedProcess[str]:
-    """Run the command in a folder; ``limit`` is the size in bytes that a file may have."""
-
-    def small_disk() -> None:
-        assert limit is not None
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-
-    return subprocess.run(
-        [sys.executable, "-m", "carom", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        preexec_fn=small_disk if limit else None,
-    )
 
 
 def scene_file(folder: Path, text: str) -> Path:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import explain, inspect, run, scenes, view
+from carom.cli import explain, inspect, run, scenes, stress, view
 
 app = typer.Typer(
     name="carom",
@@ -45,6 +45,7 @@ app.command("scenes")(scenes.scenes)
 app.command("new")(scenes.new)
 app.command("explain")(explain.explain)
 app.command("inspect")(inspect.inspect)
+app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
 

@@ -24,8 +24,9 @@ BAR = 24  # characters
 class Progress:
     """A line that is rewritten on a terminal, and a plain line now and then elsewhere; all on stderr."""
 
-    def __init__(self, scene: Scene, quiet: bool = False) -> None:
+    def __init__(self, scene: Scene, quiet: bool = False, heading: str = "") -> None:
         self._scene = scene
+        self._heading = heading  # before the title
         self._console = Console(stderr=True, quiet=quiet)
         self._live: Live | None = None
         self._began = time.perf_counter()
@@ -33,7 +34,8 @@ class Progress:
 
     def __enter__(self) -> Self:
         self._began = self._last_line = time.perf_counter()
-        self.say(f"{self._scene.title}: {self._scene.count} bodies, {duration_text(self._scene.time.duration)}")
+        scene = self._scene
+        self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {duration_text(scene.time.duration)}")
         if self._console.is_terminal and not self._console.quiet:
             self._live = Live(console=self._console, refresh_per_second=8, transient=True)
             self._live.start()
@@ -48,7 +50,7 @@ class Progress:
 
     def say(self, text: str) -> None:
         """Print a line that stays."""
-        self._console.print(text, highlight=False)
+        self._console.print(text, highlight=False, soft_wrap=True)
 
     def update(self, space: Space) -> None:
         """Show where the run is."""

@@ -15,7 +15,7 @@ def scenes(
     """List the bundled scenes."""
     import json
 
-    from carom.scene.bundled import bundled_scenes
+    from carom.scene.bundled import bundled_scenes, extreme_scenes
     from carom.scene.schema import Scene
 
     if schema:
@@ -37,6 +37,7 @@ def scenes(
         table.add_row(name, scene.title, str(scene.count))
     Console().print(table)
     typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
+    typer.echo(f"The numerical extremes, which `carom stress` runs: {', '.join(extreme_scenes())}.")
 
 
 def new(
@@ -45,11 +46,11 @@ def new(
     force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
 ) -> None:
     """Write a commented scene to start from."""
-    from carom.scene.bundled import bundled_scenes, starter
+    from carom.scene.bundled import bundled_scenes, extreme_scenes, starter
     from carom.scene.error import SceneError
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    bundled = bundled_scenes()
+    bundled = bundled_scenes() | extreme_scenes()
     if source and source not in bundled:
         raise SceneError(f"--from {source}: no bundled scene of that name; there are {', '.join(bundled)}")
     if path.exists() and not force:

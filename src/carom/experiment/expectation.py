@@ -4,39 +4,56 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.physics.moments import Moments
+from carom.experiment.worst import WorstFrames
+from carom.physics.moments import Moment, Moments
 from carom.scene.schema import Expect
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One promise: what was allowed, what was measured."""
+    """One promise: what was allowed, what was measured, and when it was at its worst."""
 
     name: str
     limit: float
     measured: float
+    worst: Moment | None = None  # None where no moment is to blame
+    at_least: bool = False  # the limit is one from below
 
     @property
     def met(self) -> bool:
         """Whether the promise was kept; what is not a number keeps none."""
-        return self.measured <= self.limit
+        return self.measured >= self.limit if self.at_least else self.measured <= self.limit
+
+    @property
+    def bound(self) -> str:
+        """From which side the limit holds, in words."""
+        return "at least" if self.at_least else "at most"
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.measured:.3g} (at most {self.limit:.3g}{'' if self.met else '; missed'})"
+        missed = "" if self.met else "; missed"
+        return f"{self.name}: {self.measured:.3g} ({self.bound} {self.limit:.3g}{missed})"
 
 
-def judge(expect: Expect, moments: Moments) -> list[Verdict]:
+def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict]:
     """Compare every promise that a scene makes with the extremes of its run.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box, counts as infinitely wrong.
     """
+    angular_error = float("inf") if moments.angular_momentum_error is None else moments.angular_momentum_error
     measured = {
-        "energy_error": moments.energy_error.value if moments.energy_error else 0.0,
-        "momentum_error": moments.momentum_error,
-        "angular_momentum_error": float("inf")
-        if moments.angular_momentum_error is None
-        else moments.angular_momentum_error,
-        "max_overlap": moments.overlap.value if moments.overlap else 0.0,
+        "energy_error": (_value(moments.energy_error), moments.energy_error),
+        "energy_gain": (frames.energy_gain.value, frames.energy_gain),
+        "momentum_error": (moments.momentum_error, frames.momentum),
+        "angular_momentum_error": (angular_error, frames.angular_momentum),
+        "max_overlap": (_value(moments.overlap), moments.overlap),
+        "impacts": (moments.impacts, None),
     }
-    promised = {name: getattr(expect, name) for name in measured}
-    return [Verdict(name, limit, measured[name]) for name, limit in promised.items() if limit is not None]
+    return [
+        Verdict(name, limit, value, worst, at_least=name == "impacts")
+        for name, (value, worst) in measured.items()
+        if (limit := getattr(expect, name)) is not None
+    ]
+
+
+def _value(moment: Moment | None) -> float:
+    return moment.value if moment else 0.0

@@ -1,4 +1,4 @@
-"""Where a run may write."""
+"""Where runs may write."""
 
 from __future__ import annotations
 
@@ -21,3 +21,17 @@ def refuse_output(path: Path, force: bool) -> None:
         raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
     if not path.parent.is_dir():
         raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+
+
+def output_folder(path: Path) -> None:
+    """Make a folder for recordings, where there is none yet.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be made a folder: {error.strerror}") from None

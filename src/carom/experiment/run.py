@@ -12,6 +12,7 @@ from pathlib import Path
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.output import refuse_output
+from carom.experiment.worst import WorstFrames
 from carom.physics.error import PhysicsError
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
@@ -122,7 +123,7 @@ def simulate(
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
-    verdicts = judge(space.scene.expect, space.moments)
+    verdicts = judge(space.scene.expect, space.moments, physics.worst)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
@@ -151,6 +152,7 @@ class _Physics:
     def __init__(self, space: Space, recorder: Recorder) -> None:
         self.space = space
         self.frames = 0
+        self.worst = WorstFrames()
         self._recorder = recorder
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
@@ -179,6 +181,7 @@ class _Physics:
         try:
             for frame in self.space.run():
                 self._recorder.put(frame)
+                self.worst.see(frame)
                 self.frames += 1
         except Exception as error:
             self._error = error
@@ -251,5 +254,6 @@ def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
         summary[f"profile.{part}"] = seconds
     for verdict in verdicts:
         key = f"expect.{verdict.name}"
-        summary |= {f"{key}.limit": verdict.limit, f"{key}.measured": verdict.measured, f"{key}.met": verdict.met}
+        summary |= {f"{key}.bound": verdict.bound, f"{key}.limit": verdict.limit}
+        summary |= {f"{key}.measured": verdict.measured, f"{key}.met": verdict.met}
     return summary

@@ -5,11 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
+EXTREMES = "extremes"  # the folder of the numerical extremes, and the first part of their names
 
 
 def bundled_scenes() -> dict[str, Path]:
     """Return the path of each bundled scene by its name, in order of the names."""
-    return {path.stem: path for path in sorted(_folder().glob("*.toml"))}
+    return _scenes(_folder())
+
+
+def extreme_scenes() -> dict[str, Path]:
+    """Return the path of each numerical extreme by its name, such as ``extremes/mass-ratio``, in order of the names."""
+    return {f"{EXTREMES}/{name}": path for name, path in _scenes(_folder() / EXTREMES).items()}
+
+
+def _scenes(folder: Path) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(folder.glob("*.toml"), key=lambda path: path.stem)}
 
 
 def _folder() -> Path:

@@ -13,7 +13,7 @@ import tomlkit
 import tomlkit.exceptions
 from pydantic import BaseModel, ValidationError
 
-from carom.scene.bundled import bundled_scenes
+from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.error import SceneError
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.schema import Scene
@@ -82,10 +82,10 @@ def _find(source: str | Path) -> Path:
         raise SceneError(f"{path}: a folder, not a scene; name the .toml file in it")
     if path.exists():
         return path
-    bundled = bundled_scenes()
+    bundled = bundled_scenes() | extreme_scenes()
     if str(source) in bundled:
         return bundled[str(source)]
-    near = difflib.get_close_matches(path.stem, bundled, n=1)
+    near = difflib.get_close_matches(str(source), bundled, n=1) or difflib.get_close_matches(path.stem, bundled, n=1)
     hint = f'; did you mean the bundled scene "{near[0]}"?' if near else ""
     raise SceneError(f"{source}: no such file, and no bundled scene of that name{hint} (`carom scenes` lists them)")
 

@@ -227,11 +227,15 @@ class Expect(Section):
     """[expect]: promises checked at the end; a run that misses one exits 1 and says so."""
 
     energy_error: NonNegative | None = Field(None, description="largest |integration error| over the energy scale")
+    energy_gain: NonNegative | None = Field(
+        None, description="largest rise of the total energy above its lowest so far, over the energy scale, at frames"
+    )
     momentum_error: NonNegative | None = Field(None, description="largest change of momentum over its scale")
     angular_momentum_error: NonNegative | None = Field(
         None, description="largest change of angular momentum over its scale"
     )
     max_overlap: NonNegative | None = Field(None, description="deepest overlap over the smaller radius")
+    impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
 
 
 class Scene(Section):

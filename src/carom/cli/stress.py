@@ -1,0 +1,145 @@
+"""`carom stress`: the numerical extremes, each with its criteria and what was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import SetOption
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.experiment.stress import Trial
+
+PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
+
+
+def stress(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One extreme; all of them if left out.")] = None,
+    folder: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Where the recordings go, in place of earlier ones.")
+    ] = Path("recordings/stress"),
+    overrides: SetOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+) -> None:
+    """Run the numerical extremes and hold each against its criteria."""
+    import json
+
+    from carom.cli.progress import Progress
+    from carom.experiment.output import output_folder
+    from carom.experiment.stress import attempt, extremes
+    from carom.physics.kernel import on_compilation
+    from carom.scene.schema import Scene
+
+    scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
+    output_folder(folder)
+    if not as_json:
+        on_compilation(lambda: typer.echo("Compiling kernels, once on this machine (about 15 s) …", err=True))
+    trials: list[Trial] = []
+    try:
+        for number, (short, scene) in enumerate(scenes.items(), start=1):
+            with Progress(scene, quiet=as_json, heading=f"{number}/{len(scenes)}  {short}: ") as progress:
+                trials.append(attempt(short, scene, folder, watch=progress.update))
+            if trials[-1].status == "interrupted":
+                break
+    except KeyboardInterrupt:  # between two runs; within one, the run itself ends and says so
+        pass
+    if as_json:
+        typer.echo(json.dumps(_document(trials, len(scenes)), indent=2, ensure_ascii=False))
+    else:
+        _show(trials, len(scenes))
+    if sum(trial.met for trial in trials) < len(scenes):
+        raise typer.Exit(1)
+
+
+def _show(trials: list[Trial], asked: int) -> None:
+    """Print the table, then each miss with its worst moments."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(_table(trials))
+    for trial in trials:
+        if not trial.met:
+            console.print(f"\n[red]{trial.name}[/red]: {trial.status}: {escape(trial.reason)}", soft_wrap=True)
+            console.print(_worst(trial), soft_wrap=True)
+    met = sum(trial.met for trial in trials)
+    console.print(f"\n{met} of {asked} extremes met their criteria{_not_run(len(trials), asked)}.")
+
+
+def _not_run(ran: int, asked: int) -> str:
+    return f"; {asked - ran} were not run" if ran < asked else ""
+
+
+def _table(trials: list[Trial]) -> Table:
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.cli.units import duration_text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
+    for heading in ("extreme", "what is extreme, and its recording"):
+        table.add_column(heading, overflow="fold")
+    for heading in ("criterion", "measured", "met", "time"):
+        table.add_column(heading, no_wrap=True)
+    for trial in trials:
+        verdicts, outcome = trial.verdicts, trial.outcome
+        table.add_row(
+            trial.name,
+            escape(trial.title) + (f"\n[dim]{escape(str(outcome.path))}[/dim]" if outcome else ""),
+            "\n".join(f"{verdict.name} {'≥' if verdict.at_least else '≤'} {verdict.limit:.3g}" for verdict in verdicts),
+            "\n".join(f"{verdict.measured:.2g}" for verdict in verdicts),
+            "\n".join("yes" if verdict.met else "[red]NO[/red]" for verdict in verdicts)
+            if trial.met or trial.status == "expectation missed"
+            else f"[red]{trial.status}[/red]",
+            duration_text(outcome.wall_time) if outcome else "",
+        )
+    return table
+
+
+def _worst(trial: Trial) -> Table:
+    """Show each worst moment with the command that looks at it."""
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    for what, moment in trial.worst.items():
+        who = f"bodies {' and '.join(map(str, moment.bodies))}" if moment.bodies else ""
+        command = f"carom view {trial.outcome.path} --at {moment.time:.6g}" if trial.outcome else ""
+        table.add_row(f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", who, command)
+    return table
+
+
+def _document(trials: list[Trial], asked: int) -> dict[str, Any]:
+    from carom.experiment.environment import versions
+
+    return {
+        "met": sum(trial.met for trial in trials),
+        "asked": asked,
+        "versions": versions(),
+        "extremes": [_entry(trial) for trial in trials],
+    }
+
+
+def _entry(trial: Trial) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    entry: dict[str, Any] = {
+        "name": trial.name,
+        "title": trial.title,
+        "met": trial.met,
+        "status": trial.status,
+        "reason": trial.reason,
+        "criteria": [{**asdict(verdict), "bound": verdict.bound, "met": verdict.met} for verdict in trial.verdicts],
+        "worst": {what: asdict(moment) for what, moment in trial.worst.items()},
+    }
+    if trial.outcome:
+        outcome = trial.outcome
+        entry |= {"recording": str(outcome.path), "steps": outcome.steps, "sim_time": outcome.sim_time}
+        entry |= {"wall_time": outcome.wall_time}
+    return entry

@@ -1,0 +1,96 @@
+"""The numerical extremes: scenes at the edge of what arithmetic and method can hold, each with its criteria."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+
+from carom.experiment.expectation import Verdict
+from carom.experiment.run import Outcome, Watcher, simulate
+from carom.physics.moments import Moment
+from carom.physics.space import Space
+from carom.scene.bundled import EXTREMES, extreme_scenes
+from carom.scene.error import SceneError
+from carom.scene.schema import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One extreme and how its run went."""
+
+    name: str
+    title: str  # what is extreme
+    outcome: Outcome | None  # None where the scene was refused before it ran
+    refusal: str = ""
+
+    @property
+    def met(self) -> bool:
+        """Whether the run went to its end and met every criterion."""
+        return self.outcome is not None and self.outcome.ok
+
+    @property
+    def status(self) -> str:
+        """How it ended, in a word or two."""
+        return self.outcome.status if self.outcome else "refused"
+
+    @property
+    def reason(self) -> str:
+        """Why it did not go to its end or missed a criterion; empty where it is met."""
+        return self.outcome.reason if self.outcome else self.refusal
+
+    @property
+    def verdicts(self) -> list[Verdict]:
+        """Each criterion and what was measured."""
+        return self.outcome.verdicts if self.outcome else []
+
+    @property
+    def worst(self) -> dict[str, Moment]:
+        """The moments to look at, by what is wrong there; the end of a run that did not get to its own."""
+        moments = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
+        if self.outcome and self.status == "failed":
+            moments["the end"] = Moment(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
+        return moments
+
+
+def extremes(name: str | None = None) -> dict[str, Path]:
+    """Return the scene files of all extremes by their short names, or of the one named.
+
+    Raises
+    ------
+    SceneError
+        If there is none of that name; it says the nearest.
+    """
+    known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
+    if name is None:
+        return known
+    short = name.removeprefix(f"{EXTREMES}/")
+    if short in known:
+        return {short: known[short]}
+    near = difflib.get_close_matches(short, known, n=1)
+    hint = f'did you mean "{near[0]}"? ' if near else ""
+    raise SceneError(f"{name}: no extreme of that name; {hint}There are {', '.join(known)}")
+
+
+def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = None) -> Trial:
+    """Run an extreme and record it, in place of an earlier recording.
+
+    Parameters
+    ----------
+    name
+        Short name, as in `extremes`; the recording is called after it.
+    folder
+        Where the recording goes.
+    watch
+        Called with the space about ten times a second.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be written at all.
+    """
+    try:
+        space = Space(scene)
+    except SceneError as error:
+        return Trial(name, scene.title, None, str(error))
+    return Trial(name, scene.title, simulate(space, folder / f"{name}.rrd", force=True, watch=watch))

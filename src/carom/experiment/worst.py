@@ -1,0 +1,39 @@
+"""The worst of the frames of a run: where its energy rose most and its momenta were furthest off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from carom.physics.frame import Frame
+from carom.physics.moments import Moment
+
+
+def _nothing() -> Moment:
+    return Moment(0.0, 0, 0.0)
+
+
+@dataclass(slots=True)
+class WorstFrames:
+    """Extremes over the frames handed out so far.
+
+    Contacts dissipate and gravity is conservative, so the total energy can only fall. What it rises by, from its lowest
+    value on, is somebody's fault, whether the ledger has an entry for it or not.
+    """
+
+    energy_gain: Moment = field(default_factory=_nothing)  # over the energy scale
+    momentum: Moment = field(default_factory=_nothing)
+    angular_momentum: Moment = field(default_factory=_nothing)
+    _lowest: float = float("inf")  # J
+
+    def see(self, frame: Frame) -> None:
+        """Take note of a frame."""
+        self._lowest = min(self._lowest, frame.energy.total)
+        scale = frame.energy.scale
+        gain = (frame.energy.total - self._lowest) / scale if scale > 0.0 else 0.0
+        self.energy_gain = _worse(self.energy_gain, gain, frame)
+        self.momentum = _worse(self.momentum, frame.momentum_error, frame)
+        self.angular_momentum = _worse(self.angular_momentum, frame.angular_momentum_error or 0.0, frame)
+
+
+def _worse(known: Moment, value: float, frame: Frame) -> Moment:
+    return Moment(value, frame.step, frame.time) if value > known.value else known
