@@ -105,8 +105,8 @@ def test_the_pythagorean_problem_has_its_closest_approach_where_it_is_published(
 
 
 def test_the_orbit_of_eccentricity_0999_closes() -> None:
-    # An energy error of 10⁻⁹ of the scale is 4 × 10⁻⁶ of the orbit's energy, so 6 × 10⁻⁶ of its period of 2 π, twice; at
-    # apocentre the comet moves at 0.022 and hardly accelerates.
+    # An energy error of 10⁻⁹ of the scale is 4 × 10⁻⁶ of the orbit's energy, so 6 × 10⁻⁶ of its period of 2 π, twice;
+    # at apocentre the comet moves at 0.022 and hardly accelerates.
     space = extreme("kepler-0999")
     start = space.state.position[1].copy()
     run_through(space)
