@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.scene.placement import Start
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -55,21 +56,18 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.3, 1.0, count)
     mass = rng.uniform(0.5, 4.0, count)
-    turning = count if spins else 0
-    orientation = np.zeros((turning, 4))
-    orientation[:, 3] = 1.0
-    return Bodies(
+    start = Start(
+        name=[""] * count,
+        group=np.zeros(count, dtype=np.int64),
         position=rng.uniform(-1, 1, (count, 3)) * 0.8 * count ** (1 / 3),
         velocity=rng.standard_normal((count, 3)),
-        acceleration=np.zeros((count, 3)),
-        orientation=orientation,
-        angular_velocity=rng.standard_normal((turning, 3)),
-        angular_acceleration=np.zeros((turning, 3)),
-        torque=np.zeros((turning, 3)),
+        angular_velocity=rng.standard_normal((count, 3)),
         mass=mass,
         radius=radius,
         inertia=0.4 * mass * radius**2,
+        fixed=np.zeros(count, dtype=bool),
     )
+    return Bodies.at_start(start, spins)
 
 
 def momentum_of(bodies: Bodies) -> FloatArray:

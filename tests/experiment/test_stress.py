@@ -122,13 +122,20 @@ def test_a_scene_that_moves_as_a_whole_takes_the_same_steps() -> None:
 
 
 def test_spheres_of_a_nanometre_collapse_like_spheres_of_a_million_kilometres() -> None:
-    # The two differ in rounding alone, 10⁻¹⁶, which collisions amplify: 10⁻⁶ is ten orders of amplification.
+    # The two differ in rounding alone, 10⁻¹⁶ since 10¹⁸ is no power of two, and a pile that forms amplifies that:
+    # to the first collisions they are the same to 10⁻⁹, in the end as one collapse is like another. (Scaled by a power
+    # of two they are the same to the bit: test_invariance.)
     tiny, huge = extreme("size-tiny"), extreme("size-huge")
+    spread = []
+    for space, size in ((tiny, 1e-9), (huge, 1e9)):
+        *_, frame = space.run(2000.0)
+        spread.append(frame.position / size)
+    np.testing.assert_allclose(spread[0], spread[1], rtol=0, atol=1e-9)
     run_through(tiny)
     run_through(huge)
-    assert tiny.step == huge.step
+    assert tiny.step == pytest.approx(huge.step, rel=0.02)
     lost = [space.energy().ledger.restitution / space.energy().scale for space in (tiny, huge)]
-    assert lost[0] == pytest.approx(lost[1], rel=1e-6)
+    assert lost[0] == pytest.approx(lost[1], rel=0.05)
 
 
 def test_a_name_is_known_with_its_folder_and_without() -> None:

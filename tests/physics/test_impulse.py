@@ -39,23 +39,21 @@ def resolve(
     rest_speed: float = 0.0,
 ) -> FloatArray:
     """Resolve the contact of a pair in one pass of the kernel; return its ledger."""
-    normals, distances, overlaps = contact_geometry(PAIR, bodies.position, bodies.radius, np.zeros(3))
+    normals, arms, overlaps = contact_geometry(PAIR, bodies.position, bodies.radius, np.zeros(3))
     ledger = np.zeros((1, 3))
     resolve_contacts(
         np.array([0]),
         PAIR,
         normals,
-        distances,
+        arms,
         overlaps,
         bodies.velocity,
         bodies.angular_velocity,
-        bodies.mass,
-        bodies.radius,
-        bodies.inertia,
-        restitution,
-        static_friction,
-        kinetic_friction,
+        bodies.ends.inverse_mass,
+        bodies.ends.inverse_inertia,
+        np.array([[restitution, static_friction, kinetic_friction]]),
         np.array([rest_speed]),
+        False,
         bias_rate,
         1,
         ledger,
@@ -129,6 +127,7 @@ def test_an_equal_sphere_at_rest_takes_over_all_the_velocity() -> None:
     # Jolt once let both move at half speed here (its issue 1403).
     bodies = touching_pair(0, spins=False)
     bodies.mass[:] = 2.0
+    bodies.ends.inverse_mass[:] = 0.5
     bodies.position[1] = [bodies.radius.sum(), 0.0, 0.0]
     bodies.velocity[:] = [[3.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     resolve(bodies, restitution=1.0)

@@ -17,15 +17,17 @@ NO_FIELD = np.zeros(3)
 def test_the_rest_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
     acceleration = np.array([[3.0, 0.0, -9.0], [0.0, 0.0, -9.0], [100.0, 0.0, 0.0]])
     pairs = np.array([[0, 1]])
-    assert rest_speeds(pairs, acceleration, np.array([0.0, 0.0, -9.0]), 0.1) == pytest.approx([2 * 3.0 * 0.1])
-    assert rest_speeds(pairs, np.zeros((3, 3)), NO_FIELD, 0.1) == pytest.approx([0.0])
+    assert rest_speeds(pairs, acceleration, np.ones(3), np.array([0.0, 0.0, -9.0]), 0.1) == pytest.approx(
+        [2 * 3.0 * 0.1]
+    )
+    assert rest_speeds(pairs, np.zeros((3, 3)), np.ones(3), NO_FIELD, 0.1) == pytest.approx([0.0])
 
 
 def test_a_pile_shares_its_load_and_piles_are_apart() -> None:
     acceleration = np.zeros((7, 3))
     acceleration[3, 0], acceleration[6, 0] = 4.0, 9.0
     pairs = np.array([[0, 2], [1, 2], [1, 3], [4, 5], [5, 6]])
-    assert np.array_equal(rest_speeds(pairs, acceleration, NO_FIELD, 1.0), [8.0, 8.0, 8.0, 18.0, 18.0])
+    assert np.array_equal(rest_speeds(pairs, acceleration, np.ones(7), NO_FIELD, 1.0), [8.0, 8.0, 8.0, 18.0, 18.0])
 
 
 def test_an_impact_keeps_its_bounce_beside_a_heavy_pile_far_away() -> None:

@@ -26,16 +26,18 @@ def push(
     open_space = np.zeros(3)
     pairs = Grid(bodies.radius, open_space).pairs(bodies.position)
     ledger, pushes = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
-    order = stage_order(colour_contacts(pairs, len(bodies)))
+    order = stage_order(colour_contacts(pairs, bodies.ends.inverse_mass))
     push_apart(
         order,
         pairs,
         bodies.position,
         bodies.velocity,
-        bodies.mass,
+        bodies.ends.inverse_mass,
         bodies.radius,
         open_space,
-        restitution,
+        np.empty((0, 3)),
+        np.empty(0),
+        np.array([[restitution, 0.0, 0.0]]),
         np.full(len(pairs), rest),
         sweeps,
         ledger,

@@ -22,6 +22,7 @@ def test_slip_after_the_impact(psi: float) -> None:
     switch = 3.5 * mu * (1 + e)
     bodies = random_bodies(2, 0)
     bodies.mass[:], bodies.radius[:], bodies.inertia[:] = 1.0, 1.0, 0.4
+    bodies.ends.inverse_mass[:], bodies.ends.inverse_inertia[:] = 1.0, 2.5
     bodies.angular_velocity[:] = 0.0
     bodies.position[:] = [[0, 0, 0], [2, 0, 0]]
     bodies.velocity[:] = [[1.0, 0, 0], [0, psi, 0]]

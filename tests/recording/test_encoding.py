@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,13 +55,29 @@ def test_edges_go_to_the_nearest_image_in_the_colour_of_their_stage() -> None:
     stages = np.arange(palette.SERIAL_STAGE + 2)
     pairs = np.tile([0, 1], (len(stages), 1))
     strips, colours = np.empty((len(stages), 6), dtype=np.float32), np.empty(len(stages), dtype=np.uint32)
-    cycle = np.array(palette.STAGES, dtype=np.uint32)
     box = np.array([10.0, 10.0, 10.0])
-    white = np.uint32(palette.WHITE)
-    encoding.draw_edges(pairs, stages, points, box, cycle, palette.SERIAL_STAGE, white, strips, colours)
+    draw_edges(pairs, stages, points, box, strips, colours)
     assert strips[0].tolist() == [-4.5, 0, 0, -5.5, 0, 0]
     assert np.all(colours[1 : palette.SERIAL_STAGE] != colours[: palette.SERIAL_STAGE - 1])
     assert set(colours[palette.SERIAL_STAGE :].tolist()) == {palette.WHITE}
+
+
+def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
+    points = np.array([[0.0, 0.0, 0.75]], dtype=np.float32)
+    strips, colours = np.empty((1, 6), dtype=np.float32), np.empty(1, dtype=np.uint32)
+    draw_edges(np.array([[0, 1]]), np.array([0]), points, np.zeros(3), strips, colours, overlap=0.25)
+    assert strips[0].tolist() == [0, 0, 0.75, 0, 0, 0]
+
+
+def draw_edges(pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0) -> None:
+    """Draw contacts of bodies of radius 1 m, with normals straight down where they are asked for."""
+    down = np.tile([0.0, 0.0, -1.0], (len(pairs), 1))
+    cycle = np.array(palette.STAGES, dtype=np.uint32)
+    overlaps, radius = np.full(len(pairs), overlap), np.ones(len(points))
+    white = np.uint32(palette.WHITE)
+    encoding.draw_edges(
+        pairs, down, overlaps, stages, points, radius, box, cycle, palette.SERIAL_STAGE, white, strips, colours
+    )
 
 
 def test_positions_far_from_the_origin_keep_their_differences() -> None:

@@ -59,8 +59,11 @@ def _overview(summary: dict[str, Any]) -> Table:
     )
     table.add_row("energy", f"{energy['initial']:.6g} J at first, {energy['final']:.6g} J at last")
     table.add_row("", f"integration error at most {energy['max_error']:.2e} of the energy scale")
-    table.add_row("momentum", f"error at most {summary['momentum']['max_error']:.2e}")
-    unknown = "not conserved in a periodic box"
+    linear = summary["momentum"]["max_error"]
+    table.add_row(
+        "momentum", "not conserved: something fixed takes it" if linear is None else f"error at most {linear:.2e}"
+    )
+    unknown = "not conserved in a periodic box" if linear is not None else "likewise"
     table.add_row("angular momentum", unknown if angular is None else f"error at most {angular:.2e}")
     table.add_row(
         "contacts", f"{contacts['total']}, deepest overlap {contacts['max_overlap']:.3%} of the smaller radius"

@@ -83,9 +83,12 @@ class Progress:
         )
         if moments.energy_error:
             table.add_row("energy", f"integration error at most {moments.energy_error.value:.2e} of the energy scale")
-        angular = moments.angular_momentum_error
-        angular_text = "not conserved in a periodic box" if angular is None else f"{angular:.2e}"
-        table.add_row("momentum", f"error at most {moments.momentum_error:.2e}, angular {angular_text}")
+        linear, angular = moments.momentum_error, moments.angular_momentum_error
+        if linear is None:
+            table.add_row("momentum", "not conserved: planes, walls or fixed bodies take it")
+        else:
+            angular_text = "not conserved in a periodic box" if angular is None else f"{angular:.2e}"
+            table.add_row("momentum", f"error at most {linear:.2e}, angular {angular_text}")
         if moments.overlap and moments.contacts:
             table.add_row(
                 "contacts",

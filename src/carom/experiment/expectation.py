@@ -37,14 +37,14 @@ class Verdict:
 def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict]:
     """Compare every promise that a scene makes with the extremes of its run.
 
-    A quantity that the scene does not conserve, such as angular momentum in a periodic box, counts as infinitely wrong.
+    A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
+    something is fixed, counts as infinitely wrong.
     """
-    angular_error = float("inf") if moments.angular_momentum_error is None else moments.angular_momentum_error
     measured = {
         "energy_error": (_value(moments.energy_error), moments.energy_error),
         "energy_gain": (frames.energy_gain.value, frames.energy_gain),
-        "momentum_error": (moments.momentum_error, frames.momentum),
-        "angular_momentum_error": (angular_error, frames.angular_momentum),
+        "momentum_error": (_or_infinite(moments.momentum_error), frames.momentum),
+        "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), frames.angular_momentum),
         "max_overlap": (_value(moments.overlap), moments.overlap),
         "impacts": (moments.impacts, None),
     }
@@ -53,6 +53,10 @@ def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict
         for name, (value, worst) in measured.items()
         if (limit := getattr(expect, name)) is not None
     ]
+
+
+def _or_infinite(error: float | None) -> float:
+    return float("inf") if error is None else error
 
 
 def _value(moment: Moment | None) -> float:

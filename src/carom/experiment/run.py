@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.output import refuse_output
@@ -20,6 +22,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
+from carom.scene.halfspace import planes_of
 from carom.scene.schema import Scene
 
 POLL = 0.1  # s between two looks at a run under way
@@ -224,6 +227,8 @@ def _header(space: Space) -> Header:
         duration=scene.time.duration,
         shortest_dt_hint=space.first_dt,
         box=space.box,
+        walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
+        planes=planes_of(scene) if scene.plane else None,
         properties=dict(environment(space.threads)),
     )
 
@@ -236,8 +241,9 @@ def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
         "sim_time": space.time,
         "contacts.total": moments.total_contacts,
         "contacts.impacts": moments.impacts,
-        "momentum.max_error": moments.momentum_error,
     }
+    if moments.momentum_error is not None:
+        summary["momentum.max_error"] = moments.momentum_error
     if moments.angular_momentum_error is not None:
         summary["angular_momentum.max_error"] = moments.angular_momentum_error
     if moments.energy_error is not None:

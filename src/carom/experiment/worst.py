@@ -31,7 +31,7 @@ class WorstFrames:
         scale = frame.energy.scale
         gain = (frame.energy.total - self._lowest) / scale if scale > 0.0 else 0.0
         self.energy_gain = _worse(self.energy_gain, gain, frame)
-        self.momentum = _worse(self.momentum, frame.momentum_error, frame)
+        self.momentum = _worse(self.momentum, frame.momentum_error or 0.0, frame)
         self.angular_momentum = _worse(self.angular_momentum, frame.angular_momentum_error or 0.0, frame)
 
 

@@ -13,6 +13,21 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class Ends:
+    """What a contact can have at its ends: the n bodies, and after them p planes, which nothing moves.
+
+    The arrays of the bodies are the beginnings of these.
+    """
+
+    velocity: FloatArray  # (n + p, 3) m/s
+    acceleration: FloatArray  # (n + p, 3) m/s²
+    angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
+    inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for what does not move
+    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 likewise
+    radius: FloatArray  # (n + p,) m; infinite for a plane
+
+
+@dataclass(frozen=True, slots=True)
 class Bodies:
     """State of n spheres; every array is C-contiguous float64 in SI units and is updated in place."""
 
@@ -26,29 +41,45 @@ class Bodies:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
+    ends: Ends
 
     @classmethod
-    def at_start(cls, start: Start, spins: bool) -> Bodies:
+    def at_start(cls, start: Start, spins: bool, planes: int = 0) -> Bodies:
         """Build the state of time 0; spin takes no memory where the scene does not require it."""
         n = len(start.mass)
         turning = n if spins else 0
         orientation = np.zeros((turning, 4))
         orientation[:, 3] = 1.0
+        moves = np.where(start.fixed, 0.0, 1.0)
+        ends = Ends(
+            velocity=_with_rows(start.velocity, planes),
+            acceleration=np.zeros((n + planes, 3)),
+            angular_velocity=_with_rows(start.angular_velocity[:turning], planes if spins else 0),
+            inverse_mass=_with_rows(moves / start.mass, planes),
+            inverse_inertia=_with_rows(moves / start.inertia, planes),
+            radius=np.concatenate((start.radius, np.full(planes, np.inf))),
+        )
         return cls(
             position=start.position.copy(),
-            velocity=start.velocity.copy(),
-            acceleration=np.zeros((n, 3)),
+            velocity=ends.velocity[:n],
+            acceleration=ends.acceleration[:n],
             orientation=orientation,
-            angular_velocity=start.angular_velocity[:turning].copy(),
+            angular_velocity=ends.angular_velocity[:turning],
             angular_acceleration=np.zeros((turning, 3)),
             torque=np.zeros((turning, 3)),
             mass=start.mass.copy(),
-            radius=start.radius.copy(),
+            radius=ends.radius[:n],
             inertia=start.inertia.copy(),
+            ends=ends,
         )
 
     def __len__(self) -> int:
         return len(self.mass)
+
+
+def _with_rows(array: FloatArray, rows: int) -> FloatArray:
+    """Copy an array and add rows of zeros."""
+    return np.concatenate((array, np.zeros((rows, *array.shape[1:]))))
 
 
 class BodyProxy:
@@ -96,6 +127,16 @@ class BodyProxy:
         return float(self._bodies.inertia[self.index])
 
     @property
+    def inverse_mass(self) -> float:
+        """1/kg; 0 for a fixed body."""
+        return float(self._bodies.ends.inverse_mass[self.index])
+
+    @property
+    def inverse_inertia(self) -> float:
+        """1/(kg m²); 0 for a fixed body."""
+        return float(self._bodies.ends.inverse_inertia[self.index])
+
+    @property
     def spins(self) -> bool:
         """Whether the scene requires spin."""
         return len(self._bodies.angular_velocity) > 0
@@ -112,9 +153,9 @@ class BodyProxy:
         arm
             (3,) m, from the centre to the point.
         """
-        self.velocity[:] += impulse / self.mass
+        self.velocity[:] += impulse * self.inverse_mass
         if self.spins:
-            self.angular_velocity[:] += np.cross(arm, impulse) / self.inertia
+            self.angular_velocity[:] += np.cross(arm, impulse) * self.inverse_inertia
 
     def _row(self, array: FloatArray) -> FloatArray:
         """View, not copy, this body's row."""

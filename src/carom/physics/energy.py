@@ -3,8 +3,8 @@
     E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / √(r_ij² + ε²) - Σ m g·x
     E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
 
-The error is compared with the largest kinetic + |gravitational| energy so far. Without a uniform field the kinetic part
-counts from the centre of mass: a scene that moves as a whole is held to the same standard.
+The error is compared with the largest kinetic + |gravitational| energy so far. Without a uniform field or anything
+fixed the kinetic part counts from the centre of mass: a scene that moves as a whole is held to the same standard.
 """
 
 from __future__ import annotations
@@ -78,8 +78,9 @@ class Energy:
 class EnergyAccount:
     """Turns the state into an `Energy`, remembering where the run began and the largest scale so far."""
 
-    def __init__(self, field: FloatArray) -> None:
+    def __init__(self, field: FloatArray, anchored: bool = False) -> None:
         self._field = field
+        self._at_rest = anchored or bool(field.any())  # whether motion counts from rest, not from the centre of mass
         self._initial: float | None = None
         self._scale = 0.0
 
@@ -91,7 +92,7 @@ class EnergyAccount:
         total = translational + rotational + gravitational + field
         if self._initial is None:
             self._initial = total
-        moving = translational if self._field.any() else float(_internal(bodies.velocity, bodies.mass))
+        moving = translational if self._at_rest else float(_internal(bodies.velocity, bodies.mass))
         self._scale = max(self._scale, moving + rotational + abs(gravitational))
         return Energy(
             translational=translational,

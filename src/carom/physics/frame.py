@@ -57,5 +57,7 @@ class Frame:
     events: tuple[Event, ...]  # since the frame before, in order of time
     fingerprint: int  # 64 bits of the exact state
     checkpoint: Checkpoint
-    momentum_error: float = 0.0  # |p - expected| over the largest Σ m |v| so far
-    angular_momentum_error: float | None = None  # likewise; None in a periodic box, which does not conserve it
+    momentum_error: float | None = (
+        None  # |p - expected| over the largest Σ m |v| so far; None if something fixed takes it
+    )
+    angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Event
+from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ class Moments:
     impact: Moment | None = None  # J, largest ½ μ v_n² of a contact that was closing
     overlap: Moment | None = None  # deepest overlap / smaller radius
     contacts: Moment | None = None  # most contacts in a step
-    momentum_error: float = 0.0
+    momentum_error: float | None = 0.0
     angular_momentum_error: float | None = 0.0
     total_contacts: int = 0  # summed over the steps
     impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
@@ -48,9 +49,9 @@ class Moments:
     ) -> float:
         """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""
         i, j = graph.pairs.T
-        reduced = bodies.mass[i] * (bodies.mass[j] / (bodies.mass[i] + bodies.mass[j]))
-        energy = 0.5 * reduced * approach * approach
-        depth = graph.overlaps / np.minimum(bodies.radius[i], bodies.radius[j])
+        ends = bodies.ends
+        energy = 0.5 * approach * approach / (ends.inverse_mass[i] + ends.inverse_mass[j])
+        depth = graph.overlaps / np.minimum(ends.radius[i], ends.radius[j])
         self.impact = _larger(self.impact, energy, step, time, graph)
         self.overlap = _larger(self.overlap, depth, step, time, graph)
         if self.contacts is None or len(graph) > self.contacts.value:
@@ -60,7 +61,7 @@ class Moments:
         self.impacts += int(np.count_nonzero(impacts))
         return float(energy[impacts].sum())
 
-    def highlights(self, names: list[str]) -> tuple[Event, ...]:
+    def highlights(self, names: Names) -> tuple[Event, ...]:
         """Put the extremes of contacts and energy into words, in order of time."""
         wordings = (
             (self.impact, "Hardest impact of the run, {value:.4g} J"),
@@ -71,7 +72,7 @@ class Moments:
         events = []
         for moment, wording in wordings:
             if moment is not None and moment.value > 0:
-                who = " and ".join(f'body {body} "{names[body]}"' for body in moment.bodies)
+                who = " and ".join(names.of(body) for body in moment.bodies)
                 text = wording.format(value=moment.value) + (f": {who}." if who else ".")
                 events.append(Event(moment.step, moment.time, "INFO", text))
         return tuple(sorted(events, key=lambda event: event.step))
@@ -81,13 +82,14 @@ class Moments:
         if self.energy_error is None or error > self.energy_error.value:
             self.energy_error = Moment(error, step, time)
 
-    def see_momentum_error(self, linear: float, angular: float | None) -> None:
-        """Take note of checked momenta."""
-        self.momentum_error = max(self.momentum_error, linear)
-        if angular is None or self.angular_momentum_error is None:
-            self.angular_momentum_error = None
-        else:
-            self.angular_momentum_error = max(self.angular_momentum_error, angular)
+    def see_momentum_error(self, linear: float | None, angular: float | None) -> None:
+        """Take note of checked momenta; None is what the scene does not conserve."""
+        self.momentum_error = _worse(self.momentum_error, linear)
+        self.angular_momentum_error = _worse(self.angular_momentum_error, angular)
+
+
+def _worse(known: float | None, error: float | None) -> float | None:
+    return None if known is None or error is None else max(known, error)
 
 
 def _larger(known: Moment | None, values: FloatArray, step: int, time: float, graph: CollisionGraph) -> Moment | None:

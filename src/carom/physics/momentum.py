@@ -3,7 +3,7 @@
     p = Σ m v,    L = Σ (m x × v + I ω)
 
 Contacts and direct gravity conserve both to round-off. A uniform field g changes them, in closed form, since the
-centre of mass X moves on a parabola:
+centre of mass X moves on a parabola (planes, walls and fixed bodies take both, and nothing is compared):
 
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 """
@@ -27,16 +27,17 @@ class Momentum:
 
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
-    linear_error: float  # over the largest Σ m |v| so far
-    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None in a periodic box
+    linear_error: float | None  # over the largest Σ m |v| so far; None if something fixed takes it
+    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None likewise, and in a periodic box
 
 
 class MomentumAccount:
     """Compares momentum with its value at the start."""
 
-    def __init__(self, bodies: Bodies, field: FloatArray, periodic: bool) -> None:
+    def __init__(self, bodies: Bodies, field: FloatArray, periodic: bool, anchored: bool = False) -> None:
         self._field = field
         self._periodic = periodic
+        self._anchored = anchored
         self._linear, self._angular, self._linear_scale, self._angular_scale = _sums(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass @ bodies.position) / self._mass
@@ -50,8 +51,10 @@ class MomentumAccount:
         return Momentum(
             linear=linear,
             angular=angular,
-            linear_error=_relative(linear - expected_linear, self._linear_scale),
-            angular_error=None if self._periodic else _relative(angular - expected_angular, self._angular_scale),
+            linear_error=None if self._anchored else _relative(linear - expected_linear, self._linear_scale),
+            angular_error=None
+            if self._periodic or self._anchored
+            else _relative(angular - expected_angular, self._angular_scale),
         )
 
     def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:

@@ -20,10 +20,12 @@ from carom.physics.gravity.direct import DirectGravity
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
 from carom.physics.momentum import MomentumAccount
+from carom.physics.names import Names
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
 from carom.physics.timestep import Timestep
 from carom.physics.watch import EnergyWatch, Suspects
+from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import place
 from carom.scene.requirements import frame_interval, require
@@ -61,7 +63,8 @@ class Space:
         start = place(scene)
         self.names = start.name
         self.groups = start.group
-        self.state = Bodies.at_start(start, self.requirements.spin.modelled)
+        self.planes = half_spaces(scene)
+        self.state = Bodies.at_start(start, self.requirements.spin.modelled, len(self.planes))
         self.threads = threads or _cores()
         self.time = 0.0  # s
         self.step = 0
@@ -73,13 +76,16 @@ class Space:
         self.contacts: CollisionGraph = empty_graph()
         self._field = np.array(scene.gravity.uniform)
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
+        self._fixed = np.flatnonzero(start.fixed)
+        # where something stands still, speeds count from it, and the field does not pull all alike
+        self._falling = np.zeros(3) if scene.anchored else self._field
         self._substeps = SUBSTEPS[scene.time.integrator]
         self._gravity = self._make_gravity()
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, self._field)
-        self._energy_account = EnergyAccount(self._field)
-        self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0)
-        self._watch = EnergyWatch(scene.record.energy_tolerance, self.names)
+        self._timestep = Timestep(scene.time, self._falling, scene.anchored)
+        self._energy_account = EnergyAccount(self._field, scene.anchored)
+        self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0, scene.anchored)
+        self._watch = EnergyWatch(scene.record.energy_tolerance, Names(self.names, self.planes.name))
         self._suspects: list[Suspects] = []
         self._events: list[Event] = []
         self._activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
@@ -180,7 +186,7 @@ class Space:
 
     def highlights(self) -> tuple[Event, ...]:
         """Return the extremes of the run so far as events, each at its own time."""
-        return self.moments.highlights(self.names)
+        return self.moments.highlights(Names(self.names, self.planes.name))
 
     def frame(self) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
@@ -223,7 +229,7 @@ class Space:
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:
             return None
-        return ContactStage(self.scene.contact, self.state, self.requirements, self._box, self._field)
+        return ContactStage(self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling)
 
     def _advance(self, end: float, checked: bool, interval: float) -> bool:
         """Do one step; tell whether a frame is due after it.
@@ -267,11 +273,15 @@ class Space:
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
             kick(state.velocity, state.acceleration, substep.before * dt)
+            if index == 0 and self._contact:
+                self.profile.mark("integrate")
+                self._contact.hold(substep.before * dt, dt)
+                self.profile.mark("response")
             drift(state.position, state.velocity, substep.drift * dt)
             self.profile.mark("integrate")
             if last and self._contact:
                 self._refuse_infinities()
-                self.contacts = self._contact.find(dt, self.profile)
+                self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
                 wrap(state.position, self._box)
             potential = self._accelerate(with_potential and last)
@@ -290,17 +300,23 @@ class Space:
             acceleration[:] = 0.0
         if self.requirements.field.modelled:
             add_field(acceleration, self._field)
+        if len(self._fixed):
+            acceleration[self._fixed] = 0.0
         return energy or 0.0
 
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""
+        contact.resolve(self.dt, self._substeps[-1].after * self.dt)
+        self.contacts = contact.graph
+        self.profile.mark("response")
+        if len(contact.held):
+            self.ledger = self.ledger.plus(contact.held)
         if len(self.contacts):
             if self.moments.contacts is None:
                 i, j = self.contacts.pairs[0]
-                self._log("INFO", f'First contact: body {i} "{self.names[i]}" and body {j} "{self.names[j]}".')
-            contact.resolve(self.dt)
-            self.profile.mark("response")
-            self.ledger = self.ledger.plus(contact.contributions)
+                names = Names(self.names, self.planes.name)
+                self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
+            self.ledger = self.ledger.plus(contact.work)
             struck = self.moments.see_contacts(
                 self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
             )
@@ -353,7 +369,7 @@ class Space:
         for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
             self._integrate(tiny, with_potential=False)
             if self._contact:
-                self._contact.resolve(tiny)
+                self._contact.resolve(tiny, self._substeps[-1].after * tiny)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
         self._accelerate(potential=True)
@@ -362,6 +378,7 @@ class Space:
         self.contacts = empty_graph()
         if self._contact:
             self._contact.forget()
+            self._contact.begin(self.first_dt)
 
     def _log(self, level: str, text: str) -> None:
         self._events.append(Event(self.step, self.time, level, text))

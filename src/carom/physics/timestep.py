@@ -5,7 +5,8 @@
     dt   = min(dt_a, dt_v, max_dt)                       smoothed by a moving average where it grows
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
-uniform field: a scene that moves or falls as a whole gets the same steps. The seed leaves out the acceleration, takes
+uniform field: a scene that moves or falls as a whole gets the same steps. Where planes, walls or fixed bodies stand
+still, speeds count from them and the field counts. The seed leaves out the acceleration, takes
 speeds as they are, and the radius of the *fastest* body only, so that a small body a little slower tunnels; that
 limit is kept as "fastest-body". It also smooths in both directions; a smoothed shrink breaks the bound that it exists
 for, so ours is taken at once.
@@ -31,9 +32,10 @@ END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged 
 class Timestep:
     """Chooses each step and remembers what the average needs."""
 
-    def __init__(self, time: Time, field: FloatArray) -> None:
+    def __init__(self, time: Time, field: FloatArray, anchored: bool = False) -> None:
         self._time = time
-        self._field = field
+        self._field = field  # (3,) m/s², as far as it pulls all alike
+        self._anchored = anchored  # whether something stands still: speeds then count from it
         self.previous = 0.0  # s, the average; 0 until there is one
 
     def choose(self, bodies: Bodies, remaining: float) -> tuple[float, str]:
@@ -68,7 +70,15 @@ class Timestep:
     def target(self, bodies: Bodies) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         time = self._time
-        state = (bodies.velocity, bodies.acceleration, bodies.mass, bodies.radius, self._field, time.cfl)
+        state = (
+            bodies.velocity,
+            bodies.acceleration,
+            bodies.mass,
+            bodies.radius,
+            self._field,
+            self._anchored,
+            time.cfl,
+        )
         a_max, fastest, every = _limits(*state)
         dt_a = math.sqrt(2.0 * time.target_dx / a_max) if a_max > 0.0 else math.inf
         dt_v = fastest if time.velocity_limit == "fastest-body" else every
@@ -84,10 +94,11 @@ def _limits(
     mass: FloatArray,
     radius: FloatArray,
     field: FloatArray,
+    anchored: bool,
     cfl: float,
 ) -> tuple[float, float, float]:
     """Return |a|max in m/s², and dt_v in s by the seed's rule and by ours: infinite where nothing moves."""
-    Vx, Vy, Vz = centre_velocity(velocity, mass)
+    Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
     a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
     for i in range(len(mass)):
         ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]

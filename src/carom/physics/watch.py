@@ -15,6 +15,7 @@ from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.energy import Energy
 from carom.physics.frame import Event
+from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
 
@@ -40,11 +41,11 @@ class Suspects:
             step=step,
             graph=graph,
             contributions=contributions,
-            velocity=bodies.velocity[graph.pairs],
-            angular_velocity=bodies.angular_velocity[graph.pairs] if spins else None,
+            velocity=bodies.ends.velocity[graph.pairs],
+            angular_velocity=bodies.ends.angular_velocity[graph.pairs] if spins else None,
         )
 
-    def describe(self, names: list[str]) -> str:
+    def describe(self, names: Names) -> str:
         """Name the contacts that added most energy, with the states of their bodies."""
         if len(self.graph) == 0:
             return f"No bodies were colliding in step {self.step}."
@@ -53,10 +54,10 @@ class Suspects:
         lines += [self._contact(int(c), float(added[c]), names) for c in np.argsort(-added)[:MOST_CONTACTS]]
         return "\n".join(lines)
 
-    def _contact(self, c: int, added: float, names: list[str]) -> str:
+    def _contact(self, c: int, added: float, names: Names) -> str:
         lines = [f"  contact of overlap {self.graph.overlaps[c]:.3g} m added {added:+.3g} J"]
         for end, body in enumerate(self.graph.pairs[c]):
-            text = f'    body {body} "{names[body]}": v = {_vector(self.velocity[c, end])} m/s'
+            text = f"    {names.of(int(body))}: v = {_vector(self.velocity[c, end])} m/s"
             if self.angular_velocity is not None:
                 text += f", ω = {_vector(self.angular_velocity[c, end])} rad/s"
             lines.append(text)
@@ -66,7 +67,7 @@ class Suspects:
 class EnergyWatch:
     """Compares the energy from check to check and warns of a rise."""
 
-    def __init__(self, tolerance: float, names: list[str]) -> None:
+    def __init__(self, tolerance: float, names: Names) -> None:
         self._tolerance = tolerance
         self._names = names
         self._last: Energy | None = None

@@ -42,7 +42,11 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
     bodies = rrb.Spatial3DView(
         name="Bodies and contacts",
         origin="/",
-        contents=[entities.BODIES, *([entities.CONTACTS] if header.collides else [])],
+        contents=[
+            entities.BODIES,
+            *entities.surroundings(header),
+            *([entities.CONTACTS] if header.collides else []),
+        ],
         background=_background(),
         line_grid=False,
         eye_controls=_eye(view),
@@ -54,6 +58,7 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
         origin="/",
         contents=[
             entities.BODIES,
+            *entities.surroundings(header),
             *([entities.CONTACTS] if header.collides else []),
             *([entities.TORQUE, entities.ANGULAR_ACCELERATION] if header.spins else []),
         ],

@@ -45,6 +45,10 @@ def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtyp
             f"{arrow_length(header, ANGULAR_ACCELERATION):.4g} m for angular accelerations; m_ref (N m, rad/s²) stands "
             "in the recording's property `arrows`."
         )
+    if header.planes is not None:
+        lines.append(f"- {len(header.planes)} static planes, drawn as grids; they go on without end.")
+    if header.walls is not None:
+        lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + " m.")
     if header.box is not None:
         lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + " m.")
     return "\n".join(lines)

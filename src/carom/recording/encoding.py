@@ -82,8 +82,11 @@ def draw_arrows(
 @kernel
 def draw_edges(
     pairs: IntArray,
+    normals: FloatArray,
+    overlaps: FloatArray,
     colours: IntArray,
     points: SingleArray,
+    radius: FloatArray,
     box: FloatArray,
     cycle: ColourArray,
     serial: int,
@@ -91,13 +94,20 @@ def draw_edges(
     strips: SingleArray,
     drawn: ColourArray,
 ) -> None:
-    """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,)."""
+    """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
+
+    A line to a plane ends at the foot of the perpendicular.
+    """
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         for k in range(3):
-            start, end = points[i, k], points[j, k]
-            if box[k] > 0.0:
-                end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
+            start = points[i, k]
+            if j < len(points):
+                end = points[j, k]
+                if box[k] > 0.0:
+                    end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
+            else:
+                end = start + np.float32((radius[i] - overlaps[c]) * normals[c, k])
             strips[c, k] = start
             strips[c, 3 + k] = end
         drawn[c] = serial_colour if colours[c] >= serial else cycle[colours[c] % len(cycle)]
@@ -108,7 +118,8 @@ def deepest(pairs: IntArray, overlaps: FloatArray, radius: FloatArray) -> tuple[
     """Return the deepest overlap in m, and the deepest over the smaller radius; 0 where nothing overlaps."""
     absolute, relative = 0.0, 0.0
     for c in range(len(pairs)):
-        smaller = min(radius[pairs[c, 0]], radius[pairs[c, 1]])
+        i, j = pairs[c, 0], pairs[c, 1]
+        smaller = min(radius[i], radius[j]) if j < len(radius) else radius[i]
         absolute = max(absolute, overlaps[c])
         relative = max(relative, overlaps[c] / smaller)
     return absolute, relative

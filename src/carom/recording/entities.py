@@ -26,6 +26,9 @@ SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"
 BODIES = "world/bodies"
+PLANES = "world/planes"
+WALLS = "world/walls"
+PERIODIC_BOX = "world/box"
 TORQUE = "world/torque"
 ANGULAR_ACCELERATION = "world/angular_acceleration"
 CONTACTS = "world/contacts"
@@ -78,6 +81,12 @@ def arrow_length(header: Header, path: str) -> float:
     """Return L_max (m) of the arrows at an entity."""
     reach = arrows.TORQUE_REACH if path == TORQUE else arrows.ANGULAR_ACCELERATION_REACH
     return arrows.longest(header.radius, reach)
+
+
+def surroundings(header: Header) -> list[str]:
+    """Entities of what stands still."""
+    parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
+    return [path for path, part in parts if part is not None]
 
 
 def energy_terms(header: Header) -> dict[str, tuple[str, int]]:
@@ -227,7 +236,18 @@ class BatchEncoder:
             graph, own, end = frame.contacts, slice(end, end + count), end + count
             lines, shown = strips[own], colours[own]
             encoding.draw_edges(
-                graph.pairs, graph.colours, centres, self._box, cycle, serial, np.uint32(palette.WHITE), lines, shown
+                graph.pairs,
+                graph.normals,
+                graph.overlaps,
+                graph.colours,
+                centres,
+                self.header.radius,
+                self._box,
+                cycle,
+                serial,
+                np.uint32(palette.WHITE),
+                lines,
+                shown,
             )
         columns = [
             rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
@@ -267,10 +287,11 @@ class BatchEncoder:
             yield _rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
 
     def _momenta(self, batch: Sequence[Frame]) -> Rows:
+        linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
         angular = [np.nan if f.angular_momentum_error is None else f.angular_momentum_error for f in batch]
         arrays = {
             "momentum": np.concatenate([frame.momentum for frame in batch]),
-            "momentum_error": np.array([frame.momentum_error for frame in batch]),
+            "momentum_error": np.array(linear),
             "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
             "angular_momentum_error": np.array(angular),
         }

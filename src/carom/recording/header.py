@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.scene.halfspace import HalfSpaces
+
 Scalar = str | int | float | bool
 
 
@@ -36,6 +38,8 @@ class Header:
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
+    walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
+    planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
 
     @property

@@ -133,7 +133,8 @@ class Recorder:
         """Everything static: it needs the first frame's centre of mass."""
         origin = np.average(first.position, axis=0, weights=self.header.mass)
         self._encoder = BatchEncoder(self.header, origin)
-        self._stream.send_statics(self._clock, origin)
+        reach = float(np.max(np.abs(first.position - origin).max(axis=1) + self.header.radius))
+        self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
         return self._encoder
 

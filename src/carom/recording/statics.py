@@ -18,11 +18,13 @@ Static = tuple[str, rr.AsComponents]
 
 _THICK, _THIN = 0.16, 0.07  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
+_PLANE_REACH = 1.5  # of the distance to which the bodies begin
+_PLANE_LINES = 13  # in each direction
 _MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that one of thousands has
 
 
-def statics(header: Header, clock: Clock, origin: NDArray[np.float64]) -> Iterable[Static]:
-    """Everything static, entity by entity."""
+def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+    """Everything static, entity by entity; ``reach`` is how far from the origin the bodies begin, in m."""
     yield (
         entities.SCENE,
         rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
@@ -30,6 +32,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64]) -> Iterab
     yield entities.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
     yield entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
     yield from _bodies(header)
+    yield from _surroundings(header, origin, reach)
     yield (
         entities.STATIC_STATE,
         rr.AnyValues(
@@ -72,6 +75,41 @@ def _bodies(header: Header) -> Iterable[Static]:
             yield entities.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
         case _:
             yield entities.BODIES, _two_tone_sphere()
+
+
+def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+    """Draw what stands still: the box, and planes as grids of squares."""
+    for path, size in ((entities.WALLS, header.walls), (entities.PERIODIC_BOX, header.box)):
+        if size is not None:
+            yield (
+                path,
+                rr.Boxes3D(
+                    centers=[-origin],
+                    sizes=[size],
+                    colors=palette.GREY,
+                    radii=rr.Radius.ui_points(1.0),
+                    fill_mode=FillMode.MajorWireframe,
+                ),
+            )
+    if header.planes is not None:
+        planes = zip(header.planes.normal, header.planes.offset, strict=True)
+        grids = [_grid(normal, offset - normal @ origin, reach) for normal, offset in planes]
+        yield (
+            entities.PLANES,
+            rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),
+        )
+
+
+def _grid(normal: NDArray[np.float64], offset: float, reach: float) -> NDArray[np.float32]:
+    """Return lines (k, 2, 3) of a square grid on a plane, about the point nearest to the origin."""
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    along = np.cross(normal, across)
+    marks = np.linspace(-_PLANE_REACH * reach, _PLANE_REACH * reach, _PLANE_LINES)
+    ends = np.array([marks[0], marks[-1]])
+    one = marks[:, None, None] * across + ends[None, :, None] * along
+    other = marks[:, None, None] * along + ends[None, :, None] * across
+    return np.asarray(offset * normal + np.concatenate((one, other)), dtype=np.float32)
 
 
 def _two_tone_sphere() -> rr.Mesh3D:

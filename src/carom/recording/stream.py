@@ -62,13 +62,13 @@ class Stream:
         columns = rr.TextLog.columns(text=[event.text], level=[event.level])
         self.send(Rows(entities.EVENTS, [event.step], [event.time], columns, len(event.text)), clock)
 
-    def send_statics(self, clock: Clock, origin: NDArray[np.float64]) -> None:
-        """Send everything that holds for the whole recording."""
+    def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
+        """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.title)
         self.send_property("carom", self._identity(clock, origin))
         self.send_property("run", self._header.properties)
-        for path, archetype in statics(self._header, clock, origin):
+        for path, archetype in statics(self._header, clock, origin, reach):
             for stream in self._streams():
                 stream.log(path, archetype, static=True)
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())

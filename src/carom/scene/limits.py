@@ -25,8 +25,6 @@ def refuse_impossible(scene: Scene) -> None:
     """
     if scene.gravity.method == "tree":
         raise SceneError('gravity.method = "tree": this version sums directly; use "auto" or "direct"')
-    if scene.domain.boundary == "walls":
-        raise SceneError('domain.boundary = "walls": this version has no walls; use "open" or "periodic"')
     if scene.contact.timing == "time-of-impact":
         raise SceneError('contact.timing = "time-of-impact": this version resolves contacts at the "end-of-step"')
     needed, there = memory_estimate(scene), _memory()

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.scene.error import SceneError
+from carom.scene.halfspace import HalfSpaces, half_spaces
 from carom.scene.neighbours import (
     QUERY_MARGIN,
     overlapping_pairs,
@@ -44,6 +45,7 @@ class Start:
     mass: FloatArray  # (n,)
     radius: FloatArray  # (n,)
     inertia: FloatArray  # (n,)
+    fixed: NDArray[np.bool_]  # (n,)
 
 
 def place(scene: Scene) -> Start:
@@ -52,15 +54,17 @@ def place(scene: Scene) -> Start:
     Raises
     ------
     SceneError
-        If explicit bodies overlap and the scene does not allow it, or a group does not fit.
+        If explicit bodies overlap each other or a plane and the scene does not allow it, or a group does not fit.
     """
     parts = [_explicit(scene.body)] if scene.body else []
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
+    solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         _refuse_overlaps(parts[0], box)
+        _refuse_immersion(parts[0], solids)
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
     for index, group in enumerate(scene.group):
-        parts.append(_group(index, group, parts, box, np.random.default_rng(streams[index])))
+        parts.append(_group(index, group, parts, solids, box, np.random.default_rng(streams[index])))
     return _join(parts)
 
 
@@ -84,6 +88,7 @@ def _explicit(bodies: tuple[Body, ...]) -> Start:
         mass=mass,
         radius=radius,
         inertia=factor * mass * radius * radius,
+        fixed=np.array([body.fixed for body in bodies]),
     )
 
 
@@ -95,7 +100,7 @@ def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
     i, j = pairs.T
     reach = start.radius[i] + start.radius[j]
     distance = np.sqrt(squared_distance(start.position[i], start.position[j], box))
-    rounding = 1e-9 * reach + 4 * np.spacing(np.abs(start.position).max())
+    rounding = _rounding(start, reach)
     worst = int(np.argmax(reach - distance - rounding))
     overlap = reach[worst] - distance[worst]
     if overlap > rounding[worst]:
@@ -106,7 +111,30 @@ def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
         )
 
 
-def _group(index: int, group: Group, placed: list[Start], box: FloatArray | None, rng: np.random.Generator) -> Start:
+def _refuse_immersion(start: Start, solids: HalfSpaces) -> None:
+    depth = solids.depth(start.position, start.radius)
+    rounding = _rounding(start, start.radius)[:, None]
+    if len(solids) and np.max(depth - rounding) > 0.0:
+        body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
+        raise SceneError(
+            f'body.{body} ("{start.name[body]}") reaches {depth[body, plane]:.6g} m into {solids.name[plane]} at the '
+            "start; move it out, or set contact.allow_overlap = true"
+        )
+
+
+def _rounding(start: Start, length: FloatArray) -> FloatArray:
+    """Return what lengths as written may be wrong by, in m."""
+    return np.asarray(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()))
+
+
+def _group(
+    index: int,
+    group: Group,
+    placed: list[Start],
+    solids: HalfSpaces,
+    box: FloatArray | None,
+    rng: np.random.Generator,
+) -> Start:
     packing = packing_fraction(group)
     if packing > FULLEST:
         raise SceneError(
@@ -116,7 +144,7 @@ def _group(index: int, group: Group, placed: list[Start], box: FloatArray | None
     n = group.count
     radius = _radii(group, rng)
     region = group.region or Region(radius=_default_region_radius(radius))
-    position = _positions(index, region, radius, placed, box, rng)
+    position = _positions(index, region, radius, placed, solids, box, rng)
     mass = np.broadcast_to(_mass(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
     velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
@@ -131,6 +159,7 @@ def _group(index: int, group: Group, placed: list[Start], box: FloatArray | None
         mass=mass,
         radius=radius,
         inertia=group.inertia_factor * mass * radius * radius,
+        fixed=np.zeros(n, dtype=bool),
     )
 
 
@@ -177,6 +206,7 @@ def _positions(
     region: Region,
     radius: FloatArray,
     placed: list[Start],
+    solids: HalfSpaces,
     box: FloatArray | None,
     rng: np.random.Generator,
 ) -> FloatArray:
@@ -191,7 +221,7 @@ def _positions(
             for centres, radii in obstacles
             for same in size_classes(radii)
         ]
-        position[members] = _place_class(index, region, radius[members], trees, box, rng, packing)
+        position[members] = _place_class(index, region, radius[members], trees, solids, box, rng, packing)
         obstacles.append((position[members], radius[members]))
     return position
 
@@ -204,6 +234,7 @@ def _place_class(
     region: Region,
     radius: FloatArray,
     trees: list[_Tree],
+    solids: HalfSpaces,
     box: FloatArray | None,
     rng: np.random.Generator,
     packing: float,
@@ -219,7 +250,7 @@ def _place_class(
     for _ in range(MOST_ROUNDS):
         fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
         fresh = _draw(region, radius[fresh_owner], rng)
-        clear = _clear_of(fresh, radius[fresh_owner], trees, box)
+        clear = _clear_of(fresh, radius[fresh_owner], trees, solids, box)
         pool = np.concatenate((pool, fresh[clear]))
         owner = np.concatenate((owner, fresh_owner[clear]))
         pairs = overlapping_pairs(pool, radius[owner], box) if len(pool) else np.empty((0, 2), dtype=np.int64)
@@ -249,10 +280,10 @@ def _draw(region: Region, radius: FloatArray, rng: np.random.Generator) -> Float
 
 
 def _clear_of(
-    position: FloatArray, radius: FloatArray, trees: list[_Tree], box: FloatArray | None
+    position: FloatArray, radius: FloatArray, trees: list[_Tree], solids: HalfSpaces, box: FloatArray | None
 ) -> NDArray[np.bool_]:
-    """Tell which candidates touch none of the bodies placed before."""
-    clear = np.ones(len(position), dtype=bool)
+    """Tell which candidates touch no plane and none of the bodies placed before."""
+    clear: NDArray[np.bool_] = np.all(solids.depth(position, radius) < 0.0, axis=1)
     own = cKDTree(wrapped(position, box), boxsize=box)
     for tree, centres, radii in trees:
         reach = (radius.max() + radii.max()) * QUERY_MARGIN
@@ -284,4 +315,5 @@ def _join(parts: list[Start]) -> Start:
         mass=stacked("mass"),
         radius=stacked("radius"),
         inertia=stacked("inertia"),
+        fixed=np.concatenate([part.fixed for part in parts]),
     )

@@ -86,16 +86,26 @@ def _contact(scene: Scene) -> Part:
     name = "contact"
     if not scene.contact.enabled:
         return Part(name, False, "contact.enabled = false")
-    if scene.count == 1:
+    solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
+    if scene.count == 1 and solids == 0:
         return Part(name, False, "one body has nothing to touch")
     if not _gravity(scene).modelled and not _moves_relatively(scene):
         return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
+    if solids:
+        return Part(name, True, f"{scene.count} bodies and {solids} planes may meet")
     return Part(name, True, f"{scene.count} bodies may meet")
 
 
 def _moves_relatively(scene: Scene) -> bool:
-    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed)."""
+    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed).
+
+    Planes, walls and fixed bodies stand still, and the uniform field does not pull them.
+    """
     velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
+    if scene.anchored:
+        velocities.add((0.0, 0.0, 0.0))
+        if _field(scene).modelled:
+            return True
     stirred = any(group.velocity.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
     return len(velocities) > 1 or stirred or scene.contact.allow_overlap
 
@@ -112,7 +122,7 @@ def _friction(scene: Scene, contact: Part) -> Part:
     name = "friction"
     if not contact.modelled:
         return Part(name, False, "no contact is possible")
-    if scene.contact.static_friction == 0:
+    if scene.contact.static_friction == 0 and all(plane.law(scene.contact)[1] == 0 for plane in scene.plane):
         return Part(name, False, "both coefficients are 0")
     return Part(name, True, f"μs = {scene.contact.static_friction:g}, μk = {scene.contact.kinetic_friction:g}")
 

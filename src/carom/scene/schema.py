@@ -66,6 +66,10 @@ class Contact(Section):
     kinetic_friction: NonNegative = Field(
         0.4, description="Coulomb coefficient while the contact slides, from 0 to static_friction"
     )
+    solver: Literal["lasting", "staged"] = Field(
+        "lasting",
+        description="how contacts at rest are held: by impulses that last from step to step, or by the seed's stages",
+    )
     colouring: Literal["contacts", "bodies"] = Field(
         "contacts", description="what the stages are built from; bodies is the seed's"
     )
@@ -221,6 +225,55 @@ class Body(Matter):
     velocity: Vector = Field(ORIGIN, description="m/s, [x, y, z]")
     angular_velocity: Vector = Field(ORIGIN, description="rad/s, [x, y, z]")
     radius: Positive = Field(1.0, description="m; more than 0")
+    fixed: Annotated[bool, Field(strict=True)] = Field(
+        False, description="true: held where it is, whatever pulls or hits it; it neither moves nor turns"
+    )
+
+    @model_validator(mode="after")
+    def _what_is_fixed_does_not_move(self) -> Self:
+        if self.fixed and (any(self.velocity) or any(self.angular_velocity)):
+            raise ValueError(
+                "fixed = true with a velocity or an angular_velocity; leave them out, or set fixed = false"
+            )
+        return self
+
+
+class Plane(Section):
+    """[[plane]]: a static half-space, solid on the side that its normal leaves."""
+
+    name: str = Field("", description="shown in warnings")
+    point: Vector = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
+    normal: Vector = Field((0.0, 0.0, 1.0), description="direction out of the solid; of any length but 0")
+    restitution: Real | None = Field(None, ge=0, le=1, description="as in [contact], whose value holds unless given")
+    static_friction: NonNegative | None = Field(None, description="as in [contact], whose value holds unless given")
+    kinetic_friction: NonNegative | None = Field(
+        None, description="as in [contact], whose value holds unless given; at most the static one"
+    )
+
+    @model_validator(mode="after")
+    def _has_a_direction(self) -> Self:
+        if not any(self.normal):
+            raise ValueError("normal = [0, 0, 0] is no direction; give the way out of the solid, such as [0, 0, 1]")
+        return self
+
+    @model_validator(mode="after")
+    def _sliding_is_not_harder_than_starting(self) -> Self:
+        static, kinetic = self.static_friction, self.kinetic_friction
+        if static is not None and kinetic is not None and kinetic > static:
+            raise ValueError(
+                f"kinetic_friction = {kinetic:g} is above static_friction = {static:g}; kinetic_friction must be the "
+                "smaller"
+            )
+        return self
+
+    def law(self, contact: Contact) -> tuple[float, float, float]:
+        """Return restitution, static and kinetic friction; a coefficient not given follows the one that is."""
+        static, kinetic = self.static_friction, self.kinetic_friction
+        if static is None:
+            static = contact.static_friction if kinetic is None else max(kinetic, contact.static_friction)
+        if kinetic is None:
+            kinetic = min(static, contact.kinetic_friction)
+        return (contact.restitution if self.restitution is None else self.restitution, static, kinetic)
 
 
 class Expect(Section):
@@ -258,6 +311,7 @@ class Scene(Section):
     record: Record = Field(Record(), description="how often something is written down")
     group: tuple[Group, ...] = Field((), description="many bodies at random")
     body: tuple[Body, ...] = Field((), description="single bodies")
+    plane: tuple[Plane, ...] = Field((), description="static half-spaces")
     expect: Expect = Field(Expect(), description="promises checked at the end")
 
     _toml: str = PrivateAttr("")
@@ -271,6 +325,11 @@ class Scene(Section):
     def count(self) -> int:
         """Number of bodies."""
         return len(self.body) + sum(group.count for group in self.group)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether something does not move: planes, walls or fixed bodies, which take momentum out of the scene."""
+        return bool(self.plane) or self.domain.boundary == "walls" or any(body.fixed for body in self.body)
 
     @classmethod
     def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
@@ -298,6 +357,15 @@ class Scene(Section):
             raise ValueError(
                 'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and a '
                 "potential that repeats does not exist; set gravity.uniform = [0, 0, 0]"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_planes(self) -> Self:
+        if self.domain.boundary == "periodic" and self.plane:
+            raise ValueError(
+                'domain.boundary = "periodic" with a [[plane]]: a plane has no place in a space that repeats; use '
+                'boundary = "walls" or "open", or leave the plane out'
             )
         return self
 

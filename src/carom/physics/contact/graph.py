@@ -27,7 +27,7 @@ class CollisionGraph:
     ``pairs`` are sorted by (i, j) with i < j, so that the graph does not depend on how it was found.
     """
 
-    pairs: IntArray  # (m, 2) body indices
+    pairs: IntArray  # (m, 2) indices; j - n counts the planes where j is no body
     normals: FloatArray  # (m, 3) unit vectors from i to j, as the contact was found: before any push
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
     colours: IntArray  # (m,) stage in which the contact is resolved
@@ -37,7 +37,7 @@ class CollisionGraph:
         return len(self.pairs)
 
     def adjacency(self, n: int) -> tuple[IntArray, IntArray]:
-        """Return the graph of n bodies in CSR form.
+        """Return the graph of n bodies, or of bodies and planes, in CSR form.
 
         Returns
         -------
@@ -65,13 +65,18 @@ def adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     return offsets, np.ascontiguousarray(ends[:, 1])
 
 
-def colour_contacts(pairs: IntArray, n: int) -> IntArray:
-    """Colour contacts greedily, in order, so that no two of a colour share a body.
+def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
+    """Colour contacts greedily, in order, so that no two of a colour share a body that moves.
 
     Equal spheres touch at most 12 others, so 23 colours are enough for them; past 64 the rest is `OVERFLOW`.
+
+    Parameters
+    ----------
+    inverse_mass
+        (n + p,) 1/kg of bodies and planes; 0 for what does not move, which any number of a stage's contacts may share.
     """
     colours = np.empty(len(pairs), dtype=np.int64)
-    _colour_contacts(pairs, np.zeros(n, dtype=np.uint64), colours)
+    _colour_contacts(pairs, inverse_mass, np.zeros(len(inverse_mass), dtype=np.uint64), colours)
     return colours
 
 
@@ -85,10 +90,15 @@ def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     body_colours
         (n,), -1 for a body that touches nobody.
     """
-    offsets, neighbours = adjacency(pairs, n)
+    met = pairs[:, 1] < n
+    offsets, neighbours = adjacency(pairs[met], n)
     bodies = np.full(n, -1, dtype=np.int64)
     _colour_bodies(offsets, neighbours, bodies)
-    return np.minimum(bodies[pairs[:, 0]], bodies[pairs[:, 1]]), bodies
+    on_plane = pairs[~met, 0]
+    bodies[on_plane] = np.maximum(bodies[on_plane], 0)  # a plane is no node: alone on it, a body has the first colour
+    colours = bodies[pairs[:, 0]]
+    colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
+    return colours, bodies
 
 
 def stage_order(colours: IntArray) -> IntArray:
@@ -97,7 +107,7 @@ def stage_order(colours: IntArray) -> IntArray:
 
 
 @kernel
-def _colour_contacts(pairs: IntArray, used: NDArray[np.uint64], colours: IntArray) -> None:
+def _colour_contacts(pairs: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray) -> None:
     one = np.uint64(1)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
@@ -108,8 +118,10 @@ def _colour_contacts(pairs: IntArray, used: NDArray[np.uint64], colours: IntArra
         colours[c] = colour
         if colour < OVERFLOW:
             bit = one << np.uint64(colour)
-            used[i] |= bit
-            used[j] |= bit
+            if inverse_mass[i] > 0.0:
+                used[i] |= bit
+            if inverse_mass[j] > 0.0:
+                used[j] |= bit
 
 
 @kernel

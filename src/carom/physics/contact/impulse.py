@@ -58,14 +58,16 @@ class CollisionContext:
             m/s, extra separation speed (Baumgarte).
         """
         b1, b2, n = self.b1, self.b2, self.n_vec
-        inverse_mass = 1.0 / b1.mass + 1.0 / b2.mass
+        inverse_mass = b1.inverse_mass + b2.inverse_mass
+        if inverse_mass == 0.0:  # two fixed bodies
+            return
         normal_speed = float(self.v_rel @ n)
         normal = max(0.0, -(1.0 + restitution) * normal_speed + bias) / inverse_mass
         slip = self.v_rel - normal_speed * n
         slip_speed = float(np.sqrt(slip @ slip))
         impulse = normal * n
         if slip_speed > 0.0 and b1.spins:
-            turning = self.r1_vec @ self.r1_vec / b1.inertia + self.r2_vec @ self.r2_vec / b2.inertia
+            turning = self.r1_vec @ self.r1_vec * b1.inverse_inertia + self.r2_vec @ self.r2_vec * b2.inverse_inertia
             sticking = slip_speed / (inverse_mass + turning)
             tangential = sticking if sticking <= static_friction * normal else kinetic_friction * normal
             impulse = impulse - tangential / slip_speed * slip

@@ -2,9 +2,9 @@
 
 A contact at rest closes no faster than gravity makes it close in a step. Bodies that rest on each other share a load,
 so the acceleration that counts is the largest in the whole pile that they belong to, not their own: in its middle
-nothing accelerates and the load is greatest. The pile is the connected component of the collision graph; another pile,
-however heavy, has no say. The uniform field pulls all alike and does not count. Without gravity the speed is 0: every
-contact is an impact.
+nothing accelerates and the load is greatest. The pile is the connected component of the collision graph without what is
+fixed; another pile, however heavy, has no say. The uniform field pulls all alike and does not count, unless something
+is fixed and does not fall with the rest. Without gravity the speed is 0: every contact is an impact.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def rest_speeds(pairs: IntArray, acceleration: FloatArray, field: FloatArray, dt: float) -> FloatArray:
+def rest_speeds(
+    pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, field: FloatArray, dt: float
+) -> FloatArray:
     """Return the speed up to which each contact is at rest: 2 |a|max dt of its pile.
 
     Two bodies that rest on each other close at most that fast at the end of a step that began without motion.
@@ -28,9 +30,11 @@ def rest_speeds(pairs: IntArray, acceleration: FloatArray, field: FloatArray, dt
     pairs
         (m, 2) contacts.
     acceleration
-        (n, 3) m/s², with the uniform field in it.
+        (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
+    inverse_mass
+        (n + p,) 1/kg; what does not move passes no load on.
     field
-        (3,) m/s².
+        (3,) m/s², as far as it pulls all alike.
 
     Returns
     -------
@@ -39,8 +43,21 @@ def rest_speeds(pairs: IntArray, acceleration: FloatArray, field: FloatArray, dt
     """
     n = len(acceleration)
     speeds = np.empty(len(pairs))
-    _rest_speeds(pairs, acceleration, field, dt, np.arange(n), np.zeros(n), speeds)
+    _rest_speeds(pairs, acceleration, inverse_mass, field, dt, np.arange(n), np.zeros(n), speeds)
     return speeds
+
+
+@kernel
+def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
+    """Return |a|² of the body that the field alone explains least, in m²/s⁴."""
+    largest = 0.0
+    for i in range(len(acceleration)):
+        a2 = 0.0
+        for k in range(3):
+            a = acceleration[i, k] - field[k]
+            a2 += a * a
+        largest = max(largest, a2)
+    return largest
 
 
 @kernel
@@ -55,6 +72,7 @@ def _root(parent: IntArray, i: int) -> int:
 def _rest_speeds(
     pairs: IntArray,
     acceleration: FloatArray,
+    inverse_mass: FloatArray,
     field: FloatArray,
     dt: float,
     parent: IntArray,
@@ -62,16 +80,20 @@ def _rest_speeds(
     speeds: FloatArray,
 ) -> None:
     for c in range(len(pairs)):
-        i, j = _root(parent, pairs[c, 0]), _root(parent, pairs[c, 1])
-        parent[max(i, j)] = min(i, j)
+        if inverse_mass[pairs[c, 0]] > 0.0 and inverse_mass[pairs[c, 1]] > 0.0:
+            i, j = _root(parent, pairs[c, 0]), _root(parent, pairs[c, 1])
+            parent[max(i, j)] = min(i, j)
     for c in range(len(pairs)):
-        pile = _root(parent, pairs[c, 0])
         for end in range(2):
             i = pairs[c, end]
+            if inverse_mass[i] == 0.0:
+                continue
+            pile = _root(parent, i)
             a2 = 0.0
             for k in range(3):
                 a = acceleration[i, k] - field[k]
                 a2 += a * a
             largest[pile] = max(largest[pile], a2)
     for c in range(len(pairs)):
-        speeds[c] = 2.0 * np.sqrt(largest[_root(parent, pairs[c, 0])]) * dt
+        mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
+        speeds[c] = 2.0 * np.sqrt(largest[_root(parent, mover)]) * dt

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.grid import Grid
 from carom.physics.kernel import kernel
+from carom.scene.halfspace import HalfSpaces
 from carom.scene.neighbours import overlapping_pairs
 
 FloatArray = NDArray[np.float64]
@@ -40,14 +41,86 @@ def search_by(method: str, radius: FloatArray, box: FloatArray) -> Search:
     return KdTree(radius, box) if method == "k-d-tree" else Grid(radius, box)
 
 
+class PlaneSearch:
+    """Adds the contacts (i, n + k) of bodies with planes k, and drops those of two fixed bodies.
+
+    Parameters
+    ----------
+    radius
+        (n,) m.
+    inverse_mass
+        (n + p,) 1/kg; what is fixed touches nothing else that is.
+    planes
+        The half-spaces.
+    """
+
+    def __init__(self, radius: FloatArray, inverse_mass: FloatArray, planes: HalfSpaces) -> None:
+        self._radius = radius
+        self._inverse_mass = inverse_mass
+        self._planes = planes
+
+    def merged(self, pairs: IntArray, position: FloatArray, stretch: float, slack: float) -> IntArray:
+        """Return the pairs, (m, 2) sorted by (i, j), with those of bodies and planes among them, in order."""
+        n, p = len(self._radius), len(self._planes)
+        merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
+        m = _merge(
+            pairs,
+            position,
+            self._radius,
+            self._inverse_mass,
+            self._planes.normal,
+            self._planes.offset,
+            stretch,
+            slack,
+            merged,
+        )
+        return merged[:m].copy()
+
+
 def contact_geometry(
-    pairs: IntArray, position: FloatArray, radius: FloatArray, box: FloatArray
+    pairs: IntArray, position: FloatArray, radius: FloatArray, box: FloatArray, planes: HalfSpaces | None = None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return normals from i to j, (m, 3), centre distances, (m,) m, and overlaps, (m,) m."""
+    """Return normals from i to j, (m, 3), lever arms, (m, 2) m, and overlaps, (m,) m.
+
+    Both bodies share one contact point on the line of centres, d r_i/(r_i + r_j) from i and the rest of d from j. A
+    plane is touched at the foot of the perpendicular and has no lever arm.
+    """
     m = len(pairs)
-    normals, distances, overlaps = np.empty((m, 3)), np.empty(m), np.empty(m)
-    _geometry(pairs, position, radius, box, normals, distances, overlaps)
-    return normals, distances, overlaps
+    normals, arms, overlaps = np.empty((m, 3)), np.empty((m, 2)), np.empty(m)
+    surface, offset = (np.empty((0, 3)), np.empty(0)) if planes is None else (planes.normal, planes.offset)
+    _geometry(pairs, position, radius, box, surface, offset, normals, arms, overlaps)
+    return normals, arms, overlaps
+
+
+@kernel
+def _merge(
+    pairs: IntArray,
+    position: FloatArray,
+    radius: FloatArray,
+    inverse_mass: FloatArray,
+    normal: FloatArray,
+    offset: FloatArray,
+    stretch: float,
+    slack: float,
+    merged: IntArray,
+) -> int:
+    m, c = 0, 0
+    for i in range(len(radius)):
+        while c < len(pairs) and pairs[c, 0] == i:
+            if inverse_mass[i] + inverse_mass[pairs[c, 1]] > 0.0:
+                merged[m, 0], merged[m, 1] = i, pairs[c, 1]
+                m += 1
+            c += 1
+        if inverse_mass[i] == 0.0:
+            continue
+        for k in range(len(offset)):
+            height = -offset[k]
+            for axis in range(3):
+                height += normal[k, axis] * position[i, axis]
+            if height <= radius[i] * stretch + slack:
+                merged[m, 0], merged[m, 1] = i, len(radius) + k
+                m += 1
+    return m
 
 
 @kernel
@@ -56,12 +129,23 @@ def _geometry(
     position: FloatArray,
     radius: FloatArray,
     box: FloatArray,
+    surface: FloatArray,
+    offset: FloatArray,
     normals: FloatArray,
-    distances: FloatArray,
+    arms: FloatArray,
     overlaps: FloatArray,
 ) -> None:
+    n = len(radius)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
+        if j >= n:
+            height = -offset[j - n]
+            for k in range(3):
+                height += surface[j - n, k] * position[i, k]
+                normals[c, k] = -surface[j - n, k]
+            arms[c, 0], arms[c, 1] = max(0.0, height), 0.0
+            overlaps[c] = radius[i] - height
+            continue
         d2 = 0.0
         for k in range(3):
             d = position[j, k] - position[i, k]
@@ -75,5 +159,6 @@ def _geometry(
                 normals[c, k] /= d
         else:  # coincident centres: any direction will do, as long as it is always the same
             normals[c, 0], normals[c, 1], normals[c, 2] = 1.0, 0.0, 0.0
-        distances[c] = d
+        share = d / (radius[i] + radius[j])
+        arms[c, 0], arms[c, 1] = share * radius[i], share * radius[j]
         overlaps[c] = radius[i] + radius[j] - d

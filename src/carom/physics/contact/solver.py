@@ -28,17 +28,15 @@ def resolve_contacts(
     order: IntArray,
     pairs: IntArray,
     normals: FloatArray,
-    distances: FloatArray,
+    arms: FloatArray,
     overlaps: FloatArray,
     velocity: FloatArray,
     angular_velocity: FloatArray,
-    mass: FloatArray,
-    radius: FloatArray,
-    inertia: FloatArray,
-    restitution: float,
-    static_friction: float,
-    kinetic_friction: float,
+    inverse_mass: FloatArray,
+    inverse_inertia: FloatArray,
+    law: FloatArray,
     rest_speed: FloatArray,
+    impacts_only: bool,
     bias_rate: float,
     most_sweeps: int,
     ledger: FloatArray,
@@ -53,12 +51,16 @@ def resolve_contacts(
     ----------
     order
         (m,) contacts in the order of their stages.
-    pairs, normals, distances, overlaps
-        Geometry of the contacts, (m, 2), (m, 3), (m,), (m,).
-    angular_velocity
-        (n, 3) rad/s, or (0, 3) where the scene requires no spin: then there is no friction.
+    pairs, normals, arms, overlaps
+        Geometry of the contacts, (m, 2), (m, 3), (m, 2), (m,).
+    velocity, angular_velocity, inverse_mass, inverse_inertia
+        Of the n bodies and, after them, of the planes; (0, 3) angular velocities without spin.
+    law
+        (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane.
     rest_speed
         (m,) m/s; an approach up to this speed is a contact at rest and does not bounce.
+    impacts_only
+        Whether contacts at rest are left alone.
     bias_rate
         1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
     ledger
@@ -66,8 +68,9 @@ def resolve_contacts(
     approach
         (m,) m/s, overwritten: the speed at which each contact closed when it was first visited.
     angular_impulse
-        (n, 3) N m s, added to: Σ r × J of each body; (0, 3) without spin.
+        (n + p, 3) N m s, added to: Σ r × J of each end; (0, 3) without spin.
     """
+    bodies = len(inverse_mass) - (len(law) - 1)
     spins = len(angular_velocity) > 0
     first_change = 0.0
     for sweep in range(most_sweeps):
@@ -81,22 +84,24 @@ def resolve_contacts(
             vn = vx * nx + vy * ny + vz * nz
             if sweep == 0:
                 approach[c] = max(0.0, -vn)
-            e = restitution if -vn > rest_speed[c] else 0.0
+            if impacts_only and -vn <= rest_speed[c]:
+                continue
+            material = max(0, j - bodies + 1)
+            e = law[material, 0] if -vn > rest_speed[c] else 0.0
             change = -(1.0 + e) * vn
             biased = change + bias_rate * max(0.0, overlaps[c])
             if biased <= 0.0:
                 continue
             largest_change = max(largest_change, biased)
-            inverse_mass = 1.0 / mass[i] + 1.0 / mass[j]
-            Jn = biased / inverse_mass
-            Jn_unbiased = max(0.0, change) / inverse_mass
-            lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * inverse_mass)
+            Kn = inverse_mass[i] + inverse_mass[j]
+            Jn = biased / Kn
+            Jn_unbiased = max(0.0, change) / Kn
+            lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * Kn)
             ledger[c, RESTITUTION] += lost
-            ledger[c, STABILISATION] += Jn * (vn + 0.5 * Jn * inverse_mass) + lost
+            ledger[c, STABILISATION] += Jn * (vn + 0.5 * Jn * Kn) + lost
             Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
             if spins:
-                share = distances[c] / (radius[i] + radius[j])
-                ri, rj = share * radius[i], share * radius[j]
+                ri, rj = arms[c, 0], arms[c, 1]
                 wx = ri * angular_velocity[i, 0] + rj * angular_velocity[j, 0]
                 wy = ri * angular_velocity[i, 1] + rj * angular_velocity[j, 1]
                 wz = ri * angular_velocity[i, 2] + rj * angular_velocity[j, 2]
@@ -105,10 +110,10 @@ def resolve_contacts(
                 uz = vz - vn * nz - (wx * ny - wy * nx)
                 slip = np.sqrt(ux * ux + uy * uy + uz * uz)
                 if slip > 0.0:
-                    Kt = inverse_mass + ri * ri / inertia[i] + rj * rj / inertia[j]
+                    Kt = Kn + ri * ri * inverse_inertia[i] + rj * rj * inverse_inertia[j]
                     Jt = slip / Kt
-                    if Jt > static_friction * Jn:
-                        Jt = kinetic_friction * Jn
+                    if Jt > law[material, 1] * Jn:
+                        Jt = law[material, 2] * Jn
                     ledger[c, FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
                     Jx -= Jt * (ux / slip)
                     Jy -= Jt * (uy / slip)
@@ -121,19 +126,19 @@ def resolve_contacts(
                     angular_impulse[j, 0] += rj * tx
                     angular_impulse[j, 1] += rj * ty
                     angular_impulse[j, 2] += rj * tz
-                    si, sj = ri / inertia[i], rj / inertia[j]
+                    si, sj = ri * inverse_inertia[i], rj * inverse_inertia[j]
                     angular_velocity[i, 0] += si * tx
                     angular_velocity[i, 1] += si * ty
                     angular_velocity[i, 2] += si * tz
                     angular_velocity[j, 0] += sj * tx
                     angular_velocity[j, 1] += sj * ty
                     angular_velocity[j, 2] += sj * tz
-            velocity[i, 0] -= Jx / mass[i]
-            velocity[i, 1] -= Jy / mass[i]
-            velocity[i, 2] -= Jz / mass[i]
-            velocity[j, 0] += Jx / mass[j]
-            velocity[j, 1] += Jy / mass[j]
-            velocity[j, 2] += Jz / mass[j]
+            velocity[i, 0] -= Jx * inverse_mass[i]
+            velocity[i, 1] -= Jy * inverse_mass[i]
+            velocity[i, 2] -= Jz * inverse_mass[i]
+            velocity[j, 0] += Jx * inverse_mass[j]
+            velocity[j, 1] += Jy * inverse_mass[j]
+            velocity[j, 2] += Jz * inverse_mass[j]
         if sweep == 0:
             first_change = largest_change
         if largest_change <= CONVERGED * first_change:

@@ -1,0 +1,70 @@
+"""Static half-spaces: the scene's planes, and the walls of its box as six of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+WALLS = (
+    ("wall at -x", (1.0, 0.0, 0.0)),
+    ("wall at +x", (-1.0, 0.0, 0.0)),
+    ("wall at -y", (0.0, 1.0, 0.0)),
+    ("wall at +y", (0.0, -1.0, 0.0)),
+    ("wall at -z", (0.0, 0.0, 1.0)),
+    ("wall at +z", (0.0, 0.0, -1.0)),
+)
+
+
+@dataclass(frozen=True)
+class HalfSpaces:
+    """p solid half-spaces; bodies are where ``normal · x > offset``."""
+
+    name: list[str]
+    normal: FloatArray  # (p, 3) unit vectors, out of the solid
+    offset: FloatArray  # (p,) m
+    law: FloatArray  # (p, 3) restitution, static and kinetic friction
+
+    def __len__(self) -> int:
+        return len(self.offset)
+
+    def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
+        """Return how deep spheres reach into each half-space, (n, p) m; negative where they do not."""
+        return np.asarray(radius[:, None] - (position @ self.normal.T - self.offset))
+
+
+def planes_of(scene: Scene) -> HalfSpaces:
+    """Gather the scene's planes, in their order."""
+    normals = [_unit(plane.normal) for plane in scene.plane]
+    return HalfSpaces(
+        name=[plane.name or f"plane {index}" for index, plane in enumerate(scene.plane)],
+        normal=np.array(normals).reshape(-1, 3),
+        offset=np.array([n @ np.array(plane.point) for n, plane in zip(normals, scene.plane, strict=True)]),
+        law=np.array([plane.law(scene.contact) for plane in scene.plane]).reshape(-1, 3),
+    )
+
+
+def half_spaces(scene: Scene) -> HalfSpaces:
+    """Gather all half-spaces of a scene: its planes, then the walls."""
+    planes, size = planes_of(scene), scene.domain.size
+    if scene.domain.boundary != "walls" or size is None:
+        return planes
+    contact = scene.contact
+    law = (contact.restitution, contact.static_friction, contact.kinetic_friction)
+    return HalfSpaces(
+        name=[*planes.name, *(name for name, _ in WALLS)],
+        normal=np.vstack((planes.normal, [inward for _, inward in WALLS])),
+        offset=np.concatenate((planes.offset, -0.5 * np.repeat(size, 2))),
+        law=np.vstack((planes.law, [law] * len(WALLS))),
+    )
+
+
+def _unit(direction: tuple[float, float, float]) -> FloatArray:
+    """Scale to length 1; by the largest component first, so that no square overflows."""
+    scaled = np.array(direction) / np.max(np.abs(direction))
+    return np.asarray(scaled / np.sqrt(scaled @ scaled))
