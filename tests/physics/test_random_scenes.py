@@ -1,0 +1,170 @@
+"""Any valid scene: no exception, nothing that is not a number, momentum and the ledger to round-off.
+
+What round-off may do is counted: `EPS` times the arithmetic operations so far times the size of what was added up,
+which includes impulses that cancel within a step, such as a pile's weight and what holds it.
+"""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+from scenes import EPS, Document, documents, scene_from
+
+FloatArray = NDArray[np.float64]
+
+STEPS = 30
+# Roundings that a body's velocity or position, or a sum over bodies, sees in one substep, and in one visit of a
+# contact. Counted by reading the kernels, generously: they set the scale of a bound, not the bound.
+PER_SUBSTEP, PER_VISIT = 10, 30
+
+
+class Auditor:
+    """Follows a run and holds every frame to the laws."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.space = Space(scene, threads=1)
+        state = self.space.state
+        self.mass, self.inertia = state.mass, state.inertia
+        self.field = np.array(scene.gravity.uniform)
+        self.weight = self.mass.sum() * self.field
+        self.pulls = self.space.requirements.gravity.modelled
+        self.roundings = 0.0  # so far
+        self.linear_scale = self.angular_scale = self.energy_scale = 0.0
+        self.linear, self.angular, self.euler_loss = np.zeros(3), np.zeros(3), 0.0
+        self.before: Frame | None = None
+
+    def run(self) -> None:
+        for frame in islice(self.space.run(), STEPS + 1):
+            self._finite(frame)
+            self._well_formed(frame)
+            self._count(frame)
+            self._conserved(frame)
+            if not self.pulls:
+                self._ledger_closes(frame)
+                self._contacts_create_nothing(frame)
+            self.before = frame
+
+    def _finite(self, frame: Frame) -> None:
+        state = self.space.state
+        for array in (state.position, state.velocity, state.acceleration, state.orientation, state.angular_velocity):
+            assert np.isfinite(array).all()
+        assert np.isfinite(state.torque).all() and np.isfinite(state.angular_acceleration).all()
+        assert np.isfinite([frame.energy.total, frame.energy.ledger.balance, frame.energy.integration_error]).all()
+
+    def _well_formed(self, frame: Frame) -> None:
+        """Unit quaternions, unit normals, pairs in order, overlaps that are overlaps."""
+        orientation, contacts = self.space.state.orientation, frame.contacts
+        assert np.allclose(np.sum(orientation**2, axis=1), 1.0, rtol=0, atol=8 * EPS)
+        assert np.allclose(np.sum(contacts.normals**2, axis=1), 1.0, rtol=0, atol=8 * EPS)
+        i, j = contacts.pairs.T
+        assert (i < j).all()
+        assert (np.diff(i * len(self.mass) + j) > 0).all()
+        reach = self.space.state.radius[i] + self.space.state.radius[j]
+        assert (contacts.overlaps >= -4 * EPS * reach).all() and (contacts.overlaps <= reach).all()
+
+    def _count(self, frame: Frame) -> None:
+        """Add up what may have been rounded since the frame before, and how large it was."""
+        scene, state = self.space.scene, self.space.state
+        substeps = 3 if scene.time.integrator == "yoshida4" else 1
+        passes = frame.sweeps + (scene.contact.sweeps if scene.contact.stabilisation == "split" else 0)
+        self.roundings += substeps * (len(self.mass) + PER_SUBSTEP) + PER_VISIT * passes * len(frame.contacts)
+        speed, reach = np.linalg.norm(state.velocity, axis=1), np.linalg.norm(state.position, axis=1)
+        spin = float(self.inertia[: len(state.angular_velocity)] @ np.linalg.norm(state.angular_velocity, axis=1))
+        force = self.forces() + self.mass * np.linalg.norm(self.field)
+        force_time = frame.dt if frame.step else 0.0
+        fall = np.linalg.norm(self.weight) * frame.time
+        self.linear_scale = max(self.linear_scale, float(self.mass @ speed + force.sum() * force_time + fall))
+        moment = float(self.mass * speed @ reach + force @ reach * force_time + fall * reach.max())
+        self.angular_scale = max(self.angular_scale, moment + spin)
+        energy = frame.energy
+        height = float(self.mass @ reach) * float(np.linalg.norm(self.field))
+        traffic = abs(energy.ledger.restitution) + abs(energy.ledger.friction) + abs(energy.ledger.stabilisation)
+        self.energy_scale = max(self.energy_scale, energy.translational + energy.rotational + height + traffic)
+
+    def forces(self) -> FloatArray:
+        """Return Σ_j |F_ij| on each body: what cancels in a sum of forces is rounded all the same."""
+        if not self.pulls:
+            return np.zeros(len(self.mass))
+        gravity, x = self.space.scene.gravity, self.space.state.position
+        separation = x[None, :, :] - x[:, None, :]
+        r2 = np.einsum("ijk,ijk->ij", separation, separation)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pull = np.sqrt(r2) / (r2 + gravity.softening**2) ** 1.5
+        pull[r2 == 0.0] = 0.0
+        return np.asarray(gravity.constant * self.mass * (pull @ self.mass))
+
+    def _conserved(self, frame: Frame) -> None:
+        """Momentum is constant; in a uniform field it follows the weight, and L the weight's moment.
+
+        The centre of mass falls on a parabola whatever the bodies do, so that its moment has a closed form
+        (physics.md, 12). Semi-implicit Euler kicks before it drifts: over a step, the weight acts where the centre was.
+        """
+        state, dt = self.space.state, frame.dt
+        linear = self.mass @ state.velocity
+        spin = self.inertia[: len(state.angular_velocity)] @ state.angular_velocity
+        angular = np.cross(state.position, self.mass[:, None] * state.velocity).sum(axis=0) + spin
+        if self.before is None:
+            self.linear, self.angular = linear, angular
+        else:
+            centre_before = self.mass @ self.before.position / self.mass.sum()
+            centre = centre_before
+            if self.space.scene.time.integrator != "euler":  # the mean over a parabola, V at the start of the step
+                V = self.mass @ self.before.velocity / self.mass.sum()
+                centre = centre_before + 0.5 * V * dt
+            self.linear = self.linear + self.weight * dt
+            self.angular = self.angular + np.cross(centre, self.weight * dt)
+        tolerance = EPS * self.roundings
+        assert np.abs(linear - self.linear).max() <= tolerance * self.linear_scale
+        if self.space.box is None:
+            assert np.abs(angular - self.angular).max() <= tolerance * self.angular_scale
+
+    def _ledger_closes(self, frame: Frame) -> None:
+        """Without self-gravity every integrator follows free flight exactly, and the ledger all that contacts do.
+
+        But for semi-implicit Euler in a uniform field, which loses ½ M g² dt² in each step, whatever the velocities.
+        """
+        if self.space.scene.time.integrator == "euler":
+            self.euler_loss += 0.5 * float(self.weight @ self.field) * frame.dt**2
+        error = frame.energy.integration_error + self.euler_loss
+        assert abs(error) <= EPS * self.roundings * (self.energy_scale + self.euler_loss)
+
+    def _contacts_create_nothing(self, frame: Frame) -> None:
+        """Restitution and friction only take; so do the pushes, since only pulls could give them something."""
+        if self.before is None:
+            return
+        rounding = EPS * self.roundings * self.energy_scale
+        ledger, before = frame.energy.ledger, self.before.energy.ledger
+        assert ledger.restitution >= before.restitution - rounding
+        assert ledger.friction >= before.friction - rounding
+        stabilisation = self.space.scene.contact.stabilisation
+        if stabilisation == "none":
+            assert ledger.stabilisation == 0.0
+        elif stabilisation == "split":
+            assert ledger.stabilisation <= before.stabilisation + rounding
+        else:
+            assert ledger.stabilisation >= before.stabilisation - rounding
+        if stabilisation != "baumgarte" and not self.field.any():
+            energy, earlier = frame.energy, self.before.energy
+            kinetic = energy.translational + energy.rotational
+            assert kinetic <= earlier.translational + earlier.rotational + rounding
+
+
+@settings(max_examples=300, deadline=None)
+@given(documents())
+def test_any_scene_obeys_the_laws(document: Document) -> None:
+    Auditor(scene_from(document)).run()
+
+
+@pytest.mark.slow
+@settings(max_examples=10_000, deadline=None, suppress_health_check=list(HealthCheck))
+@given(documents())
+def test_ten_thousand_scenes_obey_the_laws(document: Document) -> None:
+    Auditor(scene_from(document)).run()
