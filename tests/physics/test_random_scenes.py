@@ -34,6 +34,7 @@ class Auditor:
         state = self.space.state
         self.mass, self.inertia = state.mass, state.inertia
         self.field = np.array(scene.gravity.uniform)
+        self.g = float(np.linalg.norm(self.field))
         self.weight = self.mass.sum() * self.field
         self.pulls = self.space.requirements.gravity.modelled
         self.roundings = 0.0  # so far
@@ -53,17 +54,19 @@ class Auditor:
             self.before = frame
 
     def _finite(self, frame: Frame) -> None:
-        state = self.space.state
-        for array in (state.position, state.velocity, state.acceleration, state.orientation, state.angular_velocity):
-            assert np.isfinite(array).all()
-        assert np.isfinite(state.torque).all() and np.isfinite(state.angular_acceleration).all()
-        assert np.isfinite([frame.energy.total, frame.energy.ledger.balance, frame.energy.integration_error]).all()
+        state, energy = self.space.state, frame.energy
+        arrays = (state.position, state.velocity, state.acceleration, state.orientation, state.angular_velocity)
+        everything = [array.ravel() for array in (*arrays, state.torque, state.angular_acceleration)]
+        assert np.isfinite(np.concatenate(everything)).all()
+        assert np.isfinite([energy.total, energy.ledger.balance, energy.integration_error, energy.scale]).all()
 
     def _well_formed(self, frame: Frame) -> None:
         """Unit quaternions, unit normals, pairs in order, overlaps that are overlaps."""
         orientation, contacts = self.space.state.orientation, frame.contacts
-        assert np.allclose(np.sum(orientation**2, axis=1), 1.0, rtol=0, atol=8 * EPS)
-        assert np.allclose(np.sum(contacts.normals**2, axis=1), 1.0, rtol=0, atol=8 * EPS)
+        assert np.abs((orientation**2).sum(axis=1) - 1.0).max(initial=0.0) <= 8 * EPS
+        if len(contacts) == 0:
+            return
+        assert np.abs((contacts.normals**2).sum(axis=1) - 1.0).max() <= 8 * EPS
         i, j = contacts.pairs.T
         assert (i < j).all()
         assert (np.diff(i * len(self.mass) + j) > 0).all()
@@ -76,16 +79,16 @@ class Auditor:
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
         passes = frame.sweeps + (scene.contact.sweeps if scene.contact.stabilisation == "split" else 0)
         self.roundings += substeps * (len(self.mass) + PER_SUBSTEP) + PER_VISIT * passes * len(frame.contacts)
-        speed, reach = np.linalg.norm(state.velocity, axis=1), np.linalg.norm(state.position, axis=1)
-        spin = float(self.inertia[: len(state.angular_velocity)] @ np.linalg.norm(state.angular_velocity, axis=1))
-        force = self.forces() + self.mass * np.linalg.norm(self.field)
+        speed, reach, turning = _lengths(state.velocity), _lengths(state.position), _lengths(state.angular_velocity)
+        spin = float(self.inertia[: len(turning)] @ turning)
+        force = self.forces() + self.mass * self.g
         force_time = frame.dt if frame.step else 0.0
-        fall = np.linalg.norm(self.weight) * frame.time
+        fall = float(self.mass.sum()) * self.g * frame.time
         self.linear_scale = max(self.linear_scale, float(self.mass @ speed + force.sum() * force_time + fall))
         moment = float(self.mass * speed @ reach + force @ reach * force_time + fall * reach.max())
         self.angular_scale = max(self.angular_scale, moment + spin)
         energy = frame.energy
-        height = float(self.mass @ reach) * float(np.linalg.norm(self.field))
+        height = float(self.mass @ reach) * self.g
         traffic = abs(energy.ledger.restitution) + abs(energy.ledger.friction) + abs(energy.ledger.stabilisation)
         self.energy_scale = max(self.energy_scale, energy.translational + energy.rotational + height + traffic)
 
@@ -110,7 +113,7 @@ class Auditor:
         state, dt = self.space.state, frame.dt
         linear = self.mass @ state.velocity
         spin = self.inertia[: len(state.angular_velocity)] @ state.angular_velocity
-        angular = np.cross(state.position, self.mass[:, None] * state.velocity).sum(axis=0) + spin
+        angular = _moment(self.mass[:, None] * state.position, state.velocity) + spin
         if self.before is None:
             self.linear, self.angular = linear, angular
         else:
@@ -120,7 +123,7 @@ class Auditor:
                 V = self.mass @ self.before.velocity / self.mass.sum()
                 centre = centre_before + 0.5 * V * dt
             self.linear = self.linear + self.weight * dt
-            self.angular = self.angular + np.cross(centre, self.weight * dt)
+            self.angular = self.angular + _moment(centre[None, :], self.weight[None, :] * dt)
         tolerance = EPS * self.roundings
         assert np.abs(linear - self.linear).max() <= tolerance * self.linear_scale
         if self.space.box is None:
@@ -157,6 +160,16 @@ class Auditor:
             assert kinetic <= earlier.translational + earlier.rotational + rounding
 
 
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))
+
+
+def _moment(arms: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Σ arm × vector, (3,); NumPy's cross product takes ten times as long on a few rows."""
+    t = arms.T @ vectors
+    return np.array([t[1, 2] - t[2, 1], t[2, 0] - t[0, 2], t[0, 1] - t[1, 0]])
+
+
 @settings(max_examples=300, deadline=None)
 @given(documents())
 def test_any_scene_obeys_the_laws(document: Document) -> None:
@@ -168,3 +181,21 @@ def test_any_scene_obeys_the_laws(document: Document) -> None:
 @given(documents())
 def test_ten_thousand_scenes_obey_the_laws(document: Document) -> None:
     Auditor(scene_from(document)).run()
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the bias, 0.2 overlap/dt, and the step, cfl r/v, feed each other: dt falls eightfold a step",
+)
+def test_baumgarte_and_the_adaptive_step_do_not_run_away() -> None:
+    # v = 0.2 overlap/dt on both sides, so the next dt is cfl r/v = 5 cfl r/overlap of the last: 1/8 at cfl = 0.05 and
+    # an overlap of two radii. Held together by the others, the bodies do not leave before the clock stands still.
+    bodies = [{"mass": 1.0}] + [{"mass": 1.0, "position": [0.0, 0.0, 2.0]}] * 3
+    contact = {"allow_overlap": True, "stabilisation": "baumgarte", "restitution": 0.0, "sweeps": 1}
+    time = {"integrator": "euler", "cfl": 0.05, "target_dx": 1.0, "duration": 1e9}
+    gravity = {"constant": 1.0, "softening": 0.1}
+    scene = Scene.from_dict({"body": bodies, "contact": contact, "time": time, "gravity": gravity})
+    space = Space(scene, threads=1)
+    for step in range(STEPS):
+        space.compute_dynamics(step)
+        assert space.energy().translational <= 1e3  # J; |U| of two masses of 1 kg at the softening length is 10 J
