@@ -313,11 +313,9 @@ def test_a_smooth_run_goes_back_to_where_it_came_from(document: Document) -> Non
 
 def test_semi_implicit_euler_does_not_go_back() -> None:
     # The test above would notice: v += a dt, x += v dt backwards is x first, v then, and parts at order dt².
-    bodies = [{"mass": 1.0}, {"mass": 1.0, "position": [1.0, 0.0, 0.0]}]
+    bodies = [{"mass": 1.0, "position": [x, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 0.0]} for x in (0.0, 1.0)]
     gravity = {"constant": 1.0, "softening": 1.0, "uniform": [0.0, 0.0, 0.0]}
     time = {"fixed_dt": 0.01, "integrator": "euler"}
-    for body in bodies:
-        body["angular_velocity"] = [0.0, 0.0, 0.0]
     document = {"body": bodies, "gravity": gravity, "time": time, "contact": {"enabled": False}}
     space, there = run(document)
     space.state.velocity[:] *= -1.0
@@ -387,6 +385,23 @@ def test_a_translation_and_a_boost_change_nothing_in_an_impact(
     assert_close_after_impact(
         passing, state.position + offset, state.velocity + boost, state.angular_velocity, tolerance
     )
+
+
+@settings(max_examples=100, deadline=None)
+@given(document=impact_documents(), direction=vectors)
+def test_a_uniform_field_changes_nothing_but_the_frame_of_reference_of_an_impact(
+    document: Document, direction: FloatArray
+) -> None:
+    # What falls alike meets alike (Galileo): a contact in a field is no more at rest than one without. Euler's fall is
+    # not a parabola but g dt Σ k dt; leapfrog's is. A field of W/4 a step is as large as what meets.
+    own = np.array([body["velocity"] for body in document["body"]])
+    dt = document["time"]["fixed_dt"]
+    g = direction * float(np.abs(own[1::2] - own[0::2]).max()) / (4.0 * dt)
+    (floating, frames), (falling, others) = run(document, 12), run(changed(document, gravity={"uniform": row(g)}), 12)
+    state, tolerance = floating.state, ImpactTolerance(document, frames, others)
+    steps = 12 * 13 if document["time"]["integrator"] == "euler" else 12 * 12
+    position, velocity = state.position + 0.5 * g * steps * dt * dt, state.velocity + g * 12 * dt
+    assert_close_after_impact(falling, position, velocity, state.angular_velocity, tolerance)
 
 
 @settings(max_examples=100, deadline=None)
