@@ -19,10 +19,11 @@ def arrow_vectors(
     n = len(magnitude)
     torque = magnitude[:, None] * np.array([0.0, 0.6, 0.8])
     body, found = np.empty(n, dtype=np.uint32), np.empty(n)
-    assert encoding.turning(torque, body, found) == n
+    each = np.zeros(1, dtype=np.int64)
+    assert encoding.turning(torque[None], body, found, each) == n
     origin, vector = np.empty((2, n, 3), dtype=np.float32)
-    points = np.zeros((n, 3), dtype=np.float32)
-    encoding.draw_arrows(torque, body, found, points, radius, np.full(n, unit), l_max, origin, vector)
+    points = np.zeros((1, n, 3), dtype=np.float32)
+    encoding.draw_arrows(torque[None], each, body, found, points, radius, np.full(n, unit), l_max, origin, vector)
     return vector
 
 
@@ -44,8 +45,10 @@ def test_every_arrow_sticks_out_of_its_sphere_and_none_is_longer_than_the_longes
 
 def test_only_torques_that_can_be_drawn_are_listed() -> None:
     torque = np.array([[0.0, 0.0, 0.0], [3e-200, 4e-200, 0.0], [np.nan, 0, 0], [np.inf, 0, 0], [3e200, 0.0, 4e200]])
-    body, magnitude = np.empty(5, dtype=np.uint32), np.empty(5)
-    assert encoding.turning(torque, body, magnitude) == 2
+    body, magnitude = np.empty(10, dtype=np.uint32), np.empty(10)
+    each = np.zeros(2, dtype=np.int64)
+    assert encoding.turning(np.stack((torque, 0.0 * torque[:1].repeat(5, axis=0))), body, magnitude, each) == 2
+    assert each.tolist() == [2, 0], "two in the first frame, none in the second"
     assert body[:2].tolist() == [1, 4]
     np.testing.assert_allclose(magnitude[:2], [5e-200, 5e200], rtol=1e-15)
 
@@ -69,25 +72,55 @@ def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
     assert strips[0].tolist() == [0, 0, 0.75, 0, 0, 0]
 
 
-def draw_edges(pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0) -> None:
-    """Draw contacts of bodies of radius 1 m, with normals straight down where they are asked for."""
+def draw_edges(
+    pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0
+) -> FloatArray:
+    """Draw the contacts of one frame, with normals straight down where they matter; return the deepest overlaps."""
     down = np.tile([0.0, 0.0, -1.0], (len(pairs), 1))
-    cycle = np.array(palette.STAGES, dtype=np.uint32)
-    overlaps, radius = np.full(len(pairs), overlap), np.ones(len(points))
-    white = np.uint32(palette.WHITE)
+    deepest = np.empty((1, 2))
     encoding.draw_edges(
-        pairs, down, overlaps, stages, points, radius, box, cycle, palette.SERIAL_STAGE, white, strips, colours
+        np.array([len(pairs)]),
+        pairs,
+        down,
+        np.full(len(pairs), overlap),
+        stages,
+        points[None],
+        np.ones(len(points)),
+        box,
+        np.array(palette.STAGES, dtype=np.uint32),
+        palette.SERIAL_STAGE,
+        np.uint32(palette.WHITE),
+        strips,
+        colours,
+        deepest,
     )
+    return deepest
 
 
 def test_positions_far_from_the_origin_keep_their_differences() -> None:
     position = np.array([[1e9, 0.0, 0.0], [1e9 + 0.25, 0.0, 0.0]])
-    points = np.empty((2, 3), dtype=np.float32)
-    encoding.cast_positions(position, np.array([1e9, 0.0, 0.0]), points)
-    assert points[:, 0].tolist() == [0.0, 0.25]
+    points = np.empty((1, 2, 3), dtype=np.float32)
+    encoding.cast_positions(position[None], np.array([1e9, 0.0, 0.0]), points)
+    assert points[0, :, 0].tolist() == [0.0, 0.25]
 
 
-def test_the_deepest_overlap_counts_against_the_smaller_radius() -> None:
+def test_the_deepest_overlap_of_each_frame_counts_against_the_smaller_radius() -> None:
     pairs, overlaps = np.array([[0, 1], [1, 2]]), np.array([0.2, 0.1])
-    assert encoding.deepest(pairs, overlaps, np.array([2.0, 1.0, 0.1])) == (0.2, 1.0)
-    assert encoding.deepest(pairs[:0], overlaps[:0], np.ones(3)) == (0.0, 0.0)
+    deepest = np.empty((3, 2))
+    encoding.draw_edges(
+        np.array([2, 0, 0]),
+        pairs,
+        np.zeros((2, 3)),
+        overlaps,
+        np.zeros(2, dtype=np.int64),
+        np.zeros((3, 3, 3), dtype=np.float32),
+        np.array([2.0, 1.0, 0.1]),
+        np.zeros(3),
+        np.array(palette.STAGES, dtype=np.uint32),
+        palette.SERIAL_STAGE,
+        np.uint32(palette.WHITE),
+        np.empty((2, 6), dtype=np.float32),
+        np.empty(2, dtype=np.uint32),
+        deepest,
+    )
+    assert deepest.tolist() == [[0.2, 1.0], [0.0, 0.0], [0.0, 0.0]]

@@ -182,7 +182,7 @@ class _Physics:
 
     def _run(self) -> None:
         try:
-            for frame in self.space.run():
+            for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
                 self._recorder.put(frame)
                 self.worst.see(frame)
                 self.frames += 1

@@ -15,7 +15,7 @@ from carom.physics.contact.stage import ContactStage
 from carom.physics.energy import Energy, EnergyAccount, Ledger
 from carom.physics.error import PhysicsError
 from carom.physics.fingerprint import fingerprint
-from carom.physics.frame import Checkpoint, Event, Frame
+from carom.physics.frame import Checkpoint, Event, Frame, FrameStore, copies
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
@@ -159,11 +159,18 @@ class Space:
         """64 bits of the exact state."""
         return fingerprint(self.state, self.time)
 
-    def run(self, until: float | None = None) -> Iterator[Frame]:
+    def run(self, until: float | None = None, store: FrameStore | None = None) -> Iterator[Frame]:
         """Step until a time, by default the scene's duration, and hand out the frames that ``record.every`` asks for.
 
         The first frame is the state now, the last one the state at the end. The frames asked for do not change the
         steps.
+
+        Parameters
+        ----------
+        until
+            s.
+        store
+            Where the arrays of the frames are kept; without one each frame owns its own.
 
         Raises
         ------
@@ -172,13 +179,13 @@ class Space:
         """
         end = self.scene.time.duration if until is None else until
         interval = frame_interval(self.scene)
-        yield self.frame()
+        yield self.frame(store)
         while self.time < end and not self._stopping:
             checked = (self.step + 1) % self.scene.record.log_freq == 0
             if self._advance(end, checked, interval):
-                yield self.frame()
+                yield self.frame(store)
         if self._stopping:
-            yield self.frame()
+            yield self.frame(store)
 
     def stop(self) -> None:
         """Let `run` end after the step it is in, with a last frame of that moment; any thread may call it."""
@@ -188,24 +195,27 @@ class Space:
         """Return the extremes of the run so far as events, each at its own time."""
         return self.moments.highlights(Names(self.names, self.planes.name))
 
-    def frame(self) -> Frame:
+    def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._counted != self.step:
             self._take_stock(self._accelerate(potential=True), checked=False)
         state, spins, momentum = self.state, self.requirements.spin.modelled, self._momentum
         turns = spins and self.requirements.torque.modelled
         events, self._events = tuple(self._events), []
+        slot = None if store is None else store.keep(state)
+        arrays = copies(state) if store is None or slot is None else store.kept(slot)
+        position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
         return Frame(
             step=self.step,
             time=self.time,
             dt=self.dt,
             dt_limit=self.dt_limit,
-            position=state.position.copy(),
-            velocity=state.velocity.copy(),
-            orientation=state.orientation.copy() if spins else None,
-            angular_velocity=state.angular_velocity.copy() if spins else None,
-            torque=state.torque.copy() if turns else None,
-            angular_acceleration=state.angular_acceleration.copy() if turns else None,
+            position=position,
+            velocity=velocity,
+            orientation=orientation if spins else None,
+            angular_velocity=angular_velocity if spins else None,
+            torque=torque if turns else None,
+            angular_acceleration=angular_acceleration if turns else None,
             contacts=self.contacts,
             energy=self._energy,
             momentum=momentum.linear,
@@ -214,9 +224,10 @@ class Space:
             phase=self._phase,
             events=events,
             fingerprint=self.fingerprint(),
-            checkpoint=Checkpoint(state.acceleration.copy(), self._timestep.previous),
+            checkpoint=Checkpoint(acceleration, self._timestep.previous),
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
+            slot=slot,
         )
 
     def _make_gravity(self) -> DirectGravity | None:

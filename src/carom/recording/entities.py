@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumnList
 from rerun.components import LineStrip3DBatch
 
-from carom.physics.frame import Frame
+from carom.physics.frame import Frame, FrameStore
 from carom.recording import arrows, checkpoint, encoding, palette
 from carom.recording.header import Header
 
@@ -124,17 +124,16 @@ class BatchEncoder:
         self._last_state: dict[str, str] = {}
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
-    def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
-        """All entities' rows of a batch, checkpoints apart."""
+    def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
+        """All entities' rows of a batch, checkpoints apart; in a store its frames follow each other."""
+        position = _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
-        for frame, centres in zip(batch, points, strict=True):
-            encoding.cast_positions(frame.position, self.origin, centres)
-        yield self._bodies(batch, points.reshape(-1, 3))
+        encoding.cast_positions(position, self.origin, points)
+        yield self._bodies(batch, store, points)
         if self.header.spins:
-            yield from self._arrows(batch, points)
+            yield from self._arrows(batch, store, points)
         if self.header.collides:
-            yield self._contacts(batch, points)
-            yield from self._collision_scalars(batch)
+            yield from self._collisions(batch, points)
         yield from self._energies(batch)
         yield _scalars(DT, batch, [frame.dt for frame in batch])
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
@@ -148,27 +147,27 @@ class BatchEncoder:
         arrays = checkpoint.encode(frames)
         return _any_values(CHECKPOINT, frames, arrays)
 
-    def _bodies(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Rows:
+    def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
         each = [self.header.bodies] * len(batch)
         turned = None
         if self.header.spins:
-            turned = np.empty((len(points), 4), dtype=np.float32)
-            for frame, quaternions in zip(batch, np.split(turned, len(batch)), strict=True):
-                if frame.orientation is not None:
-                    encoding.cast_orientations(frame.orientation, quaternions)
+            turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
+            encoding.cast_orientations(_stacked("orientation", batch, store), turned)
+            turned = turned.reshape(-1, 4)
+        centres = points.reshape(-1, 3)
         colours = self._node_colours(batch)
         match shape(self.header):
             case "ellipsoids":
-                columns = rr.Ellipsoids3D.columns(centers=points, quaternions=turned, colors=colours)
-                size = _bytes(points, turned, colours)
+                columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turned, colors=colours)
+                size = _bytes(centres, turned, colours)
             case "points":
-                columns = rr.Points3D.columns(positions=points, colors=colours)
-                size = _bytes(points, colours)
+                columns = rr.Points3D.columns(positions=centres, colors=colours)
+                size = _bytes(centres, colours)
             case _:
                 # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
                 scales = np.tile(np.repeat(self.header.radius, 3), len(batch)).reshape(-1, 3).astype(np.float32)
-                columns = rr.InstancePoses3D.columns(translations=points, quaternions=turned, scales=scales)
-                size = _bytes(points, turned, scales)
+                columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
+                size = _bytes(centres, turned, scales)
         return _rows(BODIES, batch, columns.partition(each), size)
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
@@ -178,41 +177,35 @@ class BatchEncoder:
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
 
-    def _arrows(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
+    def _arrows(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Iterable[Rows]:
         """Torques, and angular accelerations τ/I, of the bodies that feel any."""
+        torque = _stacked("torque", batch, store)
         most = self.header.bodies * len(batch)
         body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
-        each, total = [], 0
-        for frame in batch:
-            found = 0 if frame.torque is None else encoding.turning(frame.torque, body[total:], magnitude[total:])
-            each.append(found)
-            total += found
+        each = np.zeros(len(batch), dtype=np.int64)
+        total = encoding.turning(torque, body, magnitude, each) if torque.shape[1] else 0
         for path in (TORQUE, ANGULAR_ACCELERATION):
-            yield self._arrow_rows(path, batch, points, each, body[:total], magnitude[:total])
+            yield self._arrow_rows(path, batch, torque, points, each, body[:total], magnitude[:total])
 
     def _arrow_rows(
         self,
         path: str,
         batch: Sequence[Frame],
+        torque: FloatArray,
         points: NDArray[np.float32],
-        each: Sequence[int],
+        each: NDArray[np.int64],
         body: NDArray[np.uint32],
         magnitude: FloatArray,
     ) -> Rows:
         """Arrows of one kind: ``each`` frame's bodies follow each other in ``body``, with their torques' magnitudes."""
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
         if len(body) and path not in self.arrow_references:
-            k = next(index for index, count in enumerate(each) if count)
+            k = int(np.flatnonzero(each)[0])
             first = magnitude[: each[k]] / inertia[body[: each[k]]]
             self.arrow_references[path] = arrows.reference(first, self._natural_unit(path, batch[k]))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
         origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
-        end = 0
-        for frame, centres, count in zip(batch, points, each, strict=True):
-            own, end = slice(end, end + count), end + count
-            if frame.torque is not None:
-                which, size, at, along = body[own], magnitude[own], origin[own], vector[own]
-                encoding.draw_arrows(frame.torque, which, size, centres, self.header.radius, unit, longest, at, along)
+        encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
         columns = [
             *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
             *_any_column("body", body).partition(each),
@@ -227,42 +220,39 @@ class BatchEncoder:
         torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
-    def _contacts(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Rows:
-        each = [len(frame.contacts.pairs) for frame in batch]
-        strips, colours = np.empty((sum(each), 6), dtype=np.float32), np.empty(sum(each), dtype=np.uint32)
-        cycle, serial = np.array(palette.STAGES, dtype=np.uint32), palette.SERIAL_STAGE
-        end = 0
-        for frame, centres, count in zip(batch, points, each, strict=True):
-            graph, own, end = frame.contacts, slice(end, end + count), end + count
-            lines, shown = strips[own], colours[own]
-            encoding.draw_edges(
-                graph.pairs,
-                graph.normals,
-                graph.overlaps,
-                graph.colours,
-                centres,
-                self.header.radius,
-                self._box,
-                cycle,
-                serial,
-                np.uint32(palette.WHITE),
-                lines,
-                shown,
-            )
+    def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
+        """Draw the collision graphs' edges, and count them."""
+        graphs = [frame.contacts for frame in batch]
+        each = np.array([len(graph.pairs) for graph in graphs], dtype=np.int64)
+        colours = np.concatenate([graph.colours for graph in graphs])
+        strips, shown = np.empty((len(colours), 6), dtype=np.float32), np.empty(len(colours), dtype=np.uint32)
+        deepest = np.empty((len(batch), 2))
+        encoding.draw_edges(
+            each,
+            np.concatenate([graph.pairs for graph in graphs]),
+            np.concatenate([graph.normals for graph in graphs]),
+            np.concatenate([graph.overlaps for graph in graphs]),
+            colours,
+            points,
+            self.header.radius,
+            self._box,
+            np.array(palette.STAGES, dtype=np.uint32),
+            palette.SERIAL_STAGE,
+            np.uint32(palette.WHITE),
+            strips,
+            shown,
+            deepest,
+        )
         columns = [
             rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
-            *rr.LineStrips3D.columns(colors=colours).partition(each),
+            *rr.LineStrips3D.columns(colors=shown).partition(each),
         ]
-        return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, colours))
-
-    def _collision_scalars(self, batch: Sequence[Frame]) -> Iterable[Rows]:
-        graphs = [frame.contacts for frame in batch]
-        depths = [encoding.deepest(graph.pairs, graph.overlaps, self.header.radius) for graph in graphs]
-        yield _scalars(STEP_CONTACTS, batch, [len(graph.pairs) for graph in graphs])
+        yield _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, shown))
+        yield _scalars(STEP_CONTACTS, batch, each)
         yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
         yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
-        yield _scalars(OVERLAP, batch, [absolute for absolute, _ in depths])
-        yield _scalars(RELATIVE_OVERLAP, batch, [relative for _, relative in depths])
+        yield _scalars(OVERLAP, batch, deepest[:, 0])
+        yield _scalars(RELATIVE_OVERLAP, batch, deepest[:, 1])
 
     def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         energies = [frame.energy for frame in batch]
@@ -296,6 +286,19 @@ class BatchEncoder:
             "angular_momentum_error": np.array(angular),
         }
         return _any_values(MOMENTUM, batch, arrays)
+
+
+def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
+    """Return one of the arrays of all frames, (frames, n, …): as it lies in the store, or else copied together.
+
+    Frames without it, such as the torque of a scene without friction, give an array for no bodies.
+    """
+    first = batch[0].slot
+    if store is not None and first is not None:
+        lying: FloatArray = getattr(store, name)[first : first + len(batch)]
+        return lying
+    arrays = [getattr(frame, name) for frame in batch]
+    return np.stack(arrays) if arrays[0] is not None else np.zeros((len(batch), 0, 3))
 
 
 def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:

@@ -12,7 +12,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from carom.physics.frame import Event, Frame
+from carom.physics.bodies import Bodies
+from carom.physics.frame import Event, Frame, FrameStore
 from carom.recording import checkpoint
 from carom.recording.blueprint import blueprint
 from carom.recording.clock import Clock
@@ -55,6 +56,9 @@ class Recorder:
         room = queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
         self._mailbox: Mailbox[Frame] = Mailbox(room, batch, _BATCH_SECONDS)
+        self._store: FrameStore | None = None
+        # a slot comes round when its frame has been in the mailbox, in the batch being written, and been the last one
+        self._slots = max(room, batch) + batch + 2
         self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
         self._encoder: BatchEncoder | None = None
         self._extent: Extent | None = None
@@ -70,6 +74,11 @@ class Recorder:
     def payload_bytes(self) -> int:
         """Bytes of all arrays recorded so far, as handed to Rerun."""
         return self._stream.payload_bytes
+
+    def store_for(self, bodies: Bodies) -> FrameStore:
+        """Return room for the arrays of frames on their way through this recorder, and for no longer."""
+        self._store = FrameStore(self._slots, bodies)
+        return self._store
 
     def put(self, frame: Frame) -> None:
         """Hand over a frame; wait while the mailbox is full. Raises what stopped the recorder, if anything did."""
@@ -118,8 +127,9 @@ class Recorder:
     def _write(self, batch: list[Frame]) -> None:
         encoder = self._encoder or self._begin(batch[0])
         before = self.payload_bytes
-        for rows in encoder.rows(batch):
-            self._stream.send(rows, self._clock)
+        for part in _unbroken(batch):
+            for rows in encoder.rows(part, self._store):
+                self._stream.send(rows, self._clock)
         kept = self._plan.chosen(batch, before, self.payload_bytes - before)
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
@@ -188,3 +198,9 @@ class Recorder:
         found = Recording.open(self.path).frames
         if found != self.frames:
             raise RecordingError(f"{self.path} holds {found} frames, but {self.frames} were written")
+
+
+def _unbroken(batch: list[Frame]) -> list[list[Frame]]:
+    """Split a batch where the frame store began again at its first slot."""
+    turn = next((k for k, frame in enumerate(batch) if k and frame.slot == 0), None)
+    return [batch] if turn is None else [batch[:turn], batch[turn:]]
