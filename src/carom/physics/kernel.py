@@ -34,7 +34,17 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on its first call, or take it from the cache."""
+    """Compile a function on its first call, or take it from the cache.
+
+    It keeps the interpreter's lock. To let go of it for microseconds costs more than it gives: the recorder takes it, and
+    the physics waits. (With all kernels letting go, recording every step of 1000 bodies cost 19 % instead of 11 %.)
+    """
+    compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
+    return cast("Function", compiled)
+
+
+def long_kernel(function: Function) -> Function:
+    """Compile a function that runs for tens of microseconds or more, and lets other threads run meanwhile."""
     compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     return cast("Function", compiled)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.kernel import long_kernel
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -18,7 +18,7 @@ IntArray = NDArray[np.int64]
 ColourArray = NDArray[np.uint32]
 
 
-@kernel
+@long_kernel
 def cast_positions(position: FloatArray, origin: FloatArray, points: SingleArray) -> None:
     """Write positions (frames, n, 3) relative to an origin."""
     for f in range(position.shape[0]):
@@ -27,7 +27,7 @@ def cast_positions(position: FloatArray, origin: FloatArray, points: SingleArray
                 points[f, i, k] = np.float32(position[f, i, k] - origin[k])
 
 
-@kernel
+@long_kernel
 def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
     """Write quaternions (frames, n, 4)."""
     for f in range(orientation.shape[0]):
@@ -36,7 +36,7 @@ def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
                 turned[f, i, k] = np.float32(orientation[f, i, k])
 
 
-@kernel
+@long_kernel
 def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray, each: IntArray) -> int:
     """List the bodies with a torque that can be drawn, frame by frame, and its magnitude; return how many there are.
 
@@ -64,7 +64,7 @@ def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray,
     return found
 
 
-@kernel
+@long_kernel
 def draw_arrows(
     torque: FloatArray,
     each: IntArray,
@@ -96,7 +96,7 @@ def draw_arrows(
             c += 1
 
 
-@kernel
+@long_kernel
 def draw_edges(
     each: IntArray,
     pairs: IntArray,

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel
+from carom.physics.kernel import inline, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -103,7 +103,7 @@ class Grid:
         return found
 
 
-@kernel
+@long_kernel
 def _find(
     position: FloatArray,
     radius: FloatArray,

@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Ends
 from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -166,7 +166,7 @@ def _carry(
                 impulse[c, 1 + axis] = ratio * (old[k, 1 + axis] - along * normals[c, axis])
 
 
-@kernel
+@long_kernel
 def _hold(
     order: IntArray,
     pairs: IntArray,

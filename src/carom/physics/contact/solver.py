@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,7 +23,7 @@ RESTITUTION, FRICTION, STABILISATION = 0, 1, 2  # columns of a contact's ledger
 CONVERGED = 1e-9  # a sweep whose largest velocity change is this part of the first sweep's is the last
 
 
-@kernel
+@long_kernel
 def resolve_contacts(
     order: IntArray,
     pairs: IntArray,

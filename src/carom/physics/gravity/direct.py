@@ -18,7 +18,7 @@ from concurrent.futures import Executor
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel
+from carom.physics.kernel import inline, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def _aligned(buffer: FloatArray) -> np.uint64:
     return np.uint64((CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8)
 
 
-@kernel
+@long_kernel
 def _pull(
     lo: int,
     hi: int,
@@ -135,7 +135,7 @@ def _pull(
             acceleration[i, 2] = G * az[cz + q]
 
 
-@kernel
+@long_kernel
 def _pull_and_potential(
     lo: int,
     hi: int,
