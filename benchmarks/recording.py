@@ -17,9 +17,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from carom.experiment.run import Outcome, simulate
-from carom.physics.space import Space
-from carom.scene.schema import Scene
+from carom.experiment.memory import keep_freed_memory
+
+keep_freed_memory()  # as the carom command does, before NumPy starts its threads
+
+from carom.experiment.run import Outcome, simulate  # noqa: E402
+from carom.physics.space import Space  # noqa: E402
+from carom.scene.schema import Scene  # noqa: E402
 
 ROUNDS = 5
 DURATION = 12_000.0  # s simulated

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from carom.cli import explain, inspect, run, scenes, stress, view
+from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
     name="carom",
@@ -52,6 +53,7 @@ app.command("picture")(view.picture)
 
 def main() -> None:
     """Run the command; a person's mistake is one message and exit code 2, without a traceback."""
+    keep_freed_memory()
     try:
         app()
     except Exception as error:

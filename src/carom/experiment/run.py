@@ -13,7 +13,6 @@ import numpy as np
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
-from carom.experiment.memory import keep_freed_memory
 from carom.experiment.output import refuse_output
 from carom.experiment.worst import WorstFrames
 from carom.physics.error import PhysicsError
@@ -123,7 +122,6 @@ def simulate(
     path = Path(path)
     refuse_output(path, force)
     began = time.perf_counter()
-    keep_freed_memory()
     recorder = Recorder(path, _header(space), live=live)
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)

@@ -36,8 +36,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def kernel(function: Function) -> Function:
     """Compile a function on its first call, or take it from the cache.
 
-    It keeps the interpreter's lock. To let go of it for microseconds costs more than it gives: the recorder takes it, and
-    the physics waits. (With all kernels letting go, recording every step of 1000 bodies cost 19 % instead of 11 %.)
+    It keeps the interpreter's lock. To let go of it for microseconds costs more than it gives: the recorder takes it,
+    and the physics waits. (With all kernels letting go, recording every step of 1000 bodies cost 19 % instead of 11 %.)
     """
     compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
     return cast("Function", compiled)
