@@ -86,13 +86,13 @@ class EnergyAccount:
 
     def balance(self, bodies: Bodies, gravitational: float, ledger: Ledger) -> Energy:
         """Take stock. The first call is the start of the run."""
-        translational = float(_translational(bodies.velocity, bodies.mass))
-        rotational = float(_rotational(bodies.angular_velocity, bodies.inertia))
-        field = float(_field_energy(bodies.position, bodies.mass, self._field))
+        translational, internal, rotational, field = _terms(
+            bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, self._field
+        )
         total = translational + rotational + gravitational + field
         if self._initial is None:
             self._initial = total
-        moving = translational if self._at_rest else float(_internal(bodies.velocity, bodies.mass))
+        moving = translational if self._at_rest else internal
         self._scale = max(self._scale, moving + rotational + abs(gravitational))
         return Energy(
             translational=translational,
@@ -106,39 +106,27 @@ class EnergyAccount:
 
 
 @kernel
-def _translational(velocity: FloatArray, mass: FloatArray) -> float:
-    total = 0.0
+def _terms(
+    position: FloatArray,
+    velocity: FloatArray,
+    angular_velocity: FloatArray,
+    mass: FloatArray,
+    inertia: FloatArray,
+    g: FloatArray,
+) -> tuple[float, float, float, float]:
+    """Return the kinetic energy, the one about the centre of mass, the rotational one and that of the field, in J."""
+    Vx, Vy, Vz = centre_velocity(velocity, mass)
+    translational, internal, rotational, field = 0.0, 0.0, 0.0, 0.0
     for i in range(len(mass)):
         vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
-        total += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
-    return total
-
-
-@kernel
-def _internal(velocity: FloatArray, mass: FloatArray) -> float:
-    Vx, Vy, Vz = centre_velocity(velocity, mass)
-    total = 0.0
-    for i in range(len(mass)):
-        vx, vy, vz = velocity[i, 0] - Vx, velocity[i, 1] - Vy, velocity[i, 2] - Vz
-        total += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
-    return total
-
-
-@kernel
-def _rotational(angular_velocity: FloatArray, inertia: FloatArray) -> float:
-    total = 0.0
+        translational += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
+        vx, vy, vz = vx - Vx, vy - Vy, vz - Vz
+        internal += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
+        field -= mass[i] * (g[0] * position[i, 0] + g[1] * position[i, 1] + g[2] * position[i, 2])
     for i in range(len(angular_velocity)):
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
-        total += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
-    return total
-
-
-@kernel
-def _field_energy(position: FloatArray, mass: FloatArray, g: FloatArray) -> float:
-    total = 0.0
-    for i in range(len(mass)):
-        total -= mass[i] * (g[0] * position[i, 0] + g[1] * position[i, 1] + g[2] * position[i, 2])
-    return total
+        rotational += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
+    return translational, internal, rotational, field
 
 
 @kernel

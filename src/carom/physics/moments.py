@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Event
+from carom.physics.kernel import kernel
 from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
@@ -48,18 +49,16 @@ class Moments:
         bodies: Bodies,
     ) -> float:
         """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""
-        i, j = graph.pairs.T
-        ends = bodies.ends
-        energy = 0.5 * approach * approach / (ends.inverse_mass[i] + ends.inverse_mass[j])
-        depth = graph.overlaps / np.minimum(ends.radius[i], ends.radius[j])
-        self.impact = _larger(self.impact, energy, step, time, graph)
-        self.overlap = _larger(self.overlap, depth, step, time, graph)
+        ends, seen = bodies.ends, np.empty(5)
+        _extremes(graph.pairs, graph.overlaps, approach, rest_speed, ends.inverse_mass, ends.radius, seen)
+        hardest, energy, deepest, depth, struck = seen.tolist()
+        self.impact = _larger(self.impact, energy, int(hardest), step, time, graph)
+        self.overlap = _larger(self.overlap, depth, int(deepest), step, time, graph)
         if self.contacts is None or len(graph) > self.contacts.value:
             self.contacts = Moment(len(graph), step, time)
-        impacts = approach > rest_speed
         self.total_contacts += len(graph)
-        self.impacts += int(np.count_nonzero(impacts))
-        return float(energy[impacts].sum())
+        self.impacts += int(np.count_nonzero(approach > rest_speed))
+        return float(struck)
 
     def highlights(self, names: Names) -> tuple[Event, ...]:
         """Put the extremes of contacts and energy into words, in order of time."""
@@ -92,8 +91,32 @@ def _worse(known: float | None, error: float | None) -> float | None:
     return None if known is None or error is None else max(known, error)
 
 
-def _larger(known: Moment | None, values: FloatArray, step: int, time: float, graph: CollisionGraph) -> Moment | None:
-    worst = int(np.argmax(values))
-    if known is not None and values[worst] <= known.value:
+def _larger(known: Moment | None, value: float, worst: int, step: int, time: float, graph: CollisionGraph) -> Moment:
+    if known is not None and value <= known.value:
         return known
-    return Moment(float(values[worst]), step, time, tuple(int(body) for body in graph.pairs[worst]))
+    return Moment(value, step, time, tuple(int(body) for body in graph.pairs[worst]))
+
+
+@kernel
+def _extremes(
+    pairs: NDArray[np.int64],
+    overlaps: FloatArray,
+    approach: FloatArray,
+    rest_speed: FloatArray,
+    inverse_mass: FloatArray,
+    radius: FloatArray,
+    seen: FloatArray,
+) -> None:
+    """Write the hardest contact and its ½ μ v_n² in J, the deepest and its depth, and Σ ½ μ v_n² of the impacts."""
+    for k in range(5):
+        seen[k] = 0.0
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        energy = 0.5 * approach[c] * approach[c] / (inverse_mass[i] + inverse_mass[j])
+        depth = overlaps[c] / min(radius[i], radius[j])
+        if energy > seen[1]:
+            seen[0], seen[1] = c, energy
+        if depth > seen[3]:
+            seen[2], seen[3] = c, depth
+        if approach[c] > rest_speed[c]:
+            seen[4] += energy
