@@ -97,7 +97,6 @@ def test_an_extreme_is_a_scene_like_any_other(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="mass-ratio-squeezed, see tests/experiment/test_stress.py")
 def test_all_extremes_meet_their_criteria(tmp_path: Path) -> None:
     done = carom("stress", cwd=tmp_path)
     assert f"{len(extremes())} of {len(extremes())} extremes met their criteria." in done.stdout

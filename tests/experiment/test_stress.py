@@ -19,15 +19,10 @@ from carom.scene.schema import Scene
 from examples import cloud
 
 SLOW = ("hub-4000", "million-steps")  # more than five seconds each
-KNOWN = {
-    "mass-ratio-squeezed": "impulses that go from contact to contact do not hold 10⁹ kg with 1 kg between: the heavy "
-    "balls fall through the light one (overlap 2 radii, energy gain 2 × 10⁻⁴)",
-}
 
 
 def cases() -> list[Any]:
     marks = {name: [pytest.mark.slow] for name in SLOW}
-    marks |= {name: [pytest.mark.xfail(strict=True, reason=reason)] for name, reason in KNOWN.items()}
     return [pytest.param(name, marks=marks.get(name, [])) for name in extremes()]
 
 
