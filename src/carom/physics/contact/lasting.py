@@ -203,8 +203,8 @@ def _hold(
 ) -> int:
     """Apply the impulses; write v_n and u from ``before`` that; return the number of sweeps.
 
-    ``lightness``, (m, 3), is room for 1/m_i + 1/m_j, its inverse, and the mass that a tangential impulse moves; ``step``,
-    (m, 4) of zeros, for what a sweep changed, and ``pushed`` and ``turned`` for the velocities that this caused.
+    ``lightness``, (m, 3), is room for 1/m_i + 1/m_j, its inverse, and the mass that a tangential impulse moves;
+    ``step``, (m, 4) of zeros, for what a sweep changed; ``pushed`` and ``turned`` for the velocities that this caused.
     """
     spins = len(angular_velocity) > 0
     bodies = len(inverse_mass) - (len(law) - 1)
