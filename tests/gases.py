@@ -149,9 +149,7 @@ def cooling(
     until
         Time to cool, in τ.
     """
-    space = gas(
-        cells, packing, seed, contact={"restitution": restitution, "static_friction": 0.0}, time={"cfl": cfl}
-    )
+    space = gas(cells, packing, seed, contact={"restitution": restitution, "static_friction": 0.0}, time={"cfl": cfl})
     tau = 6 / ((1 - restitution**2) * enskog_rate(packing))
     times, temperatures = [0.0], [1.0]
     step = 0

@@ -53,7 +53,9 @@ def collide_alternately(restitution: float) -> tuple[int, NDArray[np.float64]]:
         count += 1
 
 
-@pytest.mark.parametrize(("restitution", "collisions"), [(1.0, 3), (0.7, 3), (0.3, 4), (0.15, 5), (0.1, 6), (0.08, 11), (0.075, 17)])
+@pytest.mark.parametrize(
+    ("restitution", "collisions"), [(1.0, 3), (0.7, 3), (0.3, 4), (0.15, 5), (0.1, 6), (0.08, 11), (0.075, 17)]
+)
 def test_beads_above_the_threshold_part_after_as_many_collisions_as_they_must(
     restitution: float, collisions: int
 ) -> None:
