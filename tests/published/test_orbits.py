@@ -114,7 +114,7 @@ def test_the_pythagorean_three_bodies_meet_as_closely_as_szebehely_and_peters_fo
     while space.time < 15.84:
         step += 1
         space.compute_dynamics(step)
-       distance = math.dist(space.state.position[1], space.state.position[2])
+        distance = math.dist(space.state.position[1], space.state.position[2])
         if distance < closest:
             closest, when = distance, space.time
     assert closest == pytest.approx(4.14e-4, abs=0.5e-6)
