@@ -5,8 +5,8 @@ Enskog (1922), in Chapman & Cowling, *The Mathematical Theory of Non-Uniform Gas
 sphere in a second, g = (1 - φ/2)/(1 - φ)³.
 
 carom finds an impact at the end of the step in which it happens, at an overlap. The spheres are smaller by that, so Z
-and the rate come out low by the first order of dt: by 1.0 to 1.4 % where dt takes each of the steps below fourfold
-(benchmarks/validation.py measures it). The steps below keep that to a few tenths of a per cent.
+and the rate come out low by the first order of dt: by up to 2.2 % at four times the steps below (docs/validation.md),
+which keep it to a few tenths of a per cent.
 """
 
 from __future__ import annotations
