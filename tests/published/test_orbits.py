@@ -59,9 +59,11 @@ def test_leapfrog_keeps_the_energy_of_a_kepler_orbit_as_well_as_kick_drift_kick_
 
 
 def test_a_cold_uniform_ball_falls_together_in_its_free_fall_time() -> None:
-    # Free fall of a uniform ball of radius R and mass M: every shell reaches the centre at π/2 √(R³/(2 G M)) = 1.110721
-    # √(R³/GM). At 0.9 of it a shell is at x of its radius with arccos √x + √(x (1 - x)) = 0.9 π/2; 2000 bodies drawn at
-    # random fall like the continuum to about 1/√2000 in their median radius.
+    # Free fall of a uniform ball of radius R and mass M: every shell reaches the centre at π/2 √(R³/(2 G M)) =
+    # 1.110721 √(R³/GM). At 0.9 of it a shell is at x of its radius with arccos √x + √(x (1 - x)) = 0.9 π/2; of 2000
+    # bodies drawn at random the ball within the median radius has a density known to 1/√2000 = 2.2 %, hence a
+    # free-fall time to 1.1 %, and so late in the fall that is 6 % of the radius. 10 %: four seeds measured -4 to +10
+    # %.
     scene = Scene.from_dict(
         {
             "seed": 1,
