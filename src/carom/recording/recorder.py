@@ -31,7 +31,7 @@ _BATCH_BYTES = 4_000_000  # a call costs 0.2 ms besides its data, whatever its s
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # what a killed run may lose
-_QUEUE_BYTES = 64_000_000
+_QUEUE_BYTES = 32_000_000
 _FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: send a second one only if the eye's distance grew by more
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets its one blueprint at the end
 
