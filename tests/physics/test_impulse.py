@@ -48,6 +48,7 @@ def resolve(
         arms,
         overlaps,
         bodies.velocity,
+        bodies.acceleration,
         bodies.angular_velocity,
         bodies.ends.inverse_mass,
         bodies.ends.inverse_inertia,

@@ -208,6 +208,7 @@ class ContactStage:
             self._arms,
             graph.overlaps,
             ends.velocity,
+            ends.acceleration,
             ends.angular_velocity if self._friction else ends.angular_velocity[:0],
             ends.inverse_mass,
             ends.inverse_inertia,
