@@ -104,6 +104,24 @@ def test_a_scene_that_cannot_be_placed_leaves_no_file(tmp_path: Path) -> None:
     assert not (tmp_path / "x.rrd").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[body]]\n[[plane]]\nnormal = [0, 0, 0]\n", "normal = [0, 0, 0] is no direction"),
+        ("[[body]]\n[[plane]]\nstatic_friction = 0.1\nkinetic_friction = 0.5\n", "kinetic_friction = 0.5 is above"),
+        ("[[body]]\nfixed = true\nvelocity = [1, 0, 0]\n", "fixed = true with a velocity"),
+        ("[[body]]\n[[plane]]\nname = 'floor'\n", "reaches 1 m into floor"),
+        ("[domain]\nboundary = 'walls'\nsize = [3, 3, 3]\n[[body]]\nposition = [9, 0, 0]\n", "into wall at +x"),
+        ("[[group]]\nregion = { radius = 9.0, centre = [0, 0, -20] }\n[[plane]]\n", "group.0.region: no room"),
+    ],
+)
+def test_a_mistake_with_planes_or_fixed_bodies_is_one_message_too(text: str, said: str, tmp_path: Path) -> None:
+    done = carom("run", str(scene_file(tmp_path, text)), "-o", "x.rrd", cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert said in " ".join(done.stderr.split()) and "Traceback" not in done.stderr
+    assert not (tmp_path / "x.rrd").exists()
+
+
 def test_a_full_disk_ends_the_run_with_a_readable_file(tmp_path: Path) -> None:
     done = carom("run", "elastic-gas", "-o", "x.rrd", cwd=tmp_path, limit=6_000_000)
     assert done.returncode == 1, done.stderr

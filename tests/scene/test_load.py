@@ -82,6 +82,53 @@ MISTAKES = {
         "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
         [":2:", "integrator", "'euler', 'leapfrog' or 'yoshida4'"],
     ),
+    "a plane that faces nowhere": (
+        ONE_BODY + "[[plane]]\nnormal = [0, 0, 0]\n",
+        [":3:", "plane.0", "normal = [0, 0, 0] is no direction", "[0, 0, 1]"],
+    ),
+    "a plane on which sliding is harder than sticking": (
+        ONE_BODY + "[[plane]]\nstatic_friction = 0.2\nkinetic_friction = 0.5\n",
+        [":3:", "plane.0", "kinetic_friction = 0.5 is above static_friction = 0.2"],
+    ),
+    "a plane that gives more than it gets": (
+        ONE_BODY + "[[plane]]\nrestitution = 1.1\n",
+        [":4:", "plane.0.restitution", "at most 1"],
+    ),
+    "a misspelt key of a plane": (ONE_BODY + "[[plane]]\nnormals = [0, 0, 1]\n", [":4:", 'did you mean "normal"']),
+    "fixed, but moving": (
+        "[[body]]\nfixed = true\nvelocity = [1, 0, 0]\n",
+        [":1:", "body.0", "fixed = true with a velocity"],
+    ),
+    "fixed, but turning": (
+        "[[body]]\nfixed = true\nangular_velocity = [0, 0, 1]\n",
+        ["body.0", "fixed = true with a velocity or an angular_velocity"],
+    ),
+    "a body in a plane": (
+        "[[body]]\nposition = [0, 0, 0.75]\n[[plane]]\nname = 'floor'\n",
+        ['body.0 ("body 0")', "reaches 0.25 m into floor", "allow_overlap"],
+    ),
+    "a body in a wall": (
+        "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n[[body]]\nname = 'a'\nposition = [4, 0, 0]\n",
+        ['body.0 ("a")', "reaches 0.5 m into wall at +x", "move it out"],
+    ),
+    "a body outside the walls": (
+        "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n[[body]]\nposition = [0, -40, 0]\n",
+        ["body.0", "reaches 36.5 m into wall at -y"],
+    ),
+    "periodic with a plane": (
+        "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY + "[[plane]]\n",
+        ["domain.boundary", "with a [[plane]]", '"walls" or "open"'],
+    ),
+    "a group behind a plane": (
+        "[[group]]\ncount = 3\nregion = { shape = 'ball', radius = 5.0, centre = [0, 0, -9] }\n"
+        "[[plane]]\nname = 'floor'\n",
+        ["group.0.region", "no room for the bodies outside floor"],
+    ),
+    "a group outside the walls": (
+        "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n"
+        "[[group]]\ncount = 3\nregion = { shape = 'ball', radius = 3.0, centre = [20, 0, 0] }\n",
+        ["group.0.region", "no room for the bodies outside wall at +x"],
+    ),
     "trees": ("[gravity]\nmethod = 'tree'\n" + ONE_BODY, ["gravity.method", "direct"]),
 }
 

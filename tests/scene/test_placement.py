@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carom.scene.error import SceneError
+from carom.scene.halfspace import half_spaces
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.placement import packing_fraction, place
 from carom.scene.schema import Scene
@@ -108,3 +109,35 @@ def test_velocities_are_maxwellian_about_the_mean() -> None:
     start = placed(count=5000, radius=0.01, velocity={"mean": [1, 2, 3], "dispersion": 0.5})
     assert np.all(abs(start.velocity.mean(axis=0) - [1, 2, 3]) < 4 * 0.5 / np.sqrt(5000))
     assert np.all(abs(start.velocity.std(axis=0) - 0.5) < 4 * 0.5 / np.sqrt(10_000))
+
+
+def test_a_group_is_placed_clear_of_planes_and_walls_and_what_is_fixed_stays_so() -> None:
+    scene = Scene.from_dict(
+        {
+            "domain": {"boundary": "walls", "size": [10.0, 10.0, 10.0]},
+            "plane": [{"normal": [1.0, 0.0, 2.0]}],
+            "body": [{"fixed": True, "position": [0.0, 0.0, 3.0]}],
+            "group": [{"count": 200, "radius": 0.2, "region": {"shape": "box", "size": [20.0, 20.0, 20.0]}}],
+        }
+    )
+    start = place(scene)
+    assert half_spaces(scene).depth(start.position, start.radius).max() < 0.0
+    assert len(overlapping_pairs(start.position, start.radius)) == 0
+    assert start.fixed.tolist() == [True] + [False] * 200
+
+
+def test_half_spaces_are_the_planes_and_then_the_walls_with_unit_normals_and_laws() -> None:
+    scene = Scene.from_dict(
+        {
+            "contact": {"restitution": 0.3, "static_friction": 0.5, "kinetic_friction": 0.2},
+            "domain": {"boundary": "walls", "size": [2.0, 4.0, 6.0]},
+            "plane": [{"name": "ramp", "point": [0, 0, 1], "normal": [3e200, 0, 4e200], "restitution": 0.9}],
+            "body": [{"position": [0, 0, 2], "radius": 0.1}],
+        }
+    )
+    solids = half_spaces(scene)
+    assert solids.name == ["ramp"] + [f"wall at {side}{axis}" for axis in "xyz" for side in "-+"]
+    assert np.allclose(np.linalg.norm(solids.normal, axis=1), 1.0, rtol=0, atol=2e-16)
+    assert np.allclose(solids.normal[0], [0.6, 0.0, 0.8], rtol=0, atol=2e-16)
+    assert np.allclose(solids.offset, [0.8, -1, -1, -2, -2, -3, -3], rtol=0, atol=2e-16)
+    assert solids.law.tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6

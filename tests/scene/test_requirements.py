@@ -11,8 +11,12 @@ from carom.scene.requirements import frame_interval, require
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
-MOVING = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
-RESTING = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]}]
+MOVING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
+RESTING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]}]
+POST: dict[str, Any] = {"position": [9, 0, 0], "fixed": True}
+FALLING = {"constant": 0, "uniform": [0, 0, -9.81]}
+SMOOTH = {"static_friction": 0}
+ROUGH = {"point": [0, 0, -1], "static_friction": 0.5}
 
 CASES: list[tuple[str, Any, str, bool]] = [
     ("no constant, no gravity", scene_of(MOVING, gravity={"constant": 0}), "gravity", False),
@@ -28,6 +32,20 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("friction turns bodies", pair(), "spin", True),
     ("spin at the start", cloud(contact={"static_friction": 0}), "spin", True),
     ("a fixed step needs no warm-up", pair(time={"fixed_dt": 0.01}), "warm_up", False),
+    ("one body and a plane may meet", scene_of(MOVING[1:], plane=[{"point": [0, 0, -1]}]), "contact", True),
+    ("one body at rest beside a plane", scene_of(RESTING[1:], plane=[{"point": [0, 0, -1]}]), "contact", False),
+    (
+        "one body that falls on a plane",
+        scene_of([{"position": [0, 0, 5]}], plane=[{}], gravity=FALLING),
+        "contact",
+        True,
+    ),
+    ("one body between walls", scene_of(MOVING[1:], domain={"boundary": "walls", "size": [99] * 3}), "contact", True),
+    ("all fall alike", scene_of(RESTING, gravity=FALLING), "contact", False),
+    ("one is fixed, and one falls", scene_of([RESTING[0], POST], gravity=FALLING), "contact", True),
+    ("one is fixed, and nothing moves", scene_of([RESTING[0], POST], gravity={"constant": 0}), "contact", False),
+    ("a rough plane turns smooth spheres", scene_of(MOVING[1:], plane=[ROUGH], contact=SMOOTH), "torque", True),
+    ("a smooth plane does not", scene_of(MOVING[1:], plane=[{"point": [0, 0, -1]}], contact=SMOOTH), "torque", False),
     ("a uniform field", pair(gravity={"constant": 0, "uniform": [0, 0, -9.81]}), "field", True),
 ]
 

@@ -261,6 +261,10 @@ def _place_class(
         missing = np.setdiff1d(np.arange(n), owner)
         if len(missing) == 0:
             return pool[np.argsort(owner)]
+    in_the_way = np.flatnonzero(np.all(solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
+    if len(in_the_way):
+        names = " and ".join(solids.name[plane] for plane in in_the_way)
+        raise SceneError(f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it")
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
         f"placement (packing fraction {packing:.3g}); enlarge the region or lower count or radius"
