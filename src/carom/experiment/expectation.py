@@ -46,6 +46,7 @@ def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict
         "momentum_error": (_or_infinite(moments.momentum_error), frames.momentum),
         "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), frames.angular_momentum),
         "max_overlap": (_value(moments.overlap), moments.overlap),
+        "final_kinetic": (frames.final_kinetic.value, frames.final_kinetic),
         "impacts": (moments.impacts, None),
     }
     return [

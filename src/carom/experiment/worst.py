@@ -1,4 +1,4 @@
-"""The worst of the frames of a run: where its energy rose most and its momenta were furthest off."""
+"""The worst of the frames of a run: where its energy rose most and its momenta were furthest off; and the last."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ class WorstFrames:
     energy_gain: Moment = field(default_factory=_nothing)  # over the energy scale
     momentum: Moment = field(default_factory=_nothing)
     angular_momentum: Moment = field(default_factory=_nothing)
+    final_kinetic: Moment = field(default_factory=_nothing)  # of the last frame, over the energy scale
     _lowest: float = float("inf")  # J
 
     def see(self, frame: Frame) -> None:
@@ -31,6 +32,8 @@ class WorstFrames:
         scale = frame.energy.scale
         gain = (frame.energy.total - self._lowest) / scale if scale > 0.0 else 0.0
         self.energy_gain = _worse(self.energy_gain, gain, frame)
+        kinetic = frame.energy.translational + frame.energy.rotational
+        self.final_kinetic = Moment(kinetic / scale if scale > 0.0 else 0.0, frame.step, frame.time)
         self.momentum = _worse(self.momentum, frame.momentum_error or 0.0, frame)
         self.angular_momentum = _worse(self.angular_momentum, frame.angular_momentum_error or 0.0, frame)
 

@@ -288,6 +288,9 @@ class Expect(Section):
         None, description="largest change of angular momentum over its scale"
     )
     max_overlap: NonNegative | None = Field(None, description="deepest overlap over the smaller radius")
+    final_kinetic: NonNegative | None = Field(
+        None, description="kinetic energy at the end, of motion and spin, over the energy scale"
+    )
     impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
 
 
