@@ -265,3 +265,14 @@ def test_impulses_are_found_again_by_their_pair_and_turned_into_the_new_tangenti
     )  # half of them: half the kick, no part along n
     assert np.array_equal(carried, expected)
     assert not Hold.empty().carried_to(pairs, normals, kick=0.25).any()
+
+
+@pytest.mark.parametrize("integrator", ["euler", "leapfrog"])
+def test_a_step_that_grows_at_once_lets_nothing_sink(integrator: str) -> None:
+    # A run that is cut at 1.01 s ends with a step of 0.01 s and goes on with one of 0.1 s.
+    time = {"duration": 5.0, "fixed_dt": 0.1, "integrator": integrator}
+    space = Space(scene_of(TOUCHING, gravity={"constant": 1.0}, time=time))
+    for until in (1.01, 5.0):
+        for frame in space.run(until=until):
+            assert abs(separation(frame.position) - 2.0) <= 1e-12
+    assert space.energy().ledger.stabilisation <= 1e-15, "nothing had to be pushed"

@@ -102,7 +102,9 @@ class ContactStage:
         self.held = np.zeros((len(self._graph), 3))
         if self._is_at_rest():
             closing = np.maximum(0.0, -self._gap_overlaps) / dt
-            self._find_impulses(kick, dt, closing, self._rest_speed, self.held)
+            # at rest is what closes by no more than this kick has caused, and by what half a step's fall adds to that
+            fastest = self._rest_speed * ((kick + 0.5 * dt) / self._dt)
+            self._find_impulses(kick, dt, closing, fastest, self.held)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
@@ -193,6 +195,7 @@ class ContactStage:
         self._begin(CollisionGraph(pairs, normals, np.maximum(overlaps, 0.0), colours, body_colours))
         self._apart = overlaps < -(TOUCHING * (arms.sum(axis=1) + overlaps) + self._rounding)
         self._rest_speed = rest_speeds(pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
+        self._dt = dt  # s, the step that they are for
 
     def _resolve(self, dt: float, kick: float) -> None:
         contact, ends, graph = self._contact, self._bodies.ends, self._graph
@@ -221,17 +224,15 @@ class ContactStage:
             self._approach,
             self._angular_impulse,
         )
-        overlap = self._gap_overlaps
+        overlap, seen = self._gap_overlaps, ~self._apart
         if lasting and np.any(self._approach <= self._rest_speed):
             closing = np.where(overlap < 0.0, -overlap / dt, -bias_rate * overlap)
             fastest = np.where(overlap < 0.0, self._rest_speed, np.inf)  # what touches fast has been resolved
-            held = self._find_impulses(kick, 0.0, closing, fastest, self.work)
+            held, impulse = self._find_impulses(kick, 0.0, closing, fastest, self.work)
             self.sweeps = max(self.sweeps, held)
+            seen |= impulse[:, 0] > 0.0
         else:
             self._hold = Hold.empty()
-        seen = ~self._apart
-        if len(self._hold.impulse):
-            seen |= self._hold.impulse[:, 0] > 0.0
         self._show(slice(None) if seen.all() else seen)
         if self.sweeps == contact.sweeps:
             self._too_few_sweeps = still_closing(
@@ -244,12 +245,16 @@ class ContactStage:
 
     def _find_impulses(
         self, kick: float, dt: float, closing: FloatArray, fastest: FloatArray, ledger: FloatArray
-    ) -> int:
-        """Hold the contacts after a kick, with a drift of length dt to come or with none, 0; both in s."""
+    ) -> tuple[int, FloatArray]:
+        """Hold the contacts after a kick, with a drift of length dt to come or with none, 0; both in s.
+
+        Returns the number of sweeps and the impulses, (m, 4) N s.
+        """
         pairs = self._graph.pairs
         impulse = self._hold.carried_to(pairs, self._normals, kick)
-        self._hold = Hold(pairs, impulse, kick)
-        return hold(
+        if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
+            self._hold = Hold(pairs, impulse, kick)
+        sweeps = hold(
             self._order,
             pairs,
             self._normals,
@@ -266,6 +271,7 @@ class ContactStage:
             ledger,
             self._angular_impulse,
         )
+        return sweeps, impulse
 
     def _show(self, which: slice | NDArray[np.bool_]) -> None:
         """Let those contacts be seen that touch or carry an impulse, not those that are merely near."""
