@@ -7,9 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.energy import Energy, Ledger
-from carom.physics.frame import Checkpoint, Event, Frame
+from carom.physics.energy import Energy, EnergyBaseline, Ledger
+from carom.physics.event import Event
+from carom.physics.frame import Frame
+from carom.physics.moments import Moment, Moments
+from carom.physics.momentum import MomentumBaseline
+from carom.physics.watch import WatchTally
 from carom.recording.header import Header
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
@@ -104,8 +109,22 @@ class Merry:
             phase="colliding" if len(contacts.pairs) else "free",
             events=events,
             fingerprint=(0x9E3779B97F4A7C15 * (step + 1)) % 2**64,
-            checkpoint=Checkpoint(acceleration=-position, previous_dt=dt),
+            acceleration=-position,
+            previous_dt=dt,
+            memory=None,
+            books=self.books(energy),
             momentum_error=1e-15 * step,
+        )
+
+    def books(self, energy: Energy) -> Books:
+        nothing = (0.0, 0.0, 0.0)
+        return Books(
+            energy=EnergyBaseline(initial=energy.total, scale=energy.scale),
+            momentum=MomentumBaseline(nothing, nothing, nothing, 1.0, 1.0),
+            watch=WatchTally(energy, 3),
+            moments=Moments(impact=Moment(0.1, 7, 0.35, (1, 2)), total_contacts=5),
+            activity=0.1,
+            phase="free",
         )
 
     def contacts(self, position: np.ndarray, step: int) -> CollisionGraph:

@@ -87,8 +87,8 @@ class Progress:
         if linear is None:
             table.add_row("momentum", "not conserved: planes, walls or fixed bodies take it")
         else:
-            angular_text = "not conserved in a periodic box" if angular is None else f"{angular:.2e}"
-            table.add_row("momentum", f"error at most {linear:.2e}, angular {angular_text}")
+            angular_text = "not conserved in a periodic box" if angular is None else f"{angular.value:.2e}"
+            table.add_row("momentum", f"error at most {linear.value:.2e}, angular {angular_text}")
         if moments.overlap and moments.contacts:
             table.add_row(
                 "contacts",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.experiment.worst import WorstFrames
 from carom.physics.moments import Moment, Moments
 from carom.scene.schema import Expect
 
@@ -34,7 +33,7 @@ class Verdict:
         return f"{self.name}: {self.measured:.3g} ({self.bound} {self.limit:.3g}{missed})"
 
 
-def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict]:
+def judge(expect: Expect, moments: Moments) -> list[Verdict]:
     """Compare every promise that a scene makes with the extremes of its run.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
@@ -42,11 +41,11 @@ def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict
     """
     measured = {
         "energy_error": (_value(moments.energy_error), moments.energy_error),
-        "energy_gain": (frames.energy_gain.value, frames.energy_gain),
-        "momentum_error": (_or_infinite(moments.momentum_error), frames.momentum),
-        "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), frames.angular_momentum),
+        "energy_gain": (moments.energy_gain.value, moments.energy_gain),
+        "momentum_error": (_or_infinite(moments.momentum_error), moments.momentum_error),
+        "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), moments.angular_momentum_error),
         "max_overlap": (_value(moments.overlap), moments.overlap),
-        "final_kinetic": (frames.final_kinetic.value, frames.final_kinetic),
+        "final_kinetic": (moments.kinetic.value, moments.kinetic),
         "impacts": (moments.impacts, None),
     }
     return [
@@ -56,8 +55,8 @@ def judge(expect: Expect, moments: Moments, frames: WorstFrames) -> list[Verdict
     ]
 
 
-def _or_infinite(error: float | None) -> float:
-    return float("inf") if error is None else error
+def _or_infinite(error: Moment | None) -> float:
+    return float("inf") if error is None else error.value
 
 
 def _value(moment: Moment | None) -> float:

@@ -14,7 +14,6 @@ import numpy as np
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.output import refuse_output
-from carom.experiment.worst import WorstFrames
 from carom.physics.error import PhysicsError
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
@@ -126,7 +125,7 @@ def simulate(
     physics = _Physics(space, recorder)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
-    verdicts = judge(space.scene.expect, space.moments, physics.worst)
+    verdicts = judge(space.scene.expect, space.moments)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
@@ -155,7 +154,6 @@ class _Physics:
     def __init__(self, space: Space, recorder: Recorder) -> None:
         self.space = space
         self.frames = 0
-        self.worst = WorstFrames()
         self._recorder = recorder
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
@@ -184,7 +182,6 @@ class _Physics:
         try:
             for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
                 self._recorder.put(frame)
-                self.worst.see(frame)
                 self.frames += 1
         except Exception as error:
             self._error = error
@@ -243,9 +240,9 @@ def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
         "contacts.impacts": moments.impacts,
     }
     if moments.momentum_error is not None:
-        summary["momentum.max_error"] = moments.momentum_error
+        summary["momentum.max_error"] = moments.momentum_error.value
     if moments.angular_momentum_error is not None:
-        summary["angular_momentum.max_error"] = moments.angular_momentum_error
+        summary["angular_momentum.max_error"] = moments.angular_momentum_error.value
     if moments.energy_error is not None:
         summary["energy.max_error"] = moments.energy_error.value
     if moments.overlap is not None:

@@ -75,14 +75,21 @@ class Energy:
         return abs(self.integration_error) / self.scale if self.scale > 0.0 else 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class EnergyBaseline:
+    """What energies are compared with."""
+
+    initial: float  # J, the total at the start of the run
+    scale: float  # J, the largest so far
+
+
 class EnergyAccount:
     """Turns the state into an `Energy`, remembering where the run began and the largest scale so far."""
 
     def __init__(self, field: FloatArray, anchored: bool = False) -> None:
         self._field = field
         self._at_rest = anchored or bool(field.any())  # whether motion counts from rest, not from the centre of mass
-        self._initial: float | None = None
-        self._scale = 0.0
+        self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(self, bodies: Bodies, gravitational: float, ledger: Ledger) -> Energy:
         """Take stock. The first call is the start of the run."""
@@ -90,18 +97,18 @@ class EnergyAccount:
             bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, self._field
         )
         total = translational + rotational + gravitational + field
-        if self._initial is None:
-            self._initial = total
         moving = translational if self._at_rest else internal
-        self._scale = max(self._scale, moving + rotational + abs(gravitational))
+        scale = moving + rotational + abs(gravitational)
+        known = self.baseline or EnergyBaseline(total, scale)
+        self.baseline = EnergyBaseline(known.initial, max(known.scale, scale))
         return Energy(
             translational=translational,
             rotational=rotational,
             gravitational=gravitational,
             field=field,
             ledger=ledger,
-            integration_error=total - self._initial + ledger.balance,
-            scale=self._scale,
+            integration_error=total - self.baseline.initial + ledger.balance,
+            scale=self.baseline.scale,
         )
 
 

@@ -8,28 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.memory import ContactMemory
 from carom.physics.energy import Energy
+from carom.physics.event import Event
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something worth a line in the log: when it happened, how grave it is, and what it was."""
-
-    step: int
-    time: float  # s
-    level: str  # "INFO" or "WARN"
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class Checkpoint:
-    """All that the next step depends on besides the arrays of the frame that carries it."""
-
-    acceleration: FloatArray  # (n, 3) m/s²
-    previous_dt: float  # s, the smoothed step before the end of the run trimmed it
 
 
 class FrameStore:
@@ -112,6 +97,7 @@ class Frame:
     dt_limit: str  # what set dt: "acceleration", "velocity", "cap", "growth", "fixed", "end" or "start"
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
+    acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
     orientation: FloatArray | None  # (n, 4) xyzw; None without spin, like the four below
     angular_velocity: FloatArray | None  # (n, 3) rad/s
     torque: FloatArray | None  # (n, 3) N m
@@ -124,7 +110,26 @@ class Frame:
     phase: str  # "warm-up", "free", "colliding" or "settled"
     events: tuple[Event, ...]  # since the frame before, in order of time
     fingerprint: int  # 64 bits of the exact state
-    checkpoint: Checkpoint
+    previous_dt: float  # s, the smoothed step before the end of the run trimmed it
+    memory: ContactMemory | None  # what lasting contacts carry over; None where none can last
+    books: Books
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
     angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it
     slot: int | None = None  # where its arrays lie in a `FrameStore`, if they do
+
+    @property
+    def checkpoint(self) -> Checkpoint:
+        """What a run can go on from; it shares the arrays of the frame."""
+        return Checkpoint(
+            step=self.step,
+            time=self.time,
+            previous_dt=self.previous_dt,
+            position=self.position,
+            velocity=self.velocity,
+            acceleration=self.acceleration,
+            orientation=self.orientation,
+            angular_velocity=self.angular_velocity,
+            energy=self.energy,
+            contacts=self.memory,
+            books=self.books,
+        )

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.frame import Event
+from carom.physics.energy import Energy
+from carom.physics.event import Event
 from carom.physics.kernel import kernel
+from carom.physics.momentum import Momentum
 from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
@@ -26,18 +28,28 @@ class Moment:
     bodies: tuple[int, ...] = ()
 
 
+NOTHING = Moment(0.0, 0, 0.0)
+
+
 @dataclass(slots=True)
 class Moments:
-    """Extremes so far; None where there was nothing to measure."""
+    """Extremes so far, of the steps whose energy was taken, or of all contacts; None where nothing was measured.
 
-    energy_error: Moment | None = None  # |integration error| / scale, of the checked steps
+    Contacts dissipate and gravity is conservative, so the total energy can only fall. What it rises by, from its lowest
+    value on, is somebody's fault, whether the ledger has an entry for it or not.
+    """
+
+    energy_error: Moment | None = None  # |integration error| / scale
+    energy_gain: Moment = NOTHING  # rise of the total energy from its lowest so far / scale
+    kinetic: Moment = NOTHING  # kinetic energy / scale: of the last step, not the largest
     impact: Moment | None = None  # J, largest ½ μ v_n² of a contact that was closing
     overlap: Moment | None = None  # deepest overlap / smaller radius
     contacts: Moment | None = None  # most contacts in a step
-    momentum_error: float | None = 0.0
-    angular_momentum_error: float | None = 0.0
+    momentum_error: Moment | None = NOTHING  # None where the scene does not conserve it
+    angular_momentum_error: Moment | None = NOTHING  # likewise
     total_contacts: int = 0  # summed over the steps
     impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
+    lowest_energy: float = float("inf")  # J
 
     def see_contacts(
         self,
@@ -76,19 +88,27 @@ class Moments:
                 events.append(Event(moment.step, moment.time, "INFO", text))
         return tuple(sorted(events, key=lambda event: event.step))
 
-    def see_energy_error(self, step: int, time: float, error: float) -> None:
-        """Take note of a checked energy."""
-        if self.energy_error is None or error > self.energy_error.value:
-            self.energy_error = Moment(error, step, time)
+    def see_energy(self, step: int, time: float, energy: Energy) -> None:
+        """Take note of the energy of a step."""
+        self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
+        self.lowest_energy = min(self.lowest_energy, energy.total)
+        gain = (energy.total - self.lowest_energy) / energy.scale if energy.scale > 0.0 else 0.0
+        if gain > self.energy_gain.value:
+            self.energy_gain = Moment(gain, step, time)
+        kinetic = energy.translational + energy.rotational
+        self.kinetic = Moment(kinetic / energy.scale if energy.scale > 0.0 else 0.0, step, time)
 
-    def see_momentum_error(self, linear: float | None, angular: float | None) -> None:
-        """Take note of checked momenta; None is what the scene does not conserve."""
-        self.momentum_error = _worse(self.momentum_error, linear)
-        self.angular_momentum_error = _worse(self.angular_momentum_error, angular)
+    def see_momentum(self, step: int, time: float, momentum: Momentum) -> None:
+        """Take note of the momenta of a step."""
+        linear, angular = momentum.linear_error, momentum.angular_error
+        self.momentum_error = None if linear is None else _worse(self.momentum_error, linear, step, time)
+        self.angular_momentum_error = (
+            None if angular is None else _worse(self.angular_momentum_error, angular, step, time)
+        )
 
 
-def _worse(known: float | None, error: float | None) -> float | None:
-    return None if known is None or error is None else max(known, error)
+def _worse(known: Moment | None, value: float, step: int, time: float) -> Moment:
+    return known if known is not None and value <= known.value else Moment(value, step, time)
 
 
 def _larger(known: Moment | None, value: float, worst: int, step: int, time: float, graph: CollisionGraph) -> Moment:

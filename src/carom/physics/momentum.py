@@ -31,6 +31,17 @@ class Momentum:
     angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None likewise, and in a periodic box
 
 
+@dataclass(frozen=True, slots=True)
+class MomentumBaseline:
+    """What momenta are compared with: those at the start, and the largest sums of magnitudes so far."""
+
+    linear: tuple[float, float, float]  # kg m/s
+    angular: tuple[float, float, float]  # kg m²/s
+    centre: tuple[float, float, float]  # m, the centre of mass
+    linear_scale: float  # kg m/s
+    angular_scale: float  # kg m²/s
+
+
 class MomentumAccount:
     """Compares momentum with its value at the start."""
 
@@ -41,6 +52,17 @@ class MomentumAccount:
         self._linear, self._angular, self._linear_scale, self._angular_scale = _sums(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass @ bodies.position) / self._mass
+
+    @property
+    def baseline(self) -> MomentumBaseline:
+        """What momenta are compared with; set it to go on from an earlier run."""
+        linear, angular, centre = (tuple(vector.tolist()) for vector in (self._linear, self._angular, self._centre))
+        return MomentumBaseline(linear, angular, centre, self._linear_scale, self._angular_scale)
+
+    @baseline.setter
+    def baseline(self, known: MomentumBaseline) -> None:
+        self._linear, self._angular, self._centre = map(np.array, (known.linear, known.angular, known.centre))
+        self._linear_scale, self._angular_scale = known.linear_scale, known.angular_scale
 
     def balance(self, bodies: Bodies, time: float) -> Momentum:
         """Take stock at a time since the start, in seconds."""

@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies, BodyProxy
+from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
 from carom.physics.energy import Energy, EnergyAccount, Ledger
 from carom.physics.error import PhysicsError
+from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint
-from carom.physics.frame import Checkpoint, Event, Frame, FrameStore, copies
+from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
@@ -27,7 +30,7 @@ from carom.physics.timestep import Timestep
 from carom.physics.watch import EnergyWatch, Suspects
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
-from carom.scene.placement import place
+from carom.scene.placement import Start, place
 from carom.scene.requirements import frame_interval, require
 from carom.scene.schema import Scene
 
@@ -49,6 +52,8 @@ class Space:
         What to simulate.
     threads
         Threads for the kernels, by default one a core. The bits do not depend on it.
+    start
+        Where the bodies are, by default where the scene places them.
 
     Raises
     ------
@@ -56,11 +61,11 @@ class Space:
         If the scene cannot run on this machine or in this version, or its bodies cannot be placed.
     """
 
-    def __init__(self, scene: Scene, threads: int | None = None) -> None:
+    def __init__(self, scene: Scene, threads: int | None = None, start: Start | None = None) -> None:
         refuse_impossible(scene)
         self.scene = scene
         self.requirements = require(scene)
-        start = place(scene)
+        start = start or place(scene)
         self.names = start.name
         self.groups = start.group
         self.planes = half_spaces(scene)
@@ -159,7 +164,37 @@ class Space:
         """64 bits of the exact state."""
         return fingerprint(self.state, self.time)
 
-    def run(self, until: float | None = None, store: FrameStore | None = None) -> Iterator[Frame]:
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go back, or forward, to a checkpoint of the same scene: the steps that follow have the bits they had then.
+
+        What is not kept, the torques of the step before and its contacts as they are shown, is empty until the next
+        step.
+        """
+        state, books = self.state, checkpoint.books
+        state.position[:] = checkpoint.position
+        state.velocity[:] = checkpoint.velocity
+        state.acceleration[:] = checkpoint.acceleration
+        state.torque[:] = 0.0
+        state.angular_acceleration[:] = 0.0
+        if checkpoint.orientation is not None and checkpoint.angular_velocity is not None:
+            state.orientation[:] = checkpoint.orientation
+            state.angular_velocity[:] = checkpoint.angular_velocity
+        self.step, self.time = checkpoint.step, checkpoint.time
+        self.dt, self.dt_limit = 0.0, "start"
+        self._timestep.previous = checkpoint.previous_dt
+        self.ledger = checkpoint.energy.ledger
+        self.contacts = empty_graph()
+        if self._contact:
+            self._contact.recall(checkpoint.contacts)
+        self._energy_account.baseline, self._momentum_account.baseline = books.energy, books.momentum
+        self._watch.tally, self.moments = books.watch, replace(books.moments)
+        self._activity, self._phase = books.activity, books.phase
+        self._suspects, self._events = [], []
+        self._take_stock(self._accelerate(potential=True), checked=False)
+
+    def run(
+        self, until: float | None = None, store: FrameStore | None = None, every: float | None = None
+    ) -> Iterator[Frame]:
         """Step until a time, by default the scene's duration, and hand out the frames that ``record.every`` asks for.
 
         The first frame is the state now, the last one the state at the end. The frames asked for do not change the
@@ -171,6 +206,8 @@ class Space:
             s.
         store
             Where the arrays of the frames are kept; without one each frame owns its own.
+        every
+            s between frames, 0 for every step; by default as ``record.every`` says.
 
         Raises
         ------
@@ -178,7 +215,7 @@ class Space:
             If the state is no longer finite, or a step no longer moves the clock.
         """
         end = self.scene.time.duration if until is None else until
-        interval = frame_interval(self.scene)
+        interval = frame_interval(self.scene) if every is None else every
         yield self.frame(store)
         while self.time < end and not self._stopping:
             checked = (self.step + 1) % self.scene.record.log_freq == 0
@@ -212,6 +249,7 @@ class Space:
             dt_limit=self.dt_limit,
             position=position,
             velocity=velocity,
+            acceleration=acceleration,
             orientation=orientation if spins else None,
             angular_velocity=angular_velocity if spins else None,
             torque=torque if turns else None,
@@ -224,10 +262,23 @@ class Space:
             phase=self._phase,
             events=events,
             fingerprint=self.fingerprint(),
-            checkpoint=Checkpoint(acceleration, self._timestep.previous),
+            previous_dt=self._timestep.previous,
+            memory=self._contact.memory if self._contact else None,
+            books=self._books(),
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
             slot=slot,
+        )
+
+    def _books(self) -> Books:
+        assert self._energy_account.baseline is not None, "the stock of the start has been taken"
+        return Books(
+            energy=self._energy_account.baseline,
+            momentum=self._momentum_account.baseline,
+            watch=self._watch.tally,
+            moments=replace(self.moments),
+            activity=self._activity,
+            phase=self._phase,
         )
 
     def _make_gravity(self) -> DirectGravity | None:
@@ -356,9 +407,9 @@ class Space:
         if not np.isfinite(self._energy.total):
             self._refuse_infinities()
             raise PhysicsError(f"the energy is no longer finite at step {self.step}, t = {self.time:.6g} s")
-        self.moments.see_energy_error(self.step, self.time, self._energy.relative_error)
+        self.moments.see_energy(self.step, self.time, self._energy)
         self._momentum = self._momentum_account.balance(self.state, self.time)
-        self.moments.see_momentum_error(self._momentum.linear_error, self._momentum.angular_error)
+        self.moments.see_momentum(self.step, self.time, self._momentum)
         self._counted = self.step
         if checked:
             warning = self._watch.check(self.step, self.time, self._energy, self._suspects)

@@ -14,7 +14,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.energy import Energy
-from carom.physics.frame import Event
+from carom.physics.event import Event
 from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
@@ -64,25 +64,31 @@ class Suspects:
         return "\n".join(lines)
 
 
+@dataclass(frozen=True, slots=True)
+class WatchTally:
+    """What the watch knows from one check to the next."""
+
+    last: Energy | None = None  # of the last check
+    warnings: int = 0
+
+
 class EnergyWatch:
     """Compares the energy from check to check and warns of a rise."""
 
     def __init__(self, tolerance: float, names: Names) -> None:
         self._tolerance = tolerance
         self._names = names
-        self._last: Energy | None = None
-        self._warnings = 0
+        self.tally = WatchTally()
 
     def check(self, step: int, time: float, energy: Energy, suspects: list[Suspects]) -> Event | None:
         """Warn if the total rose by more than the tolerance times the energy scale since the last check.
 
         The suspects are the contacts of the step before, whose bodies it names with their states, and of this one.
         """
-        last, self._last = self._last, energy
-        if last is None or energy.total - last.total <= self._tolerance * energy.scale:
-            return None
-        self._warnings += 1
-        if self._warnings > MOST_WARNINGS:
+        last, warnings = self.tally.last, self.tally.warnings
+        rose = last is not None and energy.total - last.total > self._tolerance * energy.scale
+        self.tally = WatchTally(energy, warnings + rose)
+        if last is None or not rose or warnings >= MOST_WARNINGS:
             return None
         rise = energy.total - last.total
         stabilisation = energy.ledger.stabilisation - last.ledger.stabilisation
@@ -94,7 +100,7 @@ class EnergyWatch:
             f"Mostly {culprit}."
         )
         text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
-        if self._warnings == MOST_WARNINGS:
+        if self.tally.warnings == MOST_WARNINGS:
             text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
         return Event(step, time, "WARN", text)
 

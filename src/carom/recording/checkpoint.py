@@ -2,108 +2,217 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
+from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.contact.lasting import Hold
+from carom.physics.contact.memory import ContactMemory
 from carom.physics.energy import Energy, Ledger
 from carom.physics.frame import Frame
+from carom.recording.errors import RecordingError
 
-FloatArray = NDArray[np.float64]
+Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
 
-_VECTORS = ("position", "velocity", "acceleration", "angular_velocity")
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
+_BOOKS = TypeAdapter(Books)
+_BOOKS_BYTES = 1200  # as JSON
+_CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
+_FULL = 7  # contacts a body, of a dense packing and what is near
 
 
-@dataclass(frozen=True, slots=True)
-class StoredState:
-    """A checkpoint read back. Arrays are float64, exactly as they were."""
-
-    step: int
-    time: float  # s
-    previous_dt: float  # s
-    position: FloatArray  # (n, 3) m
-    velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray | None  # (n, 4) xyzw
-    angular_velocity: FloatArray | None  # (n, 3) rad/s
-    energy: Energy  # J
+def size(frame: Frame) -> int:
+    """Bytes of the checkpoint of a frame."""
+    contacts = 0 if frame.memory is None else len(frame.memory.pairs)
+    return _size(len(frame.position), frame.orientation is not None, contacts)
 
 
-def size(bodies: int, spins: bool) -> int:
-    """Bytes that one checkpoint takes."""
-    return 8 * (bodies * (16 if spins else 9) + 2 + len(_ENERGIES) + len(_LEDGER))
+def largest_size(bodies: int, spins: bool) -> int:
+    """Bytes that a checkpoint takes where bodies are packed densely."""
+    return _size(bodies, spins, _FULL * bodies)
 
 
-def encode(frames: Sequence[Frame]) -> dict[str, FloatArray]:
-    """Flatten frames into one array per component, frame after frame."""
-    arrays = {
-        "position": [frame.position for frame in frames],
-        "velocity": [frame.velocity for frame in frames],
-        "acceleration": [frame.checkpoint.acceleration for frame in frames],
-        "orientation": [frame.orientation for frame in frames if frame.orientation is not None],
-        "angular_velocity": [frame.angular_velocity for frame in frames if frame.angular_velocity is not None],
+def _size(bodies: int, spins: bool, contacts: int) -> int:
+    scalars = 8 * (4 + len(_ENERGIES) + len(_LEDGER))
+    return 8 * bodies * (16 if spins else 9) + _CONTACT_BYTES * contacts + scalars + _BOOKS_BYTES
+
+
+def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
+    """Flatten checkpoints into one column per component, row after row."""
+    columns = {
+        "position": _flat([c.position for c in checkpoints]),
+        "velocity": _flat([c.velocity for c in checkpoints]),
+        "acceleration": _flat([c.acceleration for c in checkpoints]),
+        "time": _each([c.time for c in checkpoints]),
+        "previous_dt": _each([c.previous_dt for c in checkpoints]),
     }
-    encoded = {name: np.concatenate(parts).ravel() for name, parts in arrays.items() if parts}
-    encoded["time"] = np.array([frame.time for frame in frames])
-    encoded["previous_dt"] = np.array([frame.checkpoint.previous_dt for frame in frames])
+    orientations = [c.orientation for c in checkpoints if c.orientation is not None]
+    if orientations:
+        columns["orientation"] = _flat(orientations)
+        columns["angular_velocity"] = _flat([c.angular_velocity for c in checkpoints if c.angular_velocity is not None])
     for name in _ENERGIES:
-        encoded[f"energy_{name}"] = np.array([float(getattr(frame.energy, name)) for frame in frames])
+        columns[f"energy_{name}"] = _each([float(getattr(c.energy, name)) for c in checkpoints])
     for name in _LEDGER:
-        encoded[f"ledger_{name}"] = np.array([float(getattr(frame.energy.ledger, name)) for frame in frames])
-    return encoded
+        columns[f"ledger_{name}"] = _each([float(getattr(c.energy.ledger, name)) for c in checkpoints])
+    columns["books"] = [json.dumps(asdict(c.books)) for c in checkpoints], [1] * len(checkpoints)
+    memories = [c.contacts for c in checkpoints if c.contacts is not None]
+    return columns | _encode_contacts(memories) if memories else columns
 
 
-def decode(step: int, stored: Mapping[str, FloatArray]) -> StoredState:
-    """Undo :func:`encode` for one frame."""
-    vectors = {name: stored[name].reshape(-1, 3) for name in _VECTORS if name in stored}
-    ledger = Ledger(**{name: float(stored[f"ledger_{name}"][0]) for name in _LEDGER})
-    energies = {name: float(stored[f"energy_{name}"][0]) for name in _ENERGIES}
-    orientation = stored.get("orientation")
-    return StoredState(
-        step=step,
-        time=float(stored["time"][0]),
-        previous_dt=float(stored["previous_dt"][0]),
-        position=vectors["position"],
-        velocity=vectors["velocity"],
-        acceleration=vectors["acceleration"],
-        orientation=None if orientation is None else orientation.reshape(-1, 4),
-        angular_velocity=vectors.get("angular_velocity"),
-        energy=Energy(ledger=ledger, **energies),
-    )
+def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
+    held = [memory.hold for memory in memories]
+    # mostly the impulses are those of the step's own contacts: their pairs are written once
+    own = [hold.pairs is memory.pairs for hold, memory in zip(held, memories, strict=True)]
+    nobody = np.empty((0, 2), dtype=np.int64)
+    return {
+        "contact_pairs": _flat([memory.pairs.astype(np.uint32) for memory in memories]),
+        "contact_rest_speed": _flat([memory.rest_speed for memory in memories]),
+        "contact_dt": _each([memory.dt for memory in memories]),
+        "held_pairs": _flat(
+            [(nobody if same else hold.pairs).astype(np.uint32) for hold, same in zip(held, own, strict=True)]
+        ),
+        "held_impulse": _flat([hold.impulse for hold in held]),
+        "held_kick": _each([hold.kick for hold in held]),
+    }
+
+
+def _flat(rows: Sequence[NDArray[Any]]) -> Column:
+    return np.concatenate([row.ravel() for row in rows]), [row.size for row in rows]
+
+
+def _each(values: Sequence[float]) -> Column:
+    return np.array(values, dtype=np.float64), [1] * len(values)
+
+
+def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:
+    """Undo :func:`encode` for one row.
+
+    Raises
+    ------
+    RecordingError
+        If the row is not whole, not of so many bodies, or not finite: a file from a stranger may hold anything.
+    """
+    try:
+        row = _Row(stored, bodies)
+        spins = "orientation" in stored
+        return Checkpoint(
+            step=step,
+            time=row.number("time"),
+            previous_dt=row.number("previous_dt"),
+            position=row.vectors("position", 3),
+            velocity=row.vectors("velocity", 3),
+            acceleration=row.vectors("acceleration", 3),
+            orientation=row.vectors("orientation", 4) if spins else None,
+            angular_velocity=row.vectors("angular_velocity", 3) if spins else None,
+            energy=Energy(
+                ledger=Ledger(**{name: row.number(f"ledger_{name}") for name in _LEDGER}),
+                **{name: row.number(f"energy_{name}") for name in _ENERGIES},
+            ),
+            contacts=row.contacts() if "contact_pairs" in stored else None,
+            books=_BOOKS.validate_python(json.loads(row.text("books"))),
+        )
+    except (KeyError, IndexError, TypeError, ValueError, ValidationError) as error:
+        reason = "its books do not add up" if isinstance(error, ValidationError) else str(error)
+        raise RecordingError(f"the checkpoint at step {step} is damaged: {reason}") from error
+
+
+class _Row:
+    """One row of stored components, looked at with suspicion."""
+
+    def __init__(self, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> None:
+        self._stored = stored
+        self._bodies = bodies
+
+    def number(self, name: str) -> float:
+        return float(self._finite(name, 1)[0])
+
+    def text(self, name: str) -> str:
+        if name not in self._stored:
+            raise ValueError(f"it has no {name}: it was recorded by a version of carom that could not go on from it")
+        return str(self._stored[name][0])
+
+    def vectors(self, name: str, width: int) -> NDArray[np.float64]:
+        return self._finite(name, width * self._bodies).reshape(self._bodies, width)
+
+    def contacts(self) -> ContactMemory:
+        pairs = self._pairs("contact_pairs")
+        impulse = self._finite("held_impulse")
+        held = self._pairs("held_pairs")
+        held = held if len(held) else pairs[: len(impulse) // 4]
+        if impulse.size != 4 * len(held):
+            raise ValueError(f"{impulse.size // 4} impulses of {len(held)} contacts")
+        return ContactMemory(
+            pairs=pairs,
+            rest_speed=self._finite("contact_rest_speed", len(pairs)),
+            dt=self.number("contact_dt"),
+            hold=Hold(held, impulse.reshape(-1, 4), self.number("held_kick")),
+        )
+
+    def _pairs(self, name: str) -> NDArray[np.int64]:
+        pairs = np.asarray(self._stored[name], dtype=np.int64)
+        return np.ascontiguousarray(pairs.reshape(-1, 2))
+
+    def _finite(self, name: str, count: int | None = None) -> NDArray[np.float64]:
+        values = np.array(self._stored[name], dtype=np.float64)
+        if count is not None and values.size != count:
+            raise ValueError(f"{name} has {values.size} values instead of {count}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} is not finite")
+        return values
 
 
 class CheckpointPlan:
     """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
 
-    Frame 0 always carries one, and so does a frame with a warning, until warnings alone have used up another tenth.
+    The first frame always carries one, and so does the frame before a warning, until warnings alone have used up
+    another tenth. It depends on the frames alone, not on how they come in batches: a run recorded twice has the same
+    checkpoints.
     """
 
     _SHARE = 0.1
     _WARNINGS_AT_LEAST = 4
 
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._regular = 0
+    def __init__(self) -> None:
+        self._others = 0  # bytes of all frames so far, without checkpoints
+        self._regular = 0  # bytes of checkpoints
         self._warned = 0
+        self._warnings = 0
+        self._before: Frame | None = None
+        self._last_kept = -1
 
-    def chosen(self, batch: Sequence[Frame], bytes_before: int, bytes_of_batch: int) -> list[Frame]:
-        """Choose the frames to keep, when the recording has so many bytes before the batch, and the batch so many."""
-        others = bytes_before - (self._regular + self._warned) * self._size
-        kept = []
-        for index, frame in enumerate(batch):
-            room = self._SHARE * (others + bytes_of_batch * (index + 1) / len(batch))
-            if frame.step == 0 or (self._regular + 1) * self._size <= room:
-                self._regular += 1
+    def chosen(self, batch: Sequence[Frame]) -> list[Frame]:
+        """Choose the frames to keep of a batch; the first may be the last frame of the batch before."""
+        kept: list[Frame] = []
+        for frame in batch:
+            self._others += _bytes_of(frame)
+            room, cost = self._SHARE * self._others, size(frame)
+            before, self._before = self._before, frame
+            if before and before.step != self._last_kept and self._may_warn(frame, size(before), room):
+                kept.append(before)
+                self._last_kept = before.step
+            if self._last_kept < 0 or self._regular + cost <= room:
+                self._regular += cost
                 kept.append(frame)
-            elif _warns(frame) and (self._warned < self._WARNINGS_AT_LEAST or (self._warned + 1) * self._size <= room):
-                self._warned += 1
-                kept.append(frame)
+                self._last_kept = frame.step
         return kept
 
+    def _may_warn(self, frame: Frame, cost: int, room: float) -> bool:
+        if not any(event.level == "WARN" for event in frame.events):
+            return False
+        if self._warnings >= self._WARNINGS_AT_LEAST and self._warned + cost > room:
+            return False
+        self._warnings += 1
+        self._warned += cost
+        return True
 
-def _warns(frame: Frame) -> bool:
-    return any(event.level == "WARN" for event in frame.events)
+
+def _bytes_of(frame: Frame) -> int:
+    """Estimate the bytes of a frame's row without its arrows: drawn bodies and contacts, and twenty scalars."""
+    return len(frame.position) * (12 if frame.orientation is None else 28) + 28 * len(frame.contacts) + 20 * 24

@@ -20,7 +20,7 @@ from carom.physics.frame import Frame, FrameStore
 from carom.recording import arrows, checkpoint, encoding, palette
 from carom.recording.header import Header
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 2: a run can go on from a checkpoint; 1: checkpoints were there to be read
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
@@ -50,6 +50,7 @@ FINGERPRINT = "state/fingerprint"
 MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
 STATIC_STATE = "state/bodies"
+START = "state/start"  # a clip's: the nearest checkpoint at or before its first frame
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
@@ -144,8 +145,11 @@ class BatchEncoder:
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
         """Keep the exact state of some frames."""
-        arrays = checkpoint.encode(frames)
-        return _any_values(CHECKPOINT, frames, arrays)
+        encoded = checkpoint.encode([frame.checkpoint for frame in frames])
+        columns = [
+            column for name, (values, each) in encoded.items() for column in _any_column(name, values).partition(each)
+        ]
+        return _rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
 
     def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
         each = [self.header.bodies] * len(batch)
@@ -332,7 +336,7 @@ def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray
     return _rows(path, frames, ComponentColumnList(columns), _bytes(*arrays.values()))
 
 
-def _any_column(name: str, array: NDArray[np.generic]) -> ComponentColumnList:
+def _any_column(name: str, array: NDArray[np.generic] | list[str]) -> ComponentColumnList:
     """Make a column of any type. As an Arrow array: a NumPy array would be walked value by value, in Python."""
     return rr.AnyValues.columns(True, **{name: pa.array(array)})
 

@@ -13,7 +13,8 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.frame import Event, Frame, FrameStore
+from carom.physics.event import Event
+from carom.physics.frame import Frame, FrameStore
 from carom.recording import checkpoint
 from carom.recording.blueprint import blueprint
 from carom.recording.clock import Clock
@@ -59,7 +60,7 @@ class Recorder:
         self._store: FrameStore | None = None
         # a slot comes round when its frame has been in the mailbox, in the batch being written, and been the last one
         self._slots = max(room, batch) + batch + 2
-        self._plan = checkpoint.CheckpointPlan(checkpoint.size(header.bodies, header.spins))
+        self._plan = checkpoint.CheckpointPlan()
         self._encoder: BatchEncoder | None = None
         self._extent: Extent | None = None
         self._framed = 0.0  # m, the eye's distance in the blueprint
@@ -126,11 +127,10 @@ class Recorder:
 
     def _write(self, batch: list[Frame]) -> None:
         encoder = self._encoder or self._begin(batch[0])
-        before = self.payload_bytes
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
-        kept = self._plan.chosen(batch, before, self.payload_bytes - before)
+        kept = self._plan.chosen(batch)
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
             self._last_checkpoint = kept[-1].step

@@ -15,8 +15,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, LazyChunkStream, RrdReader, StoreEntry
 
+from carom.physics.checkpoint import Checkpoint
 from carom.recording import entities
-from carom.recording.checkpoint import StoredState, decode
+from carom.recording.checkpoint import decode
 from carom.recording.clock import SIM_TIME, STEP
 from carom.recording.errors import RecordingError
 from carom.recording.layout import schema_version
@@ -139,21 +140,31 @@ class Recording:
 
     @cached_property
     def checkpoint_steps(self) -> list[int]:
-        """Steps that carry an exact checkpoint."""
-        return [int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()]
+        """Steps that carry an exact checkpoint, rising; a clip's first one may lie before its first frame."""
+        steps = {int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()}
+        return sorted(steps | ({int(self._start[STEP][0])} if self._start else set()))
 
-    def checkpoint(self, step: int) -> StoredState:
-        """Decode the exact state at one of :attr:`checkpoint_steps`."""
+    def checkpoint(self, step: int) -> Checkpoint:
+        """Decode the exact state at one of :attr:`checkpoint_steps`.
+
+        Raises
+        ------
+        RecordingError
+            If there is none at this step, or it is damaged.
+        """
+        bodies = len(self.bodies.mass)
         for chunk in self._chunks(entities.CHECKPOINT):
             batch = chunk.to_record_batch()
             rows = np.flatnonzero(batch[STEP].to_numpy() == step)
             if len(rows):
                 row = int(rows[-1])
                 names = [name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)]
-                return decode(step, {name: batch[name][row].values.to_numpy() for name in names})
+                return decode(step, {name: _values(batch[name][row]) for name in names}, bodies)
+        if self._start and int(self._start[STEP][0]) == step:
+            return decode(step, self._start, bodies)
         raise RecordingError(f"{self.path} has no checkpoint at step {step}")
 
-    def checkpoints(self) -> Iterator[StoredState]:
+    def checkpoints(self) -> Iterator[Checkpoint]:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
 
@@ -181,6 +192,10 @@ class Recording:
     def summary(self) -> dict[str, Any]:
         """How the run went, as nested numbers and strings."""
         return summary(self)
+
+    @cached_property
+    def _start(self) -> dict[str, list[Any]]:
+        return self._static(entities.START, required=False)
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
@@ -221,19 +236,19 @@ class Recording:
     def _stream(self) -> LazyChunkStream:
         return self._reader.store().stream() if self.finished else self._reader.stream()
 
-    def _static(self, path: str) -> dict[str, list[Any]]:
+    def _static(self, path: str, required: bool = True) -> dict[str, list[Any]]:
         """Read the components of a static entity."""
         found: dict[str, list[Any]] = {}
         for chunk in self._read(self._stream().filter(content=f"/{path}", is_static=True)):
             batch = chunk.to_record_batch()
             lists = [n for n in batch.schema.names if pa.types.is_list(batch.schema.field(n).type)]
             found |= {name: batch[name][0].as_py() for name in lists}
-        if not found and not path.startswith(_PROPERTIES):
+        if not found and required:
             raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
         return found
 
     def _property(self, name: str) -> dict[str, Any]:
-        stored = self._static(f"{_PROPERTIES}/{name}")
+        stored = self._static(f"{_PROPERTIES}/{name}", required=False)
         return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
 
 
@@ -271,6 +286,11 @@ def _flat(batches: list[pa.RecordBatch], name: str) -> pa.ChunkedArray:
     if len(column) and pc.all(pc.equal(lengths, 1)).as_py():
         return pc.list_flatten(column)
     return column
+
+
+def _values(row: pa.ListScalar) -> NDArray[np.generic] | list[Any]:
+    """Return one row of a component: an array, or a list of texts."""
+    return list(row.as_py()) if pa.types.is_string(row.values.type) else row.values.to_numpy()
 
 
 def _column(table: pa.Table, name: str) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from carom.physics.frame import Event
+from carom.physics.event import Event
 from carom.recording import checkpoint, entities
 from carom.recording.clock import Clock
 from carom.recording.entities import Rows
@@ -38,7 +38,7 @@ class Stream:
         identity = application_id(header)
         self._live = None if live is None else LiveView(live, identity, header.run_id)
         # what is under way when the disk is found full, and the last checkpoint, must still fit
-        self._reserve = int(1.3 * batch_bytes) + checkpoint.size(header.bodies, header.spins) + _ENDING
+        self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header.bodies, header.spins) + _ENDING
         self._outlet = Outlet(path, self._reserve)
         self._stream = rr.RecordingStream(identity, recording_id=header.run_id)
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))

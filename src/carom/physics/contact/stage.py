@@ -21,10 +21,12 @@ from carom.physics.contact.graph import (
     stage_order,
 )
 from carom.physics.contact.lasting import Hold, hold
+from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_square, rest_speeds
 from carom.physics.contact.search import PlaneSearch, contact_geometry, search_by
 from carom.physics.contact.solver import resolve_contacts, still_closing
 from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, work_of_pushes
+from carom.physics.error import PhysicsError
 from carom.physics.kernel import kernel
 from carom.physics.profile import Profile
 from carom.scene.halfspace import HalfSpaces
@@ -89,7 +91,29 @@ class ContactStage:
         self._begin(empty_graph())
         self._angular_impulse[:] = 0.0
         self._hold = Hold.empty()
+        self._dt = 0.0  # s, the step that the contacts were found for
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
+
+    @property
+    def memory(self) -> ContactMemory | None:
+        """What the next step begins with; None where no contact can last."""
+        if not self._lasts:
+            return None
+        return ContactMemory(self._graph.pairs, self._rest_speed, self._dt, self._hold)
+
+    def recall(self, memory: ContactMemory | None) -> None:
+        """Go on after the step that left a memory, the bodies being where they were then."""
+        self.forget()
+        if memory is not None:
+            if any(
+                len(pairs) and pairs.max() >= len(self._bodies.ends.radius)
+                for pairs in (memory.pairs, memory.hold.pairs)
+            ):
+                raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
+            geometry = self._geometry(memory.pairs)
+            self._begin(self._coloured(memory.pairs, geometry))
+            self._normals, self._arms, self._gap_overlaps = geometry
+            self._rest_speed, self._dt, self._hold = memory.rest_speed, memory.dt, memory.hold
 
     def begin(self, dt: float) -> None:
         """Find what touches at the start of a run, so that it lasts from the first step on, of about dt."""
@@ -185,17 +209,21 @@ class ContactStage:
         return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
-        bodies, ends = self._bodies, self._bodies.ends
-        normals, arms, overlaps = self._geometry(pairs)
-        body_colours = None
-        if self._contact.colouring == "bodies":
-            colours, body_colours = colour_bodies(pairs, len(bodies))
-        else:
-            colours = colour_contacts(pairs, ends.inverse_mass)
-        self._begin(CollisionGraph(pairs, normals, np.maximum(overlaps, 0.0), colours, body_colours))
+        ends, geometry = self._bodies.ends, self._geometry(pairs)
+        _, arms, overlaps = geometry
+        self._begin(self._coloured(pairs, geometry))
         self._apart = overlaps < -(TOUCHING * (arms.sum(axis=1) + overlaps) + self._rounding)
         self._rest_speed = rest_speeds(pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
         self._dt = dt  # s, the step that they are for
+
+    def _coloured(self, pairs: IntArray, geometry: tuple[FloatArray, FloatArray, FloatArray]) -> CollisionGraph:
+        normals, _, overlaps = geometry
+        body_colours = None
+        if self._contact.colouring == "bodies":
+            colours, body_colours = colour_bodies(pairs, len(self._bodies))
+        else:
+            colours = colour_contacts(pairs, self._bodies.ends.inverse_mass)
+        return CollisionGraph(pairs, normals, np.maximum(overlaps, 0.0), colours, body_colours)
 
     def _resolve(self, dt: float, kick: float) -> None:
         contact, ends, graph = self._contact, self._bodies.ends, self._graph

@@ -1,0 +1,45 @@
+"""Everything that the rest of a run depends on, at one moment: enough to go on from, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.memory import ContactMemory
+from carom.physics.energy import Energy, EnergyBaseline
+from carom.physics.moments import Moments
+from carom.physics.momentum import MomentumBaseline
+from carom.physics.watch import WatchTally
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Books:
+    """What a run has counted so far. No step depends on it; what the run says of itself does."""
+
+    energy: EnergyBaseline
+    momentum: MomentumBaseline
+    watch: WatchTally
+    moments: Moments
+    activity: float  # J, of the impacts in the last steps
+    phase: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """The state after a step; arrays are float64, exactly as they were."""
+
+    step: int
+    time: float  # s
+    previous_dt: float  # s, the smoothed step before the end of the run trimmed it
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    acceleration: FloatArray  # (n, 3) m/s²
+    orientation: FloatArray | None  # (n, 4) xyzw; None where nothing spins
+    angular_velocity: FloatArray | None  # (n, 3) rad/s; likewise
+    energy: Energy  # J
+    contacts: ContactMemory | None  # None where no contact lasts
+    books: Books
