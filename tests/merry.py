@@ -125,6 +125,7 @@ class Merry:
             moments=Moments(impact=Moment(0.1, 7, 0.35, (1, 2)), total_contacts=5),
             activity=0.1,
             phase="free",
+            limits=("a limit",),
         )
 
     def contacts(self, position: np.ndarray, step: int) -> CollisionGraph:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carom.physics.frame import Frame
+from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
@@ -23,14 +24,14 @@ EXTREMES = ("stack-20", "mass-ratio-squeezed", "friction-ten", "overlapped")
 
 def run_of(scene: Scene, steps: int, threads: int | None = None) -> list[Frame]:
     """The first steps of a scene, a frame each."""
-    return list(itertools.islice(Space(scene, threads).run(every=0.0), steps + 1))
+    return list(itertools.islice(Space(scene, threads).run(schedule=every(0.0)), steps + 1))
 
 
 def taken_up(scene: Scene, frame: Frame, steps: int, threads: int | None = None) -> list[Frame]:
     """What follows a frame in a space that has never been there."""
     space = Space(scene, threads)
     space.restore(frame.checkpoint)
-    return list(itertools.islice(space.run(every=0.0), steps + 1))
+    return list(itertools.islice(space.run(schedule=every(0.0)), steps + 1))
 
 
 def assert_same_run(once: list[Frame], again: list[Frame]) -> None:

@@ -28,6 +28,17 @@ def separation(space: Space) -> float:
     return float(np.linalg.norm(space.state.position[1] - space.state.position[0]))
 
 
+def test_a_run_that_is_stopped_hands_out_its_last_step_once() -> None:
+    for every_step in (True, False):
+        space = Space(pair(record={"every": "step" if every_step else 0.05}))
+        steps = []
+        for frame in space.run():
+            steps.append(frame.step)
+            if len(steps) == 3:
+                space.stop()
+        assert steps == sorted(set(steps)) and steps[-1] == space.step
+
+
 def test_frame_0_is_the_scene_as_written() -> None:
     scene = cloud()
     frame = next(Space(scene).run())

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import explain, inspect, run, scenes, stress, view
+from carom.cli import explain, inspect, replay, resume, run, scenes, stress, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -46,6 +46,8 @@ app.command("scenes")(scenes.scenes)
 app.command("new")(scenes.new)
 app.command("explain")(explain.explain)
 app.command("inspect")(inspect.inspect)
+app.command("replay")(replay.replay)
+app.command("resume")(resume.resume)
 app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)

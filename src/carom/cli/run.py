@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import SceneArgument, SetOption
+from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption, ThreadsOption
 
 if TYPE_CHECKING:
+    from carom.cli.progress import Progress
     from carom.experiment.run import Outcome
 
 RECORDINGS = Path("recordings")
@@ -25,16 +26,11 @@ def run(
         int | None, typer.Option("--log-freq", metavar="N", help="Steps between energy checks.", min=1)
     ] = None,
     live: Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")] = False,
-    threads: Annotated[
-        int | None,
-        typer.Option("--threads", metavar="N", help="Default: one a core. The bits are the same.", min=1),
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a recording that exists.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    threads: ThreadsOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Simulate a scene and record it to a file that the Rerun viewer opens."""
-    import json
-
     from carom.scene.schema import Scene
 
     changes = list(overrides or [])
@@ -55,9 +51,16 @@ def run(
     progress = Progress(loaded, quiet=as_json)
     on_compilation(lambda: progress.say("Compiling kernels, once on this machine (about 15 s) …"))
     space = Space(loaded, threads)
-    address = _live_viewer() if live else None
+    address = live_viewer() if live else None
     with progress:
         outcome = simulate(space, path, force=True, live=address, watch=progress.update)
+    report(outcome, progress, as_json)
+
+
+def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
+    """Say how a run ended; exit with 1 if it did not end well."""
+    import json
+
     if as_json:
         typer.echo(json.dumps(_document(outcome), indent=2))
     else:
@@ -72,7 +75,8 @@ def _default_path(scene: str) -> Path:
     return RECORDINGS / f"{Path(scene).stem}.rrd"
 
 
-def _live_viewer() -> str:
+def live_viewer() -> str:
+    """Start a viewer that listens; return its address."""
     from carom.recording.viewer import start_live_viewer
 
     return start_live_viewer()

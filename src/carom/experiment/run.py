@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 import uuid
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
+from carom.recording.past import Past
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 from carom.scene.halfspace import planes_of
@@ -97,6 +98,8 @@ def simulate(
     force: bool = False,
     live: str | None = None,
     watch: Watcher | None = None,
+    past: Past | None = None,
+    properties: Mapping[str, Scalar] | None = None,
 ) -> Outcome:
     """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
 
@@ -112,6 +115,10 @@ def simulate(
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
         Called with the space about ten times a second.
+    past
+        What an earlier recording holds up to where the space stands; it is written first.
+    properties
+        What the recording says of where it came from, by default what this process knows.
 
     Raises
     ------
@@ -121,8 +128,11 @@ def simulate(
     path = Path(path)
     refuse_output(path, force)
     began = time.perf_counter()
-    recorder = Recorder(path, _header(space), live=live)
-    physics = _Physics(space, recorder)
+    header = header_of(space)
+    if properties is not None:
+        header = replace(header, properties=properties)
+    recorder = Recorder(path, header, live=live, past=past)
+    physics = _Physics(space, recorder, past)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
     verdicts = judge(space.scene.expect, space.moments)
@@ -151,9 +161,10 @@ def simulate(
 class _Physics:
     """The physics thread: steps a space and hands its frames to the recorder."""
 
-    def __init__(self, space: Space, recorder: Recorder) -> None:
+    def __init__(self, space: Space, recorder: Recorder, past: Past | None) -> None:
         self.space = space
-        self.frames = 0
+        self.frames = past.frames if past else 0
+        self._known = past.step if past else -1  # the step whose frame the recorder has
         self._recorder = recorder
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
@@ -181,8 +192,9 @@ class _Physics:
     def _run(self) -> None:
         try:
             for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
-                self._recorder.put(frame)
-                self.frames += 1
+                if frame.step > self._known:
+                    self._recorder.put(frame)
+                    self.frames += 1
         except Exception as error:
             self._error = error
 
@@ -203,7 +215,8 @@ def _wait(physics: _Physics, watch: Watcher | None) -> bool:
             physics.space.stop()
 
 
-def _header(space: Space) -> Header:
+def header_of(space: Space) -> Header:
+    """Gather what a recording of a space says before its first frame."""
     scene, needs, state = space.scene, space.requirements, space.state
     return Header(
         title=scene.title,

@@ -26,6 +26,7 @@ class Books:
     moments: Moments
     activity: float  # J, of the impacts in the last steps
     phase: str
+    limits: tuple[str, ...]  # of the method, reached and told so far
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,7 +67,7 @@ class Moments:
         self.impact = _larger(self.impact, energy, int(hardest), step, time, graph)
         self.overlap = _larger(self.overlap, depth, int(deepest), step, time, graph)
         if self.contacts is None or len(graph) > self.contacts.value:
-            self.contacts = Moment(len(graph), step, time)
+            self.contacts = Moment(float(len(graph)), step, time)
         self.total_contacts += len(graph)
         self.impacts += int(np.count_nonzero(approach > rest_speed))
         return float(struck)

@@ -26,6 +26,7 @@ from carom.physics.momentum import MomentumAccount
 from carom.physics.names import Names
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
+from carom.physics.schedule import Schedule, at, every
 from carom.physics.timestep import Timestep
 from carom.physics.watch import EnergyWatch, Suspects
 from carom.scene.halfspace import half_spaces
@@ -38,7 +39,6 @@ FloatArray = NDArray[np.float64]
 
 WARM_UP_STEPS = 3
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
-MULTIPLE_TOLERANCE = 1e-9  # of a time, within which it counts as a multiple of the frames' interval
 SETTLED_MEMORY = 50  # steps over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
 
@@ -134,7 +134,7 @@ class Space:
         PhysicsError
             If the state is no longer finite.
         """
-        self._advance(np.inf, checked=iteration % self.scene.record.log_freq == 0, interval=np.inf)
+        self._advance(np.inf, checked=iteration % self.scene.record.log_freq == 0, schedule=at(()))
 
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
@@ -186,6 +186,7 @@ class Space:
         self.contacts = empty_graph()
         if self._contact:
             self._contact.recall(checkpoint.contacts)
+            self._contact.warned = set(books.limits)
         self._energy_account.baseline, self._momentum_account.baseline = books.energy, books.momentum
         self._watch.tally, self.moments = books.watch, replace(books.moments)
         self._activity, self._phase = books.activity, books.phase
@@ -193,7 +194,7 @@ class Space:
         self._take_stock(self._accelerate(potential=True), checked=False)
 
     def run(
-        self, until: float | None = None, store: FrameStore | None = None, every: float | None = None
+        self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
     ) -> Iterator[Frame]:
         """Step until a time, by default the scene's duration, and hand out the frames that ``record.every`` asks for.
 
@@ -206,8 +207,8 @@ class Space:
             s.
         store
             Where the arrays of the frames are kept; without one each frame owns its own.
-        every
-            s between frames, 0 for every step; by default as ``record.every`` says.
+        schedule
+            After which steps frames are handed out; by default as ``record.every`` says.
 
         Raises
         ------
@@ -215,13 +216,15 @@ class Space:
             If the state is no longer finite, or a step no longer moves the clock.
         """
         end = self.scene.time.duration if until is None else until
-        interval = frame_interval(self.scene) if every is None else every
+        schedule = schedule or every(frame_interval(self.scene))
         yield self.frame(store)
+        shown = self.step
         while self.time < end and not self._stopping:
             checked = (self.step + 1) % self.scene.record.log_freq == 0
-            if self._advance(end, checked, interval):
+            if self._advance(end, checked, schedule):
                 yield self.frame(store)
-        if self._stopping:
+                shown = self.step
+        if self.step != shown:  # stopped
             yield self.frame(store)
 
     def stop(self) -> None:
@@ -279,6 +282,7 @@ class Space:
             moments=replace(self.moments),
             activity=self._activity,
             phase=self._phase,
+            limits=tuple(sorted(self._contact.warned)) if self._contact else (),
         )
 
     def _make_gravity(self) -> DirectGravity | None:
@@ -293,20 +297,15 @@ class Space:
             return None
         return ContactStage(self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling)
 
-    def _advance(self, end: float, checked: bool, interval: float) -> bool:
-        """Do one step; tell whether a frame is due after it.
-
-        Frames are due at the first step at or after each multiple of ``interval``, and at the end.
-        """
+    def _advance(self, end: float, checked: bool, schedule: Schedule) -> bool:
+        """Do one step; tell whether a frame is due after it, by the schedule or because it was the last."""
         self.profile.start()
         state, contact = self.state, self._contact
         self.dt, self.dt_limit = self._timestep.choose(state, end - self.time)
         before, self.time = self.time, end if self.dt_limit == "end" else self.time + self.dt
         if not self.time > before:
             raise PhysicsError(self._stuck(before))
-        due = (
-            self.dt_limit == "end" or interval == 0.0 or _multiples(self.time, interval) > _multiples(before, interval)
-        )
+        due = self.dt_limit == "end" or schedule(self.step + 1, before, self.time)
         if checked and contact:
             self._suspect(contact)
         self.step += 1
@@ -459,11 +458,6 @@ class Space:
         names = ", ".join(f'{body} "{self.names[body]}"' for body in lost[:5])
         at = f"step {self.step}, t = {self.time:.6g} s"
         raise PhysicsError(f"the state is no longer finite at {at}: {len(lost)} bodies, among them {names}")
-
-
-def _multiples(time: float, interval: float) -> float:
-    """Count the multiples of an interval up to a time, forgiving the rounding of a clock that adds up steps."""
-    return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0
 
 
 def _cores() -> int:

@@ -6,7 +6,7 @@ of the model that the scene does not require has no entity here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -118,11 +118,17 @@ class BatchEncoder:
     It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references.
     """
 
-    def __init__(self, header: Header, origin: FloatArray) -> None:
+    def __init__(
+        self,
+        header: Header,
+        origin: FloatArray,
+        arrow_references: Mapping[str, float] | None = None,
+        last_state: Mapping[str, str] | None = None,
+    ) -> None:
         self.header = header
         self.origin = origin
-        self.arrow_references: dict[str, float] = {}
-        self._last_state: dict[str, str] = {}
+        self.arrow_references = dict(arrow_references or {})
+        self._last_state = dict(last_state or {})
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:

@@ -23,6 +23,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.extent import Extent, View
 from carom.recording.header import Header, Scalar
 from carom.recording.mailbox import Mailbox
+from carom.recording.past import Past
 from carom.recording.recording import Recording
 from carom.recording.stream import Stream
 
@@ -45,15 +46,22 @@ class Recorder:
     """
 
     def __init__(
-        self, path: str | Path, header: Header, *, live: str | None = None, queue_size: int | None = None
+        self,
+        path: str | Path,
+        header: Header,
+        *,
+        live: str | None = None,
+        queue_size: int | None = None,
+        past: Past | None = None,
     ) -> None:
         rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
         self.path = Path(path)
         self.header = header
         self.frames = 0  # sent so far
+        self._past = past
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
-        self._clock = Clock.fitting(header.duration, header.shortest_dt_hint)
+        self._clock = past.clock if past else Clock.fitting(header.duration, header.shortest_dt_hint)
         room = queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
         self._mailbox: Mailbox[Frame] = Mailbox(room, batch, _BATCH_SECONDS)
@@ -62,6 +70,7 @@ class Recorder:
         self._slots = max(room, batch) + batch + 2
         self._plan = checkpoint.CheckpointPlan()
         self._encoder: BatchEncoder | None = None
+        self._references: dict[str, float] = {}  # as sent
         self._extent: Extent | None = None
         self._framed = 0.0  # m, the eye's distance in the blueprint
         self._last: Frame | None = None
@@ -130,6 +139,9 @@ class Recorder:
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
+        if encoder.arrow_references != self._references:  # a killed run says them, too
+            self._references = dict(encoder.arrow_references)
+            self._stream.send_property("arrows", self._references)
         kept = self._plan.chosen(batch)
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
@@ -140,18 +152,26 @@ class Recorder:
         self._stream.flush()
 
     def _begin(self, first: Frame) -> BatchEncoder:
-        """Everything static: it needs the first frame's centre of mass."""
-        origin = np.average(first.position, axis=0, weights=self.header.mass)
-        self._encoder = BatchEncoder(self.header, origin)
-        reach = float(np.max(np.abs(first.position - origin).max(axis=1) + self.header.radius))
+        """Send everything static, which needs the centre of mass of the first frame, and the past, if there is one."""
+        past, position = self._past, first.position
+        if past is not None:
+            position, origin = past.first_position(), past.origin
+            self._encoder = BatchEncoder(self.header, origin, past.arrow_references, past.last_state)
+        else:
+            origin = np.average(position, axis=0, weights=self.header.mass)
+            self._encoder = BatchEncoder(self.header, origin)
+        reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
+        self._extent = Extent(self.header.radius, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
+        if past is not None:
+            self._stream.send_past(past)
+            self.frames = past.frames
         return self._encoder
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Follow where the bodies are; lay out what there is, early for a live viewer and for a run that is killed."""
-        if self._extent is None:
-            self._extent = Extent(self.header.radius, batch[0].position - origin)
+        assert self._extent is not None, "it begins with the first batch"
         if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._send_blueprint(self._extent.view())
         self._extent.see(batch, origin)
@@ -186,7 +206,6 @@ class Recorder:
                 for event in events:
                     self._stream.send_event(event, self._clock)
                 self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}"), self._clock)
-                self._stream.send_property("arrows", encoder.arrow_references)
                 self._look_again()
             self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
         finally:

@@ -80,6 +80,17 @@ class Recording:
         """The property `outcome`: how it ended; empty if the run was killed."""
         return self._property("outcome")
 
+    @cached_property
+    def arrow_references(self) -> Mapping[str, Any]:
+        """The property `arrows`: what the length of torques and angular accelerations is measured in."""
+        return self._property("arrows")
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The packages that it was recorded with."""
+        stamped = ((key.partition("version."), value) for key, value in self.properties.items())
+        return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
+
     @property
     def title(self) -> str:
         """The scene's title."""
@@ -138,11 +149,25 @@ class Recording:
         table = self._table(entities.PHASE, ("StateChange:state",))
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
+    def dt_limits(self) -> pa.Table:
+        """Columns step, sim_time, state: a row where what limits dt changes."""
+        table = self._table(entities.DT_LIMIT, ("StateChange:state",))
+        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
+
     @cached_property
     def checkpoint_steps(self) -> list[int]:
         """Steps that carry an exact checkpoint, rising; a clip's first one may lie before its first frame."""
         steps = {int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()}
         return sorted(steps | ({int(self._start[STEP][0])} if self._start else set()))
+
+    @cached_property
+    def checkpoint_times(self) -> list[float]:
+        """Simulated time in s of each of :attr:`checkpoint_steps`."""
+        table = self._table(entities.CHECKPOINT, ("time",))
+        times = dict(zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True))
+        if self._start:
+            times.setdefault(int(self._start[STEP][0]), float(self._start["time"][0]))
+        return [float(times[step]) for step in self.checkpoint_steps]
 
     def checkpoint(self, step: int) -> Checkpoint:
         """Decode the exact state at one of :attr:`checkpoint_steps`.
@@ -167,6 +192,17 @@ class Recording:
     def checkpoints(self) -> Iterator[Checkpoint]:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
+
+    def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
+        """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
+        names = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")
+        for chunk in self._chunks(entities.BODIES, names):
+            batch = chunk.to_record_batch()
+            rows = np.flatnonzero(batch[STEP].to_numpy() == step)
+            for name in names:
+                if len(rows) and name in batch.schema.names:
+                    return np.asarray(batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
+        return None
 
     def moment(self) -> float:
         """Find the time (s) to look at: the hardest impact, else the most contacts, else the end.
@@ -226,6 +262,17 @@ class Recording:
         chosen = list(components) if isinstance(components, tuple) else components
         stream = self._stream().filter(content=f"/{content}", is_static=False, components=chosen)
         return iter(sorted(self._read(stream), key=_first_step))
+
+    def temporal_chunks(self) -> Iterator[Chunk]:
+        """All chunks that are not static, one after the other."""
+        stream = iter(self._stream().filter(is_static=False))
+        while True:
+            try:
+                yield next(stream)
+            except StopIteration:
+                return
+            except RuntimeError as error:
+                raise RecordingError(f"cannot read {self.path}: {error}") from error
 
     def _read(self, stream: LazyChunkStream) -> list[Chunk]:
         try:

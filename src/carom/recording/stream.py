@@ -19,6 +19,7 @@ from carom.recording.header import Header, Scalar
 from carom.recording.layout import application_id
 from carom.recording.live import LiveView
 from carom.recording.outlet import Outlet
+from carom.recording.past import Past
 from carom.recording.statics import statics
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
@@ -32,6 +33,7 @@ class Stream:
     def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
         self.path = path
         self.payload_bytes = 0
+        self._batch_bytes = batch_bytes
         self._header = header
         self._indexed: tuple[Sequence[int], Sequence[float]] = ((), ())
         self._index: list[rr.TimeColumn] = []
@@ -56,6 +58,19 @@ class Stream:
         for stream in self._streams():
             stream.send_columns(rows.path, self._index, rows.columns)
         self.payload_bytes += rows.bytes
+
+    def send_past(self, past: Past) -> None:
+        """Send what an earlier recording holds; raises if the disk is full."""
+        sent = 0
+        for chunk in past.chunks():
+            for stream in self._streams():
+                stream.send_chunks(chunk)
+            size = chunk.to_record_batch().nbytes
+            self.payload_bytes += size
+            sent += size
+            if sent > self._batch_bytes:
+                sent = 0
+                self.flush()
 
     def send_event(self, event: Event, clock: Clock) -> None:
         """Send one line of the log."""

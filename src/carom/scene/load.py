@@ -38,15 +38,36 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
         Naming file, line and key.
     """
     path = _find(source)
-    text = _read(path)
+    return scene_from_text(_read(path), str(path), overrides)
+
+
+def scene_from_text(text: str, source: str, overrides: list[str] | None = None) -> Scene:
+    """Build a scene from TOML that came from somewhere else than a file, such as a recording.
+
+    Parameters
+    ----------
+    text
+        At most ``LARGEST_FILE`` characters.
+    source
+        What messages call it.
+    overrides
+        As for `load_scene`.
+
+    Raises
+    ------
+    SceneError
+        Naming the source, the line and the key.
+    """
+    if len(text) > LARGEST_FILE:
+        raise SceneError(f"{source}: {len(text)} characters are too many for a scene")
     try:
         tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{path}: not TOML: {error}") from None
+        raise SceneError(f"{source}: not TOML: {error}") from None
     document = tomlkit.parse(text)
-    overridden = {_apply_override(document, override): override for override in overrides}
+    overridden = {_apply_override(document, override): override for override in overrides or []}
     effective = tomlkit.dumps(document)
-    return _validate(tomllib.loads(effective), effective, _Places(str(path), text, overridden))
+    return _validate(tomllib.loads(effective), effective, _Places(source, text, overridden))
 
 
 def scene_from_dict(data: dict[str, Any]) -> Scene:

@@ -82,7 +82,7 @@ class ContactStage:
         self._law = np.vstack((np.array(own), planes.law))
         self._friction = requirements.friction.modelled
         self._lasts = contact.solver == "lasting" and (requirements.gravity.modelled or requirements.field.modelled)
-        self._warned: set[str] = set()
+        self.warned: set[str] = set()  # limits reached and told so far
         self._angular_impulse = np.zeros_like(bodies.ends.angular_velocity)
         self._compile()
 
@@ -174,8 +174,8 @@ class ContactStage:
                 f"Contacts were still closing after contact.sweeps = {self._contact.sweeps} passes; "
                 "what is left is resolved in later steps."
             )
-        fresh = [text for text in reached if text not in self._warned]
-        self._warned.update(fresh)
+        fresh = [text for text in reached if text not in self.warned]
+        self.warned.update(fresh)
         return fresh
 
     def _begin(self, graph: CollisionGraph) -> None:

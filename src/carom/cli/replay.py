@@ -1,0 +1,107 @@
+"""`carom replay`: run a recording again and say whether the bits are the same."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption
+from carom.cli.units import duration_text
+
+if TYPE_CHECKING:
+    from carom.experiment.replay import Difference, Replay
+
+ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
+
+
+def replay(
+    file: RecordingArgument,
+    begin: Annotated[
+        float, typer.Option("--from", metavar="T", help="Begin at the last checkpoint before this time, in s.")
+    ] = 0.0,
+    end: Annotated[float, typer.Option("--to", metavar="T", help="End at this time, in s.")] = float("inf"),
+    every: Annotated[
+        str | None, typer.Option("--every", metavar="step", help="Record every step of the window to a new file.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: FILE-dense.rrd, with --every step.")
+    ] = None,
+    threads: ThreadsOption = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a replay of more than a minute.")] = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a recording again from a checkpoint; say whether every frame has the same bits, else which is the first."""
+    import json
+
+    from carom.cli.compiling import announce_compilation
+    from carom.experiment.replay import replay as run_again
+    from carom.physics.error import PhysicsError
+    from carom.recording.recording import Recording
+
+    if every not in (None, "step"):
+        raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")
+    if end < begin:
+        raise typer.BadParameter(f"{end:g} s is before --from {begin:g} s", param_hint="--to")
+    recording = Recording.open(file)
+    dense = output or file.with_name(f"{file.stem}-dense.rrd") if every or output else None
+    if not as_json:
+        announce_compilation()
+    try:
+        result = run_again(
+            recording, begin, end, threads=threads, dense=dense, force=force, consent=lambda s: yes or _agreed(s)
+        )
+    except PhysicsError as error:
+        typer.echo(f"carom: the replay failed: {error}", err=True)
+        raise typer.Exit(1) from None
+    if as_json:
+        typer.echo(json.dumps(_document(result), indent=2))
+    else:
+        _print(result)
+    if not result.same:
+        raise typer.Exit(1)
+
+
+def _agreed(seconds: float) -> bool:
+    """Ask a person whether a long replay is meant; without one to ask, refuse."""
+    if seconds <= ASKS_ABOVE:
+        return True
+    text = f"The rest will take about {duration_text(seconds)}"
+    if not sys.stdin.isatty():
+        typer.echo(f"carom: {text}: give --yes to go on, or --to for a shorter window", err=True)
+        return False
+    return typer.confirm(f"{text}. Go on?", err=True)
+
+
+def _print(result: Replay) -> None:
+    frames = f"{result.compared} of {result.frames} frames"
+    typer.echo(
+        f"{frames}{', same bits' if result.same else ''}, from step {result.begin} on, in {result.seconds:.3g} s"
+    )
+    if result.difference:
+        typer.echo(_sentence(result.difference))
+    if result.ended:
+        typer.echo(f"It ended early: {result.ended}.")
+    if not result.same or result.recorded_with != result.replayed_with:
+        for when, packages in (("recorded", result.recorded_with), ("replayed", result.replayed_with)):
+            typer.echo(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
+    if result.dense:
+        typer.echo(f"Every step: {result.dense}")
+
+
+def _sentence(difference: Difference) -> str:
+    what = difference.quantity + ("" if difference.body is None else f" of body {difference.body}")
+    return (
+        f"The first difference is at step {difference.step}, t = {difference.time:.9g} s: {what}, "
+        f"recorded {difference.recorded!r}, replayed {difference.replayed!r}, off by {difference.by:.3g}."
+    )
+
+
+def _document(result: Replay) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    dense = None if result.dense is None else str(result.dense)
+    return {**asdict(result), "dense": dense, "same": result.same}

@@ -1,0 +1,90 @@
+"""From a recording back to a space that stands where it stood: what replays and continued runs begin with.
+
+A recording may come from a stranger. Everything in it is looked at before it is computed with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from carom.scene.load import scene_from_text
+from carom.scene.placement import Start
+from carom.scene.schema import Scene
+
+
+def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
+    """Return the scene of a recording.
+
+    Raises
+    ------
+    SceneError
+        If this version does not understand it.
+    RecordingError
+        If it is not one of as many bodies as the recording has.
+    """
+    scene = scene_from_text(recording.scene_toml, f"the scene in {recording.path}", overrides)
+    if scene.count != len(recording.bodies.mass):
+        raise RecordingError(
+            f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
+        )
+    return scene
+
+
+def space_of(recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None) -> Space:
+    """Build a space that stands at a checkpoint of a recording.
+
+    Bodies are those recorded, not placed anew: random numbers may differ between libraries.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot run on this machine or in this version.
+    RecordingError
+        If the bodies in it cannot be simulated.
+    """
+    space = Space(scene, threads, _start(recording, scene, checkpoint))
+    if space.requirements.spin.modelled != (checkpoint.orientation is not None):
+        raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
+    space.restore(checkpoint)
+    return space
+
+
+def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
+    """Return the last checkpoint at or before a time, else the first that there is.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    steps = recording.checkpoint_steps
+    if not steps:
+        raise RecordingError(f"{recording.path} has no checkpoint to go on from: {recording.outcome}")
+    earlier = [step for step, at in zip(steps, recording.checkpoint_times, strict=True) if at <= time]
+    return recording.checkpoint(earlier[-1] if earlier else steps[0])
+
+
+def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
+    bodies, n = recording.bodies, scene.count
+    for name in ("mass", "radius", "inertia"):
+        values = getattr(bodies, name)
+        if values.shape != (n,) or not (np.isfinite(values).all() and (values > 0.0).all()):
+            raise RecordingError(f"{recording.path}: {name} of its bodies must be {n} positive numbers")
+    fixed = np.zeros(n, dtype=bool)
+    fixed[: len(scene.body)] = [body.fixed for body in scene.body]
+    spin = checkpoint.angular_velocity
+    return Start(
+        name=bodies.name,
+        group=bodies.group,
+        position=checkpoint.position,
+        velocity=checkpoint.velocity,
+        angular_velocity=np.zeros((n, 3)) if spin is None else spin,
+        mass=bodies.mass,
+        radius=bodies.radius,
+        inertia=bodies.inertia,
+        fixed=fixed,
+    )

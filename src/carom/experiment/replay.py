@@ -1,0 +1,198 @@
+"""Run a recording again and compare every frame with what was recorded, bit for bit."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from carom.experiment.environment import versions
+from carom.experiment.output import refuse_output
+from carom.experiment.recorded import checkpoint_before, recorded_scene, space_of
+from carom.experiment.run import header_of
+from carom.physics.frame import Frame
+from carom.physics.schedule import at, every
+from carom.physics.space import Space
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
+
+TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
+
+Consent = Callable[[float], bool]  # s that the rest will take → whether to go on
+Watcher = Callable[[Space], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first frame that is not what was recorded, and what differs most in it."""
+
+    step: int
+    time: float  # s, recorded
+    quantity: str
+    body: int | None  # None where it belongs to no one body
+    recorded: float
+    replayed: float
+
+    @property
+    def by(self) -> float:
+        """How much it is off."""
+        return self.replayed - self.recorded
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """How a replay went."""
+
+    begin: int  # the step of the checkpoint that it began at
+    frames: int  # recorded ones from there to the end of the window
+    compared: int
+    difference: Difference | None
+    ended: str  # why it ended before the window did; empty where it did not
+    seconds: float
+    recorded_with: dict[str, str]
+    replayed_with: dict[str, str] = field(default_factory=versions)
+    dense: Path | None = None  # the recording of every step
+
+    @property
+    def same(self) -> bool:
+        """Whether every frame was compared, and had the same bits."""
+        return self.difference is None and self.compared == self.frames
+
+
+def replay(
+    recording: Recording,
+    begin: float = 0.0,
+    end: float = np.inf,
+    *,
+    threads: int | None = None,
+    dense: Path | None = None,
+    force: bool = False,
+    consent: Consent = lambda seconds: True,
+    watch: Watcher = lambda space: None,
+) -> Replay:
+    """Run a recording again, from the last checkpoint before the window to its end.
+
+    Parameters
+    ----------
+    recording
+        What to run again.
+    begin, end
+        s; the window.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    dense
+        Where to record every step of the window, if anywhere.
+    force
+        Whether ``dense`` may replace a file.
+    consent
+        Asked once, after a second of stepping, whether the time that the rest will take is all right.
+    watch
+        Called with the space after every frame.
+
+    Raises
+    ------
+    SceneError, RecordingError, PhysicsError
+        If the recording cannot be run, or the state stops being finite.
+    """
+    if dense is not None:
+        refuse_output(dense, force)
+    scene = recorded_scene(recording)
+    checkpoint = checkpoint_before(recording, begin)
+    run = _Comparison(recording, checkpoint.step, end)
+    space = space_of(recording, scene, checkpoint, threads)
+    began = clock.perf_counter()
+    with ExitStack() as stack:
+        recorder = None
+        if dense is not None:
+            recorder = stack.enter_context(Recorder(dense, header_of(space)))
+        asked, ended = False, ""
+        schedule = at(run.fingerprints) if recorder is None else every(0.0)
+        try:
+            for frame in space.run(schedule=schedule):
+                watch(space)
+                run.see(frame)
+                if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > checkpoint.step):
+                    recorder.put(frame)
+                spent = clock.perf_counter() - began
+                if not asked and spent > TRIAL_SECONDS:
+                    asked = True
+                    if not consent(spent * run.left(space.step) / max(1, space.step - checkpoint.step)):
+                        ended = "declined"
+                        break
+                if run.difference or frame.step >= run.last:
+                    break
+        except KeyboardInterrupt:
+            ended = "stopped by the user"
+        if recorder is not None:
+            recorder.finish(ended or "completed")
+    return Replay(
+        begin=checkpoint.step,
+        frames=len(run.fingerprints),
+        compared=run.compared,
+        difference=run.difference or (None if ended else run.missing(space)),
+        ended=ended,
+        seconds=clock.perf_counter() - began,
+        recorded_with=recording.versions,
+        dense=dense,
+    )
+
+
+class _Comparison:
+    """Holds frames against the recorded ones."""
+
+    def __init__(self, recording: Recording, begin: int, end: float) -> None:
+        table = recording.fingerprints()
+        rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
+        inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
+        self.fingerprints = {step: bits for step, bits, _ in inside}
+        self._times = {step: time for step, _, time in inside}
+        self.last = max(self.fingerprints, default=begin)
+        self.compared = 0
+        self.difference: Difference | None = None
+        self._recording = recording
+
+    def see(self, frame: Frame) -> None:
+        """Compare a frame, if it was recorded."""
+        bits = self.fingerprints.get(frame.step)
+        if bits is None:
+            return
+        self.compared += 1
+        if bits != frame.fingerprint:
+            self.difference = _difference(self._recording, frame, self._times[frame.step])
+
+    def left(self, step: int) -> int:
+        """How many steps are still to be done."""
+        return max(0, self.last - step)
+
+    def missing(self, space: Space) -> Difference | None:
+        """Tell of a run that ended before the recorded one did."""
+        if self.compared == len(self.fingerprints):
+            return None
+        step = min(step for step in self.fingerprints if step > space.step)
+        return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
+
+
+def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
+    """Find what differs most, in the order in which one thing follows from the other."""
+    if frame.time != time:
+        return Difference(frame.step, time, "time (s)", None, time, frame.time)
+    recorded = recording.drawn_positions(frame.step)
+    if recorded is not None and len(recorded) == len(frame.position):
+        shown = (frame.position - np.asarray(recording.info["origin"])).astype(np.float32)
+        off = np.abs(shown.astype(np.float64) - recorded).max(axis=1)
+        if off.max() > 0.0:
+            body = int(off.argmax())
+            axis = int(np.abs(shown[body] - recorded[body]).argmax())
+            name = f"{'xyz'[axis]} (m, as drawn)"
+            return Difference(frame.step, time, name, body, float(recorded[body, axis]), float(shown[body, axis]))
+    energy = recording.energy()
+    row = int(np.flatnonzero(energy["step"].to_numpy() == frame.step)[0])
+    for name in ("translational", "rotational", "gravitational", "field"):
+        if name in energy.column_names and energy[name][row].as_py() != getattr(frame.energy, name):
+            value = float(energy[name][row].as_py())
+            return Difference(frame.step, time, f"{name} energy (J)", None, value, getattr(frame.energy, name))
+    return Difference(frame.step, time, "bits that no drawn digit and no energy shows", None, 0.0, 0.0)

@@ -1,0 +1,62 @@
+"""What a recording holds up to one of its checkpoints: a run that goes on from there writes it first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from rerun.chunk import Chunk
+
+from carom.recording import entities
+from carom.recording.clock import STEP, Clock
+from carom.recording.recording import Recording
+
+_CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
+
+
+class Past:
+    """The frames of a recording up to a step.
+
+    Parameters
+    ----------
+    recording
+        The run so far, or more than that.
+    step
+        Of the last frame that counts, one that carries a checkpoint.
+    """
+
+    def __init__(self, recording: Recording, step: int) -> None:
+        self.recording = recording
+        self.step = step
+        steps = recording.fingerprints()[STEP].to_numpy()
+        self.frames = int(np.count_nonzero(steps <= step))
+        self.origin = np.asarray(recording.info["origin"], dtype=np.float64)  # (3,) m
+        self.clock = Clock(float(recording.info["time_scale"]))
+        self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
+        states = {entities.PHASE: recording.phases(), entities.DT_LIMIT: recording.dt_limits()}
+        self.last_state = {path: _last(table, step) for path, table in states.items()}
+
+    def first_position(self) -> NDArray[np.float64]:
+        """Where the bodies were at the first checkpoint, (n, 3) m."""
+        return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
+
+    def chunks(self) -> Iterator[Chunk]:
+        """All rows up to the step, those that closed the recording apart."""
+        for chunk in self.recording.temporal_chunks():
+            batch = chunk.to_record_batch()
+            kept = pc.less_equal(batch[STEP], self.step)
+            if chunk.entity_path == f"/{entities.EVENTS}":
+                texts = pc.list_element(batch["TextLog:text"], 0)
+                kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, _CLOSING)))
+            if pc.all(kept).as_py():
+                yield chunk
+            elif pc.any(kept).as_py():
+                yield from Chunk.from_record_batch(batch.filter(kept))
+
+
+def _last(table: pa.Table, step: int) -> str:
+    rows = np.flatnonzero(table[STEP].to_numpy() <= step)
+    return str(table["state"][int(rows[-1])]) if len(rows) else ""

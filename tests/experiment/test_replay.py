@@ -1,0 +1,157 @@
+"""A recording runs again with the same bits, or the first difference is named."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carom
+from carom.experiment.replay import replay
+from carom.experiment.run import simulate
+from carom.physics.frame import Frame, FrameStore
+from carom.physics.schedule import Schedule
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from carom.scene.bundled import bundled_scenes
+from carom.scene.schema import Scene
+from examples import cloud
+
+SHORT = {"kepler-orbits": 0.1, "planet-with-gravel": 0.2, "rubble-collision": 0.3}  # parts of their durations
+
+
+@pytest.mark.parametrize("name", bundled_scenes())
+def test_every_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads(name: str, tmp_path: Path) -> None:
+    scene = Scene.load(name)
+    scene = Scene.load(name, [f"time.duration={SHORT.get(name, 0.5) * scene.time.duration}"])
+    recording = carom.run(scene, tmp_path / "run.rrd", threads=2)
+    for threads in (1, 4):
+        result = replay(recording, threads=threads)
+        assert result.same and result.compared == recording.frames and result.begin == 0
+
+
+def test_a_window_is_replayed_from_the_checkpoint_before_it(tmp_path: Path) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    result = replay(recording, 1.0, 2.0)
+    before = recording.checkpoint(result.begin)
+    assert 0.0 < before.time <= 1.0, "no further back than need be"
+    times = recording.fingerprints()["time"].to_numpy()
+    assert result.same and result.compared == np.count_nonzero((times >= before.time) & (times <= 2.0))
+
+
+def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
+    sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
+    whole = carom.run(cloud(), tmp_path / "whole.rrd")
+    result = replay(sparse, 1.0, 2.0, dense=tmp_path / "dense.rrd")
+    dense = Recording.open(tmp_path / "dense.rrd")
+    assert result.same and result.dense == dense.path
+    rows = zip(*(whole.fingerprints()[name].to_pylist() for name in ("step", "fingerprint")), strict=True)
+    expected = dict(rows)
+    steps = dense.fingerprints()["step"].to_pylist()
+    assert steps == list(range(steps[0], steps[-1] + 1)), "every step"
+    assert dense.fingerprints()["fingerprint"].to_pylist() == [expected[step] for step in steps]
+    times = dense.fingerprints()["time"].to_pylist()
+    assert min(times) < 1.0 + 0.02 and 2.0 - 0.25 < max(times) <= 2.0
+
+
+def test_a_dense_recording_of_a_window_replays(tmp_path: Path) -> None:
+    sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
+    replay(sparse, 1.0, 2.0, dense=tmp_path / "dense.rrd")
+    assert replay(Recording.open(tmp_path / "dense.rrd")).same
+
+
+class Spoiled(Space):
+    """A space to whose state something is done after step 50."""
+
+    change: Callable[[Space], None]
+
+    def run(
+        self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
+    ) -> Iterator[Frame]:
+        for frame in super().run(until, store, schedule):
+            yield frame
+            if frame.step == 50:
+                self.change(self)
+
+
+def spoiled(path: Path, change: Callable[[Space], None]) -> Recording:
+    """Record such a run."""
+    space = Spoiled(cloud())
+    space.change = change
+    simulate(space, path)
+    return Recording.open(path)
+
+
+def test_the_first_frame_body_and_quantity_that_differ_are_named(tmp_path: Path) -> None:
+    alone: list[int] = []
+
+    def shift(space: Space) -> None:
+        alone.extend(set(range(40)) - set(space.contacts.pairs.ravel().tolist()))
+        space.state.position[alone[0], 1] += 1e-3
+
+    result = replay(spoiled(tmp_path / "shifted.rrd", shift))
+    assert not result.same and result.difference is not None
+    assert (result.difference.step, result.difference.body) == (51, alone[0])
+    assert result.difference.quantity == "y (m, as drawn)"
+    assert result.difference.by == pytest.approx(-1e-3, abs=1e-6)  # what was recorded is ahead; drawn in float32
+    assert result.compared == 52, "frames 0 to 51"
+
+
+def test_one_bit_of_one_velocity_is_enough(tmp_path: Path) -> None:
+    def nudge(space: Space) -> None:
+        space.state.velocity[3, 0] = np.nextafter(space.state.velocity[3, 0], np.inf)
+
+    result = replay(spoiled(tmp_path / "nudged.rrd", nudge))
+    assert result.difference is not None and result.difference.step == 51
+
+
+def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.experiment.replay.TRIAL_SECONDS", 0.0)
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    asked = []
+
+    def decline(seconds: float) -> bool:
+        asked.append(seconds)
+        return False
+
+    result = replay(recording, consent=decline)
+    assert len(asked) == 1 and asked[0] >= 0.0
+    assert not result.same and result.ended == "declined" and result.difference is None
+
+
+def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = carom.run(cloud(12), tmp_path / "cloud.rrd")
+    monkeypatch.setattr(Recording, "scene_toml", cloud(1_000_000_000).toml)
+    with pytest.raises(RecordingError, match="has 12 bodies, but its scene has 1000000000: it is damaged"):
+        replay(recording)
+
+
+def test_a_state_that_is_not_finite_is_not_gone_on_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = carom.run(cloud(12), tmp_path / "cloud.rrd")
+    values = "carom.recording.recording._values"
+    monkeypatch.setattr(values, lambda row: np.full(len(row.values), np.nan))
+    with pytest.raises(RecordingError, match=r"checkpoint at step 0 is damaged: .* is not finite"):
+        replay(recording)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cpu", ["generic", "host"])
+def test_a_recording_replays_with_the_same_bits_on_another_cpu(cpu: str, tmp_path: Path) -> None:
+    for name in ("cloud-collapse", "marbles-in-a-box", "planet-with-gravel"):
+        scene = Scene.load(name)
+        path = tmp_path / f"{name}.rrd"
+        carom.run(Scene.load(name, [f"time.duration={0.2 * scene.time.duration}"]), path)
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+        if cpu == "generic":
+            environment |= {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+        command = [sys.executable, "-m", "carom", "replay", str(path), "--yes"]
+        again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        assert again.returncode == 0 and "same bits" in again.stdout, again.stdout + again.stderr

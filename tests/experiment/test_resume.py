@@ -1,0 +1,134 @@
+"""A run that ended, or was ended, goes on as if it had never stopped."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pytest
+
+import carom
+from carom.experiment.resume import continuation, resume
+from carom.experiment.run import simulate
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from carom.scene.schema import Scene
+from examples import cloud
+
+CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")
+
+
+def assert_same_recording(one: Recording, other: Recording) -> None:
+    """All that a reader can ask for is the same, to the bit."""
+    for name in CONTENT:
+        assert written_out(getattr(one, name)()) == written_out(getattr(other, name)()), name
+    assert one.summary()["moments"] == other.summary()["moments"]
+    assert one.summary()["contacts"] == other.summary()["contacts"]
+    assert one.summary()["expect"] == other.summary()["expect"]
+    last = one.checkpoint_steps[-1]
+    for name in ("position", "velocity", "angular_velocity"):
+        a, b = getattr(one.checkpoint(last), name), getattr(other.checkpoint(last), name)
+        assert a is b is None or a.tobytes() == b.tobytes()
+    for step in one.fingerprints()["step"].to_pylist()[:: max(1, one.frames // 20)]:
+        assert one.drawn_positions(step).tobytes() == other.drawn_positions(step).tobytes()  # type: ignore[union-attr]
+
+
+def written_out(table: pa.Table) -> dict[str, str]:
+    """Every value with all its digits; a NaN is a NaN."""
+    nanoseconds = table["sim_time"].cast(pa.int64())
+    table = table.set_column(table.column_names.index("sim_time"), "sim_time", nanoseconds)
+    return {name: repr(values) for name, values in table.to_pydict().items()}
+
+
+def stopped(scene: Scene, path: Path, at: float) -> Recording:
+    """Record a scene up to about a time, as the interrupt key leaves it."""
+    space = Space(scene)
+    frames = space.run
+
+    def run_and_stop(**options: Any) -> Any:
+        for frame in frames(**options):
+            if frame.time >= at:
+                space.stop()
+            yield frame
+
+    space.run = run_and_stop  # type: ignore[method-assign, assignment]
+    outcome = simulate(space, path)
+    assert outcome.frames > 3 and outcome.sim_time < scene.time.duration
+    return Recording.open(path)
+
+
+@pytest.mark.parametrize("name", ["two-spheres", "marbles-in-a-box", "newtons-cradle", "elastic-gas"])
+def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name: str, tmp_path: Path) -> None:
+    scene = Scene.load(name)
+    whole = carom.run(scene, tmp_path / "whole.rrd")
+    part = stopped(scene, tmp_path / "part.rrd", 0.6 * scene.time.duration)
+    run = continuation(part)
+    assert run.checkpoint.step > 0
+    outcome = resume(run, run.space())
+    assert outcome.ok and outcome.path == tmp_path / "part.rrd"
+    assert_same_recording(whole, Recording.open(outcome.path))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["part.rrd", "whole.rrd"]
+
+
+def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Path) -> None:
+    short = carom.run(cloud(time={"duration": 1.503}, record={"every": 0.02}), tmp_path / "short.rrd")
+    long = carom.run(cloud(time={"duration": 3.0}, record={"every": 0.02}), tmp_path / "long.rrd")
+    run = continuation(short, until=3.0)
+    assert run.checkpoint.time < 1.503
+    outcome = resume(run, run.space(threads=1), tmp_path / "resumed.rrd")
+    assert_same_recording(long, Recording.open(outcome.path))
+    assert Recording.open(tmp_path / "short.rrd").frames == short.frames, "the first recording is as it was"
+
+
+def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Path) -> None:
+    short = carom.run(cloud(time={"duration": 1.0}), tmp_path / "short.rrd")
+    run = continuation(short, until=1.5)
+    resumed = Recording.open(resume(run, run.space()).path)
+    assert resumed.versions["carom"] == short.versions["carom"]
+    assert resumed.properties["resumed.step"] == run.checkpoint.step
+    assert resumed.properties["resumed.version.carom"]
+    assert "duration = 1.5" in resumed.scene_toml
+
+
+def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
+    path = tmp_path / "killed.rrd"
+    command = [sys.executable, "-m", "carom", "run", "cloud-collapse", "-o", str(path), "--set", "record.every=2.0"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (path.exists() and path.stat().st_size > 3_000_000):
+        assert process.poll() is None, "it must be killed under way"
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    killed = Recording.open(path)
+    assert not killed.finished and killed.frames > 20
+    run = continuation(killed)
+    resumed = Recording.open(resume(run, run.space()).path)
+    whole = [frame.fingerprint for frame in Space(run.scene).run()]
+    assert resumed.fingerprints()["fingerprint"].to_pylist() == whole
+    assert resumed.outcome == "completed"
+
+
+def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Path) -> None:
+    recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+    with pytest.raises(RecordingError, match=r"simulated to 0\.5 s already; give a later --until"):
+        continuation(recording)
+    with pytest.raises(RecordingError, match="`carom clip` makes it shorter"):
+        continuation(recording, until=0.2)
+
+
+def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path) -> None:
+    recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+    before = recording.path.read_bytes()
+    run = continuation(recording, until=1.0)
+    space = run.space()
+    space.state.velocity[0] = float("nan")
+    with pytest.raises(RecordingError, match="as it was: failed: the state is no longer finite"):
+        resume(run, space)
+    assert recording.path.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["cloud.rrd"]
