@@ -1,0 +1,83 @@
+"""The accounts of a run: energy and momentum from one stock-taking to the next, and a warning where energy rose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.graph import CollisionGraph
+from carom.physics.energy import Energy, EnergyAccount, Ledger
+from carom.physics.error import PhysicsError
+from carom.physics.frame import Event
+from carom.physics.moments import Moments
+from carom.physics.momentum import Momentum, MomentumAccount
+from carom.physics.names import Names
+from carom.physics.watch import EnergyWatch, Suspects
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+class Accounts:
+    """Energy and momentum as of the last stock-taking; the first one is the start of the run.
+
+    Parameters
+    ----------
+    scene
+        Whose field, boundary and energy tolerance count.
+    bodies
+        The state at the start.
+    names
+        For a warning.
+    """
+
+    def __init__(self, scene: Scene, bodies: Bodies, names: Names) -> None:
+        field, periodic = np.array(scene.gravity.uniform), scene.domain.boundary == "periodic"
+        self.ledger = Ledger()
+        self.energy: Energy
+        self.momentum: Momentum
+        self.step = -1  # of the last stock-taking
+        self._bodies = bodies
+        self._energy = EnergyAccount(field, scene.anchored)
+        self._momentum = MomentumAccount(bodies, field, periodic, scene.anchored)
+        self._watch = EnergyWatch(scene.record.energy_tolerance, names)
+        self._suspects: list[Suspects] = []
+
+    def book(self, contacts: FloatArray) -> None:
+        """Book what contacts did in a step, (m, 3) J."""
+        self.ledger = self.ledger.plus(contacts)
+
+    def suspect(self, step: int, graph: CollisionGraph, contributions: FloatArray) -> None:
+        """Keep the contacts of a step for a warning that may come."""
+        self._suspects.append(Suspects.of(step, graph, contributions, self._bodies))
+
+    def energy_now(self, potential: float) -> Energy:
+        """Return the energy of the state as it is, given its gravitational part in joules."""
+        return self._energy.balance(self._bodies, potential, self.ledger)
+
+    def momentum_now(self, time: float) -> Momentum:
+        """Return the momentum of the state as it is, at a time in seconds."""
+        return self._momentum.balance(self._bodies, time)
+
+    def take_stock(self, step: int, time: float, potential: float, moments: Moments) -> None:
+        """Compute energy and momentum, and let the moments of the run see their errors.
+
+        Raises
+        ------
+        PhysicsError
+            If the energy is no longer finite.
+        """
+        self.energy = self.energy_now(potential)
+        if not np.isfinite(self.energy.total):
+            raise PhysicsError(f"the energy is no longer finite at step {step}, t = {time:.6g} s")
+        moments.see_energy_error(step, time, self.energy.relative_error)
+        self.momentum = self.momentum_now(time)
+        moments.see_momentum_error(self.momentum.linear_error, self.momentum.angular_error)
+        self.step = step
+
+    def check(self, time: float) -> Event | None:
+        """Compare the energy with that of the check before; return a warning if it rose."""
+        warning = self._watch.check(self.step, time, self.energy, self._suspects)
+        self._suspects = []
+        return warning
