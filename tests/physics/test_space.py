@@ -320,14 +320,6 @@ def test_phases_tell_free_colliding_and_settled_apart() -> None:
     assert changes[-1] == "settled"
 
 
-def test_stopping_a_run_hands_out_a_last_frame() -> None:
-    space = Space(cloud(record={"every": 1.0}))
-    frames = space.run()
-    next(frames)
-    space.stop()
-    assert [frame.step for frame in frames] == [0]
-
-
 def test_a_state_that_is_not_finite_stops_the_run_and_names_the_body() -> None:
     space = Space(pair(time={"fixed_dt": 0.01, "duration": 1.0}))
     frames = space.run()

@@ -10,25 +10,26 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
-from carom.physics.energy import Energy, EnergyAccount, Ledger
+from carom.physics.energy import Energy, Ledger
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint
+from carom.physics.finite import refuse_infinities
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
-from carom.physics.momentum import MomentumAccount
 from carom.physics.names import Names
+from carom.physics.phase import Phase
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.timestep import Timestep
-from carom.physics.watch import EnergyWatch, Suspects
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
@@ -39,8 +40,6 @@ FloatArray = NDArray[np.float64]
 
 WARM_UP_STEPS = 3
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
-SETTLED_MEMORY = 50  # steps over which the energy of impacts is summed
-SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
 
 
 class Space:
@@ -75,7 +74,6 @@ class Space:
         self.step = 0
         self.dt = 0.0  # s
         self.dt_limit = "start"
-        self.ledger = Ledger()
         self.moments = Moments()
         self.profile = Profile()
         self.contacts: CollisionGraph = empty_graph()
@@ -88,15 +86,10 @@ class Space:
         self._gravity = self._make_gravity()
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, self._falling, scene.anchored)
-        self._energy_account = EnergyAccount(self._field, scene.anchored)
-        self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0, scene.anchored)
-        self._watch = EnergyWatch(scene.record.energy_tolerance, Names(self.names, self.planes.name))
-        self._suspects: list[Suspects] = []
+        self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
         self._events: list[Event] = []
-        self._activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self._phase = Phase(len(self.state))
         self._stopping = False
-        self._counted = -1  # the step whose energy and momentum are known
-        self._phase = "warm-up"
         self._warm_up()
         self._take_stock(self._accelerate(potential=True), checked=True)
         self.profile.clear()
@@ -114,7 +107,12 @@ class Space:
     @property
     def checked_energy(self) -> Energy:
         """The energy as of the last check or frame, without computing it anew."""
-        return self._energy
+        return self._accounts.energy
+
+    @property
+    def ledger(self) -> Ledger:
+        """What contacts did to the energy since the start of the run."""
+        return self._accounts.ledger
 
     @property
     def bodies(self) -> list[BodyProxy]:
@@ -150,15 +148,15 @@ class Space:
 
     def energy(self) -> Energy:
         """Take stock of the energy now: terms, ledger, integration error."""
-        return self._energy_account.balance(self.state, self._accelerate(potential=True), self.ledger)
+        return self._accounts.energy_now(self._accelerate(potential=True))
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""
-        return self._momentum_account.balance(self.state, self.time).linear
+        return self._accounts.momentum_now(self.time).linear
 
     def angular_momentum(self) -> FloatArray:
         """Σ (m x × v + I ω) about the origin, (3,) kg m²/s."""
-        return self._momentum_account.balance(self.state, self.time).angular
+        return self._accounts.momentum_now(self.time).angular
 
     def fingerprint(self) -> int:
         """64 bits of the exact state."""
@@ -182,15 +180,14 @@ class Space:
         self.step, self.time = checkpoint.step, checkpoint.time
         self.dt, self.dt_limit = 0.0, "start"
         self._timestep.previous = checkpoint.previous_dt
-        self.ledger = checkpoint.energy.ledger
         self.contacts = empty_graph()
         if self._contact:
             self._contact.recall(checkpoint.contacts)
             self._contact.warned = set(books.limits)
-        self._energy_account.baseline, self._momentum_account.baseline = books.energy, books.momentum
-        self._watch.tally, self.moments = books.watch, replace(books.moments)
-        self._activity, self._phase = books.activity, books.phase
-        self._suspects, self._events = [], []
+        self._accounts.reopen(books, checkpoint.energy.ledger)
+        self.moments = replace(books.moments)
+        self._phase.name, self._phase.activity = books.phase, books.activity
+        self._events = []
         self._take_stock(self._accelerate(potential=True), checked=False)
 
     def run(
@@ -237,9 +234,9 @@ class Space:
 
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
-        if self._counted != self.step:
+        if self._accounts.step != self.step:
             self._take_stock(self._accelerate(potential=True), checked=False)
-        state, spins, momentum = self.state, self.requirements.spin.modelled, self._momentum
+        state, spins, momentum = self.state, self.requirements.spin.modelled, self._accounts.momentum
         turns = spins and self.requirements.torque.modelled
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
@@ -258,11 +255,11 @@ class Space:
             torque=torque if turns else None,
             angular_acceleration=angular_acceleration if turns else None,
             contacts=self.contacts,
-            energy=self._energy,
+            energy=self._accounts.energy,
             momentum=momentum.linear,
             angular_momentum=momentum.angular,
             sweeps=self._contact.sweeps if self._contact else 0,
-            phase=self._phase,
+            phase=self._phase.name,
             events=events,
             fingerprint=self.fingerprint(),
             previous_dt=self._timestep.previous,
@@ -274,14 +271,13 @@ class Space:
         )
 
     def _books(self) -> Books:
-        assert self._energy_account.baseline is not None, "the stock of the start has been taken"
         return Books(
-            energy=self._energy_account.baseline,
-            momentum=self._momentum_account.baseline,
-            watch=self._watch.tally,
+            energy=self._accounts.energy_baseline,
+            momentum=self._accounts.momentum_baseline,
+            watch=self._accounts.watch_tally,
             moments=replace(self.moments),
-            activity=self._activity,
-            phase=self._phase,
+            activity=self._phase.activity,
+            phase=self._phase.name,
             limits=tuple(sorted(self._contact.warned)) if self._contact else (),
         )
 
@@ -307,16 +303,16 @@ class Space:
             raise PhysicsError(self._stuck(before))
         due = self.dt_limit == "end" or schedule(self.step + 1, before, self.time)
         if checked and contact:
-            self._suspect(contact)
+            self._accounts.suspect(self.step, self.contacts, contact.contributions)
         self.step += 1
         self.profile.mark("timestep")
         potential = self._integrate(self.dt, with_potential=due or checked)
         if contact:
             self._respond(contact)
             if checked:
-                self._suspect(contact)
+                self._accounts.suspect(self.step, self.contacts, contact.contributions)
         else:
-            self._phase = "free"
+            self._phase.see(0, 0.0, 0.0)
         if due or checked:
             self._take_stock(potential, checked)
         return due
@@ -341,7 +337,7 @@ class Space:
             drift(state.position, state.velocity, substep.drift * dt)
             self.profile.mark("integrate")
             if last and self._contact:
-                self._refuse_infinities()
+                refuse_infinities(self.state, self.names, self.step, self.time)
                 self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
                 wrap(state.position, self._box)
@@ -370,51 +366,34 @@ class Space:
         contact.resolve(self.dt, self._substeps[-1].after * self.dt)
         self.contacts = contact.graph
         self.profile.mark("response")
+        struck = 0.0
         if len(contact.held):
-            self.ledger = self.ledger.plus(contact.held)
+            self._accounts.book(contact.held)
         if len(self.contacts):
             if self.moments.contacts is None:
                 i, j = self.contacts.pairs[0]
                 names = Names(self.names, self.planes.name)
                 self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
-            self.ledger = self.ledger.plus(contact.work)
+            self._accounts.book(contact.work)
             struck = self.moments.see_contacts(
                 self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
             )
-            self._activity += struck - self._activity / SETTLED_MEMORY
-            self._phase = "settled" if self._is_settled() else "colliding"
             for text in contact.limits_reached():
                 self._log("WARN", text)
-        else:
-            self._activity -= self._activity / SETTLED_MEMORY
-            self._phase = "free"
+        self._phase.see(len(self.contacts), struck, self._accounts.energy.scale)
         contact.turn(self.dt)
         self.profile.mark("torque")
 
-    def _suspect(self, contact: ContactStage) -> None:
-        """Keep the contacts of the present step for a warning that may come."""
-        self._suspects.append(Suspects.of(self.step, self.contacts, contact.contributions, self.state))
-
-    def _is_settled(self) -> bool:
-        """Tell whether most bodies touch and the impacts of late were slight."""
-        quiet = self._activity <= SETTLED_BELOW * self._energy.scale
-        return quiet and 2 * len(self.contacts) >= len(self.state)
-
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
-        self._energy = self._energy_account.balance(self.state, potential, self.ledger)
-        if not np.isfinite(self._energy.total):
-            self._refuse_infinities()
-            raise PhysicsError(f"the energy is no longer finite at step {self.step}, t = {self.time:.6g} s")
-        self.moments.see_energy(self.step, self.time, self._energy)
-        self._momentum = self._momentum_account.balance(self.state, self.time)
-        self.moments.see_momentum(self.step, self.time, self._momentum)
-        self._counted = self.step
-        if checked:
-            warning = self._watch.check(self.step, self.time, self._energy, self._suspects)
-            self._suspects = []
-            if warning:
-                self._events.append(warning)
+        try:
+            self._accounts.take_stock(self.step, self.time, potential, self.moments)
+        except PhysicsError:
+            refuse_infinities(self.state, self.names, self.step, self.time)  # says which bodies it was
+            raise
+        warning = self._accounts.check(self.time) if checked else None
+        if warning:
+            self._events.append(warning)
         self.profile.mark("energy")
 
     def _warm_up(self) -> None:
@@ -449,15 +428,6 @@ class Space:
             f"step {self.step + 1} of {self.dt:.3g} s no longer moves the clock at t = {time:.6g} s "
             f"(limit: {self.dt_limit}); raise time.target_dx or time.cfl, or set time.fixed_dt"
         )
-
-    def _refuse_infinities(self) -> None:
-        finite = np.isfinite(self.state.position) & np.isfinite(self.state.velocity)
-        if finite.all():
-            return
-        lost = np.flatnonzero(~finite.all(axis=1))
-        names = ", ".join(f'{body} "{self.names[body]}"' for body in lost[:5])
-        at = f"step {self.step}, t = {self.time:.6g} s"
-        raise PhysicsError(f"the state is no longer finite at {at}: {len(lost)} bodies, among them {names}")
 
 
 def _cores() -> int:

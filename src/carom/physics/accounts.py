@@ -1,0 +1,106 @@
+"""The accounts of a run: energy and momentum from one stock-taking to the next, and a warning where energy rose."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.checkpoint import Books
+from carom.physics.contact.graph import CollisionGraph
+from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline, Ledger
+from carom.physics.error import PhysicsError
+from carom.physics.event import Event
+from carom.physics.moments import Moments
+from carom.physics.momentum import Momentum, MomentumAccount, MomentumBaseline
+from carom.physics.names import Names
+from carom.physics.watch import EnergyWatch, Suspects, WatchTally
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+class Accounts:
+    """Energy and momentum as of the last stock-taking; the first one is the start of the run.
+
+    Parameters
+    ----------
+    scene
+        Whose field, boundary and energy tolerance count.
+    bodies
+        The state at the start.
+    names
+        For a warning.
+    """
+
+    def __init__(self, scene: Scene, bodies: Bodies, names: Names) -> None:
+        field, periodic = np.array(scene.gravity.uniform), scene.domain.boundary == "periodic"
+        self.ledger = Ledger()
+        self.energy: Energy
+        self.momentum: Momentum
+        self.step = -1  # of the last stock-taking
+        self._bodies = bodies
+        self._energy = EnergyAccount(field, scene.anchored)
+        self._momentum = MomentumAccount(bodies, field, periodic, scene.anchored)
+        self._watch = EnergyWatch(scene.record.energy_tolerance, names)
+        self._suspects: list[Suspects] = []
+
+    @property
+    def energy_baseline(self) -> EnergyBaseline:
+        """What energies are compared with."""
+        assert self._energy.baseline is not None, "the stock of the start has been taken"
+        return self._energy.baseline
+
+    @property
+    def momentum_baseline(self) -> MomentumBaseline:
+        """What momenta are compared with."""
+        return self._momentum.baseline
+
+    @property
+    def watch_tally(self) -> WatchTally:
+        """What the watch knows from one check to the next."""
+        return self._watch.tally
+
+    def reopen(self, books: Books, ledger: Ledger) -> None:
+        """Go on with the accounts of an earlier run."""
+        self.ledger = ledger
+        self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
+        self._suspects = []
+
+    def book(self, contacts: FloatArray) -> None:
+        """Book what contacts did in a step, (m, 3) J."""
+        self.ledger = self.ledger.plus(contacts)
+
+    def suspect(self, step: int, graph: CollisionGraph, contributions: FloatArray) -> None:
+        """Keep the contacts of a step for a warning that may come."""
+        self._suspects.append(Suspects.of(step, graph, contributions, self._bodies))
+
+    def energy_now(self, potential: float) -> Energy:
+        """Return the energy of the state as it is, given its gravitational part in joules."""
+        return self._energy.balance(self._bodies, potential, self.ledger)
+
+    def momentum_now(self, time: float) -> Momentum:
+        """Return the momentum of the state as it is, at a time in seconds."""
+        return self._momentum.balance(self._bodies, time)
+
+    def take_stock(self, step: int, time: float, potential: float, moments: Moments) -> None:
+        """Compute energy and momentum, and let the moments of the run see their errors.
+
+        Raises
+        ------
+        PhysicsError
+            If the energy is no longer finite.
+        """
+        self.energy = self.energy_now(potential)
+        if not np.isfinite(self.energy.total):
+            raise PhysicsError(f"the energy is no longer finite at step {step}, t = {time:.6g} s")
+        moments.see_energy(step, time, self.energy)
+        self.momentum = self.momentum_now(time)
+        moments.see_momentum(step, time, self.momentum)
+        self.step = step
+
+    def check(self, time: float) -> Event | None:
+        """Compare the energy with that of the check before; return a warning if it rose."""
+        warning = self._watch.check(self.step, time, self.energy, self._suspects)
+        self._suspects = []
+        return warning
