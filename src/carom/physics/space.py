@@ -28,7 +28,7 @@ from carom.physics.watch import EnergyWatch, Suspects
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import place
-from carom.scene.requirements import frame_interval, require
+from carom.scene.requirements import frame_interval, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -82,7 +82,7 @@ class Space:
         self._substeps = SUBSTEPS[scene.time.integrator]
         self._gravity = self._make_gravity()
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, self._falling, scene.anchored)
+        self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
         self._energy_account = EnergyAccount(self._field, scene.anchored)
         self._momentum_account = MomentumAccount(self.state, self._field, self._box[0] > 0.0, scene.anchored)
         self._watch = EnergyWatch(scene.record.energy_tolerance, Names(self.names, self.planes.name))
