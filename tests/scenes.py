@@ -171,11 +171,12 @@ def _box(bodies: list[Document], slack: float) -> list[float]:
 @st.composite
 def _time(draw: DrawFn, L: float, U: float, fixed: bool, velocity_limit: str | None) -> Document:
     T = L / U
+    reach = draw(choices("auto", 0.001, 0.01, 0.1, 1.0))
     time: Document = {
         "duration": 1e9 * T,  # the tests count steps
         "integrator": draw(choices("euler", "leapfrog", "yoshida4")),
         "max_dt": T * draw(decades(-2, 1)),
-        "target_dx": L * draw(decades(-3, 0)),
+        "target_dx": reach if reach == "auto" else L * reach,
         "cfl": draw(choices(0.05, 0.5, 1.0)),
         "smoothing": draw(choices(0.01, 0.2, 1.0)),
         "velocity_limit": velocity_limit or draw(choices("every-body", "fastest-body")),

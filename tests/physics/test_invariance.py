@@ -72,7 +72,7 @@ def in_other_units(document: Document, length: float, mass: float, time: float) 
         document,
         body,
         time={key: clock[key] * time for key in ("duration", "max_dt", "fixed_dt") if key in clock}
-        | {"target_dx": clock["target_dx"] * length},
+        | ({} if clock["target_dx"] == "auto" else {"target_dx": clock["target_dx"] * length}),
         gravity={
             "constant": gravity["constant"] * (length**3 / (mass * time**2)),
             "softening": gravity.get("softening", 0.0) * length,

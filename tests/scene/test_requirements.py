@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.requirements import frame_interval, require
+from carom.scene.requirements import frame_interval, require, target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -31,6 +31,8 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("no friction and no spin, no orientation", pair(contact={"static_friction": 0}), "spin", False),
     ("friction turns bodies", pair(), "spin", True),
     ("spin at the start", cloud(contact={"static_friction": 0}), "spin", True),
+    ("the step is adaptive", pair(), "adaptive_step", True),
+    ("a fixed step is not", pair(time={"fixed_dt": 0.01}), "adaptive_step", False),
     ("a fixed step needs no warm-up", pair(time={"fixed_dt": 0.01}), "warm_up", False),
     ("one body and a plane may meet", scene_of(MOVING[1:], plane=[{"point": [0, 0, -1]}]), "contact", True),
     ("one body at rest beside a plane", scene_of(RESTING[1:], plane=[{"point": [0, 0, -1]}]), "contact", False),
@@ -65,3 +67,22 @@ def test_a_part_that_is_not_required_takes_no_memory() -> None:
 @pytest.mark.parametrize(("every", "interval"), [("step", 0.0), (0.25, 0.25), ("auto", 10.0 / 600)])
 def test_frames_are_due_as_often_as_the_scene_says(every: Any, interval: float) -> None:
     assert frame_interval(pair(record={"every": every})) == interval
+
+
+def test_an_acceleration_moves_a_body_by_a_part_of_the_smallest_radius_that_grows_with_their_number() -> None:
+    # From rest, a part s of the time to fall through a radius is s² of the way.
+    few = scene_of([{"radius": 3.0}, {"position": [9, 0, 0], "radius": 0.5}])
+    assert target_dx(few) == pytest.approx(0.002**2 * 0.5, rel=1e-15)
+    assert target_dx(cloud(50)) == pytest.approx(0.05**2 * 0.2, rel=1e-15)
+    assert target_dx(cloud(100)) == target_dx(cloud(2000)) == pytest.approx(0.1**2 * 0.2, rel=1e-15)
+
+
+def test_the_seeds_hundredth_of_a_metre_is_what_a_person_writes_or_what_many_bodies_of_a_metre_get() -> None:
+    metres = {"count": 100, "radius": 1.0}
+    assert target_dx(pair(time={"target_dx": 0.01})) == 0.01
+    assert target_dx(Scene.from_dict({"group": [metres]})) == pytest.approx(0.01, rel=1e-15)
+
+
+def test_the_reason_for_the_adaptive_step_names_its_distance() -> None:
+    assert require(pair(time={"target_dx": 0.25})).adaptive_step.why == "target_dx = 0.25 m"
+    assert "target_dx = 4e-06 m: for 2 bodies, 0.002 of a fall" in require(pair()).adaptive_step.why

@@ -33,7 +33,7 @@ from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import frame_interval, require
+from carom.scene.requirements import frame_interval, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Space:
         self._substeps = SUBSTEPS[scene.time.integrator]
         self._gravity = self._make_gravity()
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, self._falling, scene.anchored)
+        self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
         self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))

@@ -32,8 +32,9 @@ END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged 
 class Timestep:
     """Chooses each step and remembers what the average needs."""
 
-    def __init__(self, time: Time, field: FloatArray, anchored: bool = False) -> None:
+    def __init__(self, time: Time, target_dx: float, field: FloatArray, anchored: bool = False) -> None:
         self._time = time
+        self._target_dx = target_dx  # m
         self._field = field  # (3,) m/s², as far as it pulls all alike
         self._anchored = anchored  # whether something stands still: speeds then count from it
         self.previous = 0.0  # s, the average; 0 until there is one
@@ -80,7 +81,7 @@ class Timestep:
             time.cfl,
         )
         a_max, fastest, every = _limits(*state)
-        dt_a = math.sqrt(2.0 * time.target_dx / a_max) if a_max > 0.0 else math.inf
+        dt_a = math.sqrt(2.0 * self._target_dx / a_max) if a_max > 0.0 else math.inf
         dt_v = fastest if time.velocity_limit == "fastest-body" else every
         dt = min(dt_a, dt_v, time.max_dt)
         limit = "cap" if dt == time.max_dt else "velocity" if dt == dt_v else "acceleration"

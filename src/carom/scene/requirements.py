@@ -15,6 +15,9 @@ FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # an "auto" recording of many bodies gets fewer frames to stay below
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
+MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from rest through the smallest radius
+STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
+
 
 @dataclass(frozen=True)
 class Part:
@@ -36,6 +39,7 @@ class Requirements:
     friction: Part
     torque: Part
     spin: Part
+    adaptive_step: Part
     warm_up: Part
 
     @property
@@ -61,6 +65,7 @@ def require(scene: Scene) -> Requirements:
         friction=friction,
         torque=torque,
         spin=_spin(scene, friction),
+        adaptive_step=_adaptive_step(scene),
         warm_up=_warm_up(scene),
     )
 
@@ -139,10 +144,36 @@ def _spin(scene: Scene, friction: Part) -> Part:
     return Part(name, False, "no friction, and nothing spins at the start")
 
 
+def _adaptive_step(scene: Scene) -> Part:
+    name = "adaptive step"
+    if scene.time.fixed_dt is not None:
+        return Part(name, False, "time.fixed_dt")
+    why = f"target_dx = {target_dx(scene):.3g} m"
+    if scene.time.target_dx != "auto":
+        return Part(name, True, why)
+    share = _auto_step(scene)
+    return Part(name, True, f"{why}: for {scene.count} bodies, {share:g} of a fall through the smallest radius")
+
+
 def _warm_up(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
         return Part("warm-up", False, "time.fixed_dt: no step has to be found")
     return Part("warm-up", True, "the first adaptive step needs accelerations")
+
+
+def target_dx(scene: Scene) -> float:
+    """Return the farthest that the largest acceleration may move a body in a step, in metres.
+
+    A fall from rest through the smallest radius r takes √(2 r/a); a part s of that time is s² r of the way.
+    """
+    if scene.time.target_dx != "auto":
+        return scene.time.target_dx
+    radii = [body.radius for body in scene.body] + [group.radius.min for group in scene.group]
+    return _auto_step(scene) ** 2 * min(radii)
+
+
+def _auto_step(scene: Scene) -> float:
+    return STEP_PER_BODY * min(scene.count, MANY)
 
 
 def frame_interval(scene: Scene) -> float:

@@ -31,7 +31,11 @@ class Time(Section):
 
     duration: Positive = Field(10.0, description="s, simulated time; more than 0")
     max_dt: Positive = Field(1.0, description="s, largest step; more than 0")
-    target_dx: Positive = Field(0.01, description="m, farthest that the largest acceleration may move a body in a step")
+    target_dx: Positive | Literal["auto"] = Field(
+        "auto",
+        description="m, farthest that the largest acceleration may move a body in a step; "
+        '"auto" is a part of the smallest radius, the smaller the fewer bodies there are',
+    )
     cfl: Positive = Field(0.5, description="fraction of its own radius that a body may cross in a step; more than 0")
     smoothing: Positive = Field(
         0.2, le=1, description="weight of the new dt in the moving average, above 0; 1 is no smoothing"
