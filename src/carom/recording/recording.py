@@ -2,29 +2,45 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, LazyChunkStream, RrdReader, StoreEntry
 
 from carom.recording import entities
 from carom.recording.checkpoint import StoredState, decode
 from carom.recording.clock import SIM_TIME, STEP
+from carom.recording.container import RECORDING, Chunk, Container, Entry, Store
+from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.layout import schema_version
 from carom.recording.summary import summary
 
-UNFINISHED = "unfinished: the run was killed before it could close the file"
+UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
 _PROPERTIES = "__properties"
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def _named(
+    read: Callable[Concatenate[Recording, _Parameters], _Result],
+) -> Callable[Concatenate[Recording, _Parameters], _Result]:
+    """Let a method say which file it is that has not got in it what it should."""
+
+    @wraps(read)
+    def reads(self: Recording, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+        with reading(self.path):
+            return read(self, *args, **kwargs)
+
+    return reads
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +57,11 @@ class BodyTable:
 class Recording:
     """A recording on disk. Make one with :meth:`open`."""
 
-    def __init__(self, path: Path, reader: RrdReader, finished: bool) -> None:
-        self.path = path
-        self.finished = finished  # the file has its footer: the run closed it
-        self._reader = reader
+    def __init__(self, container: Container, store: Store) -> None:
+        self.path = container.path
+        self.finished = container.finished  # the file has its footer: the run closed it
+        self.store = store
+        self._container = container
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -52,49 +69,58 @@ class Recording:
         path = Path(path)
         if not path.is_file():
             raise RecordingError(f"there is no recording at {path}")
-        reader, stores = _stores(path)
-        if not stores:
+        with reading(path):
+            container = Container(path)
+        store = next((store for store in container.stores if store.kind == RECORDING), None)
+        if store is None:
             raise RecordingError(f"{path} holds no recording")
-        version = schema_version(stores[0].application_id)
+        version = schema_version(store.application_id)
         if version is None:
-            raise RecordingError(f"{path} was not made by carom, but by {stores[0].application_id!r}")
+            raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
         if version > entities.SCHEMA_VERSION:
             raise RecordingError(
                 f"{path} has schema version {version}; this carom reads up to {entities.SCHEMA_VERSION}: upgrade carom"
             )
-        return cls(path, reader, _has_footer(reader))
+        return cls(container, store)
 
     @cached_property
+    @_named
     def info(self) -> Mapping[str, Any]:
         """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
         return self._property("carom")
 
     @cached_property
+    @_named
     def properties(self) -> Mapping[str, Any]:
         """The property `run`: versions, command, git, cpu and whatever else the run was told to keep."""
         return self._property("run")
 
     @cached_property
+    @_named
     def closing(self) -> Mapping[str, Any]:
         """The property `outcome`: how it ended; empty if the run was killed."""
         return self._property("outcome")
 
     @property
+    @_named
     def title(self) -> str:
         """The scene's title."""
         return str(self.info["title"])
 
     @property
+    @_named
     def outcome(self) -> str:
         """How the run ended."""
         return str(self.closing.get("outcome", UNFINISHED))
 
     @cached_property
+    @_named
     def scene_toml(self) -> str:
         """The scene, exactly as it was written."""
         return str(self._static(entities.SCENE_TOML)["TextDocument:text"][0])
 
     @cached_property
+    @_named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia."""
         stored = self._static(entities.STATIC_STATE)
@@ -107,56 +133,65 @@ class Recording:
         )
 
     @property
+    @_named
     def frames(self) -> int:
         """How many frames there are."""
         return int(self._fingerprints.num_rows)
 
+    @_named
     def fingerprints(self) -> pa.Table:
         """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
         return self._fingerprints
 
+    @_named
     def energy(self) -> pa.Table:
         """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error."""
         return self._series(entities.ENERGY)
 
+    @_named
     def steps(self) -> pa.Table:
         """Return dt (s), contacts, colours, sweeps and overlaps of every frame."""
         return self._series(entities.STEP)
 
+    @_named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
         return self._table(entities.MOMENTUM)
 
+    @_named
     def events(self) -> pa.Table:
         """Columns step, sim_time, level, text."""
         table = self._table(entities.EVENTS, ("TextLog:text", "TextLog:level"))
         return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
 
+    @_named
     def phases(self) -> pa.Table:
         """Columns step, sim_time, state: a row where the phase changes."""
         table = self._table(entities.PHASE, ("StateChange:state",))
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     @cached_property
+    @_named
     def checkpoint_steps(self) -> list[int]:
         """Steps that carry an exact checkpoint."""
         return [int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()]
 
+    @_named
     def checkpoint(self, step: int) -> StoredState:
         """Decode the exact state at one of :attr:`checkpoint_steps`."""
         for chunk in self._chunks(entities.CHECKPOINT):
-            batch = chunk.to_record_batch()
+            batch = chunk.batch
             rows = np.flatnonzero(batch[STEP].to_numpy() == step)
             if len(rows):
                 row = int(rows[-1])
-                names = [name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)]
-                return decode(step, {name: batch[name][row].values.to_numpy() for name in names})
+                return decode(step, {name: batch[name][row].values.to_numpy() for name in chunk.components})
         raise RecordingError(f"{self.path} has no checkpoint at step {step}")
 
     def checkpoints(self) -> Iterator[StoredState]:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
 
+    @_named
     def moment(self) -> float:
         """Find the time (s) to look at: the hardest impact, else the most contacts, else the end.
 
@@ -178,6 +213,7 @@ class Recording:
             return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
         return float(_column(self._fingerprints, "time")[-1])
 
+    @_named
     def summary(self) -> dict[str, Any]:
         """How the run went, as nested numbers and strings."""
         return summary(self)
@@ -192,42 +228,37 @@ class Recording:
         columns["time"] = self._fingerprints["time"]
         parts: dict[str, list[pa.RecordBatch]] = {}
         for chunk in self._chunks(f"{root}/**", "Scalars:scalars"):
-            parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.to_record_batch())
+            parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.batch)
         for name, batches in parts.items():
             columns[name] = _flat(batches, "Scalars:scalars")
         whole = min(len(column) for column in columns.values())  # a killed run may have sent half a batch
         return pa.table({name: column[:whole] for name, column in columns.items()})
 
     def _table(self, path: str, components: tuple[str, ...] | None = None) -> pa.Table:
-        batches = [chunk.to_record_batch() for chunk in self._chunks(path, components)]
-        if not batches:
+        chunks = list(self._chunks(path))
+        if not chunks:
             empty: dict[str, Any] = {STEP: pa.array([], pa.int64()), SIM_TIME: pa.array([], pa.duration("ns"))}
             return pa.table(empty | {name: pa.array([], pa.string()) for name in components or ()})
-        names = components or [n for n in batches[0].schema.names if pa.types.is_list(batches[0].schema.field(n).type)]
+        batches, names = [chunk.batch for chunk in chunks], components or chunks[0].components
         columns = {name: pa.chunked_array([batch[name] for batch in batches]) for name in (STEP, SIM_TIME)}
         return pa.table(columns | {name: _flat(batches, name) for name in names})
 
-    def _chunks(self, content: str, components: str | tuple[str, ...] | None = None) -> Iterator[Chunk]:
-        chosen = list(components) if isinstance(components, tuple) else components
-        stream = self._stream().filter(content=f"/{content}", is_static=False, components=chosen)
-        return iter(sorted(self._read(stream), key=_first_step))
+    def _chunks(self, content: str, component: str | None = None) -> Iterator[Chunk]:
+        """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it."""
+        found = [entry for entry in self.store.entries if not entry.is_static and _within(entry, content)]
+        for chunk in self._read(sorted(found, key=lambda entry: entry.first_step or 0)):
+            if component is None or component in chunk.components:
+                yield chunk
 
-    def _read(self, stream: LazyChunkStream) -> list[Chunk]:
-        try:
-            return list(stream)
-        except RuntimeError as error:
-            raise RecordingError(f"cannot read {self.path}: {error}") from error
-
-    def _stream(self) -> LazyChunkStream:
-        return self._reader.store().stream() if self.finished else self._reader.stream()
+    def _read(self, entries: list[Entry]) -> Iterator[Chunk]:
+        with reading(self.path):
+            yield from self._container.chunks(entries)
 
     def _static(self, path: str) -> dict[str, list[Any]]:
         """Read the components of a static entity."""
         found: dict[str, list[Any]] = {}
-        for chunk in self._read(self._stream().filter(content=f"/{path}", is_static=True)):
-            batch = chunk.to_record_batch()
-            lists = [n for n in batch.schema.names if pa.types.is_list(batch.schema.field(n).type)]
-            found |= {name: batch[name][0].as_py() for name in lists}
+        for chunk in self._read([e for e in self.store.entries if e.is_static and e.entity_path == path]):
+            found |= {name: chunk.batch[name][0].as_py() for name in chunk.components}
         if not found and not path.startswith(_PROPERTIES):
             raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
         return found
@@ -237,31 +268,10 @@ class Recording:
         return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
 
 
-def _stores(path: Path) -> tuple[RrdReader, list[StoreEntry]]:
-    """Open a file and list what is in it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "no footer": a killed run, which is said in the outcome
-        try:
-            reader = RrdReader(path)
-            return reader, reader.recordings()
-        except RuntimeError as error:
-            reason = str(error).rsplit(": ", 1)[-1]
-            raise RecordingError(
-                f"{path} is not a recording, or is damaged ({reason}); "
-                f"`rerun rrd optimize {path} -o repaired.rrd` saves what can be read"
-            ) from error
-
-
-def _has_footer(reader: RrdReader) -> bool:
-    try:
-        reader.store()
-    except RuntimeError:
-        return False
-    return True
-
-
-def _first_step(chunk: Chunk) -> int:
-    return int(chunk.to_record_batch()[STEP][0].as_py()) if chunk.num_rows else 0
+def _within(entry: Entry, content: str) -> bool:
+    if content.endswith("/**"):
+        return entry.entity_path.startswith(content.removesuffix("**"))
+    return entry.entity_path == content
 
 
 def _flat(batches: list[pa.RecordBatch], name: str) -> pa.ChunkedArray:
