@@ -49,6 +49,7 @@ EVENTS = "events"
 FINGERPRINT = "state/fingerprint"
 MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
+START = "state/start"  # in a clip: the exact state that its first frame follows from
 STATIC_STATE = "state/bodies"
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, wraps
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from carom.recording import entities
 from carom.recording.checkpoint import StoredState, decode
 from carom.recording.clock import SIM_TIME, STEP
-from carom.recording.container import RECORDING, Chunk, Container, Entry, Store
+from carom.recording.container import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
 from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.layout import schema_version
@@ -100,6 +100,19 @@ class Recording:
     def closing(self) -> Mapping[str, Any]:
         """The property `outcome`: how it ended; empty if the run was killed."""
         return self._property("outcome")
+
+    @cached_property
+    @_named
+    def clip(self) -> Mapping[str, Any]:
+        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
+        return self._property("clip")
+
+    @cached_property
+    @_named
+    def shown(self) -> list[int]:
+        """Numbers of the bodies that have a sphere in it: all, unless it is a clip of a few."""
+        few = self.clip.get("bodies", range(int(self.info["bodies"])))
+        return [int(body) for body in np.atleast_1d(few)]
 
     @property
     @_named
@@ -197,21 +210,23 @@ class Recording:
 
         A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
         """
-        if "moments.impact.time" in self.closing:
-            return float(self.closing["moments.impact.time"])
         if self.frames == 0:
             raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
+        times = _column(self._fingerprints, "time")
+        impact = float(self.closing.get("moments.impact.time", np.nan))
+        if times[0] <= impact <= times[-1]:
+            return impact
         energy = self.energy()
         if "restitution" in energy.column_names:
             taken = _column(energy, "restitution")
             taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
-            lost = np.diff(taken, prepend=0.0)
+            lost = np.diff(taken, prepend=taken[:1])
             if lost.max() > 0:
                 return float(_column(energy, "time")[np.argmax(lost)])
         steps = self.steps()
         if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
             return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
-        return float(_column(self._fingerprints, "time")[-1])
+        return float(times[-1])
 
     @_named
     def summary(self) -> dict[str, Any]:
@@ -243,21 +258,27 @@ class Recording:
         columns = {name: pa.chunked_array([batch[name] for batch in batches]) for name in (STEP, SIM_TIME)}
         return pa.table(columns | {name: _flat(batches, name) for name in names})
 
+    def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
+        """Read chunks as they lie in the file, one after the other."""
+        with reading(self.path):
+            yield from self._container.chunks(entries)
+
+    def layout(self) -> list[Chunk]:
+        """Read the layout that it opens with, the last one sent; empty if there is none."""
+        layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
+        return list(self.chunks(layouts[-1].entries)) if layouts else []
+
     def _chunks(self, content: str, component: str | None = None) -> Iterator[Chunk]:
         """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it."""
         found = [entry for entry in self.store.entries if not entry.is_static and _within(entry, content)]
-        for chunk in self._read(sorted(found, key=lambda entry: entry.first_step or 0)):
+        for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:
                 yield chunk
-
-    def _read(self, entries: list[Entry]) -> Iterator[Chunk]:
-        with reading(self.path):
-            yield from self._container.chunks(entries)
 
     def _static(self, path: str) -> dict[str, list[Any]]:
         """Read the components of a static entity."""
         found: dict[str, list[Any]] = {}
-        for chunk in self._read([e for e in self.store.entries if e.is_static and e.entity_path == path]):
+        for chunk in self.chunks([e for e in self.store.entries if e.is_static and e.entity_path == path]):
             found |= {name: chunk.batch[name][0].as_py() for name in chunk.components}
         if not found and not path.startswith(_PROPERTIES):
             raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
