@@ -21,13 +21,13 @@ def without_footer(path: Path) -> Path:
 
 def chunk_of(path: Path, entity: str) -> Message:
     """Find the first chunk of an entity in a whole file."""
-    store = Container(path).stores[0]
+    store = Container.open(path).stores[0]
     entry = next(entry for entry in store.entries if entry.entity_path == entity and not entry.is_static)
     return Message(2, entry.offset, entry.length)
 
 
 def test_chunks_are_read_as_reruns_own_reader_reads_them(run_file: Path) -> None:
-    container = Container(run_file)
+    container = Container.open(run_file)
     store = next(store for store in container.stores if store.kind == RECORDING)
     theirs = {str(chunk.id): chunk for chunk in RrdReader(run_file).store().stream()}
     ours = list(container.chunks(store.entries))
@@ -43,8 +43,8 @@ def test_chunks_are_read_as_reruns_own_reader_reads_them(run_file: Path) -> None
 
 
 def test_a_file_without_footer_has_the_same_index_as_with_it(run_file: Path) -> None:
-    whole = Container(run_file)
-    torn = Container(without_footer(run_file))
+    whole = Container.open(run_file)
+    torn = Container.open(without_footer(run_file))
     assert whole.finished and not torn.finished
     assert whole.stores == torn.stores
     assert [store.kind for store in torn.stores] == [RECORDING, BLUEPRINT]
@@ -55,7 +55,7 @@ def test_a_footer_with_one_wrong_bit_is_not_believed(run_file: Path) -> None:
     content[-STREAM_FOOTER - 1000] ^= 1
     run_file.write_bytes(content)
     with pytest.raises(DamageError, match="checksum"):
-        Container(run_file)
+        Container.open(run_file)
 
 
 @pytest.mark.parametrize("claim", [1 << 20, 1 << 40, (1 << 64) - 1])

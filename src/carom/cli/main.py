@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import clip, explain, inspect, run, scenes, stress, view
+from carom.cli import clip, explain, inspect, repair, run, scenes, stress, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -50,6 +50,7 @@ app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
 app.command("clip")(clip.clip)
+app.command("repair")(repair.repair)
 
 
 def main() -> None:

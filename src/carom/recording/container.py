@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -24,7 +24,7 @@ RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _ARROW_IPC = 1
-_LARGEST = 1 << 29  # bytes of a chunk; carom's have some 4 MB, and one frame of a million bodies has 50
+LARGEST = 1 << 29  # bytes of a chunk; carom's have some 4 MB, and one frame of a million bodies has 50
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot pack more tightly
 _PATH = b"rerun:entity_path"
 _KIND = b"rerun:kind"
@@ -72,24 +72,29 @@ class Store:
 
 
 class Container:
-    """An .rrd file. Opened only to index it, and while chunks are read.
+    """An .rrd file and the index of its chunks. The file is open only while chunks are read."""
 
-    Raises
-    ------
-    DamageError
-        If a message of it, or its footer, is not whole.
-    OSError
-        If it cannot be read.
-    """
-
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stores: list[Store], finished: bool) -> None:
         self.path = path
+        self.stores = stores
+        self.finished = finished  # it has its footer
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Index a file.
+
+        Raises
+        ------
+        DamageError
+            If a message of it, or its footer, is not whole.
+        OSError
+            If it cannot be read.
+        """
         with path.open("rb") as file:
             if not framing.is_rrd(file):
                 raise DamageError("it does not begin like one")
             footer = framing.read_footer(file)
-            self.finished = footer is not None
-            self.stores = _scan(file) if footer is None else _manifests(footer)
+            return cls(path, _scan(file) if footer is None else _manifests(footer), footer is not None)
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks, one after the other. DamageError if one is not what the index says."""
@@ -114,8 +119,13 @@ def store_of(body: bytes) -> Store:
     return _store(protobuf.data(info, 2))
 
 
-def decode(body: bytes) -> tuple[tuple[int, str], Chunk]:
-    """Decode and check a chunk; return it and its store's kind and id.
+def activated_by(body: bytes) -> Store:
+    """Decode the message that ends a layout: only then has all of it been sent."""
+    return _store(protobuf.data(protobuf.fields(memoryview(body)), 1))
+
+
+def decode(body: bytes) -> tuple[Store, Chunk]:
+    """Decode and check a chunk; return it and the store that it belongs to, without its entries.
 
     Raises
     ------
@@ -129,7 +139,7 @@ def decode(body: bytes) -> tuple[tuple[int, str], Chunk]:
     batch = _record_batch(protobuf.data(message, 5), protobuf.number(message, 2), protobuf.number(message, 3))
     chunk = Chunk(_entity_path(batch), batch)
     _check(chunk)
-    return (store.kind, store.store_id), chunk
+    return store, chunk
 
 
 def entry_of(chunk: Chunk, message: Message) -> Entry:
@@ -143,16 +153,36 @@ def entry_of(chunk: Chunk, message: Message) -> Entry:
 
 def _scan(file: BinaryIO) -> list[Store]:
     """Index a file without a footer: look into every message."""
-    stores: dict[tuple[int, str], Store] = {}
+    index = Index()
     for message in framing.messages(file):
-        if message.kind == framing.STORE:
-            store = store_of(read_body(file, message))
-            stores.setdefault((store.kind, store.store_id), store)
-        elif message.kind == framing.CHUNK:
-            key, chunk = decode(read_body(file, message))
-            if key in stores:
-                stores[key].entries.append(entry_of(chunk, message))
-    return list(stores.values())
+        index.add(message, read_body(file, message))
+    return index.stores()
+
+
+class Index:
+    """Grows message by message, where there is no footer to read it from."""
+
+    def __init__(self) -> None:
+        self._stores: dict[tuple[int, str], Store] = {}
+        self._activated: set[str] = set()
+
+    def add(self, message: Message, body: bytes) -> None:
+        """Take a message in. DamageError if it cannot be decoded."""
+        match message.kind:
+            case framing.STORE:
+                self._known(store_of(body))
+            case framing.ACTIVATION:
+                self._activated.add(activated_by(body).store_id)
+            case framing.CHUNK:
+                store, chunk = decode(body)
+                self._known(store).entries.append(entry_of(chunk, message))
+
+    def stores(self) -> list[Store]:
+        """Return what was found, without layouts that were not sent to their end."""
+        return [s for s in self._stores.values() if s.kind != BLUEPRINT or s.store_id in self._activated]
+
+    def _known(self, store: Store) -> Store:
+        return self._stores.setdefault((store.kind, store.store_id), store)
 
 
 def _store(identity: memoryview) -> Store:
@@ -188,14 +218,14 @@ def _entries(manifest: pa.RecordBatch) -> Iterator[Entry]:
     )
     listed = zip(paths, static, rows, first, last, offsets, sizes, strict=True)
     for entry in sorted((Entry(path.lstrip("/"), *rest) for path, *rest in listed), key=lambda entry: entry.offset):
-        if entry.length > _LARGEST:
+        if entry.length > LARGEST:
             raise DamageError(f"its footer tells of a chunk of {entry.length} bytes")
         yield entry
 
 
 def _record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordBatch:
     if compression == _LZ4:
-        if size > min(_LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
+        if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
             raise DamageError(f"a chunk that would have {size} bytes")
     elif compression not in _NOT_COMPRESSED:
         raise DamageError("a chunk in an unknown compression")

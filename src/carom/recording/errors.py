@@ -9,3 +9,7 @@ class RecordingError(Exception):
 
 class DamageError(RecordingError):
     """A part of a file is not what it should be; says what, and not in which file."""
+
+
+class TornFooterError(DamageError):
+    """A file ends inside its footer: nothing but the index is lost."""

@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 import xxhash
 
-from carom.recording.errors import DamageError
+from carom.recording.errors import DamageError, TornFooterError
 
 STREAM_HEADER = 12
 MESSAGE_HEADER = 16
@@ -70,6 +70,8 @@ def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
         if kind > ACTIVATION:
             raise DamageError(f"no message begins at byte {start}")
         if length > size - start - MESSAGE_HEADER:
+            if kind == END:
+                raise TornFooterError("it ends inside its footer")
             raise DamageError("it ends inside a message")
         message = Message(kind, start + MESSAGE_HEADER, length)
         yield message

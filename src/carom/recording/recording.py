@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, wraps
+from functools import cached_property, reduce, wraps
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -70,7 +70,7 @@ class Recording:
         if not path.is_file():
             raise RecordingError(f"there is no recording at {path}")
         with reading(path):
-            container = Container(path)
+            container = Container.open(path)
         store = next((store for store in container.stores if store.kind == RECORDING), None)
         if store is None:
             raise RecordingError(f"{path} holds no recording")
@@ -235,19 +235,31 @@ class Recording:
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        return self._table(entities.FINGERPRINT)
+        found = self._table(entities.FINGERPRINT)
+        if found.num_rows:
+            return found
+        return found.append_column("fingerprint", pa.array([], pa.uint64())).append_column(
+            "time", pa.array([], pa.float64())
+        )
 
     def _series(self, root: str) -> pa.Table:
-        """All Scalars below an entity, side by side; every frame has a row in each."""
-        columns: dict[str, Any] = {STEP: self._fingerprints[STEP], SIM_TIME: self._fingerprints[SIM_TIME]}
-        columns["time"] = self._fingerprints["time"]
+        """All Scalars below an entity, side by side: the frames that have a value in each.
+
+        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
+        """
         parts: dict[str, list[pa.RecordBatch]] = {}
         for chunk in self._chunks(f"{root}/**", "Scalars:scalars"):
             parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.batch)
-        for name, batches in parts.items():
-            columns[name] = _flat(batches, "Scalars:scalars")
-        whole = min(len(column) for column in columns.values())  # a killed run may have sent half a batch
-        return pa.table({name: column[:whole] for name, column in columns.items()})
+        frames = self._fingerprints
+        columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
+        columns |= {name: _flat(batches, "Scalars:scalars") for name, batches in parts.items()}
+        steps = {name: np.concatenate([batch[STEP].to_numpy() for batch in parts[name]]) for name in parts}
+        own = frames[STEP].to_numpy()
+        if all(np.array_equal(column, own) for column in steps.values()):
+            return pa.table(columns)
+        common = reduce(np.intersect1d, steps.values(), own)
+        places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
+        return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
 
     def _table(self, path: str, components: tuple[str, ...] | None = None) -> pa.Table:
         chunks = list(self._chunks(path))

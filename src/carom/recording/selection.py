@@ -60,7 +60,7 @@ class Selection:
         return _replaced(chunk, columns)
 
     def _remember(self, chunk: Chunk) -> None:
-        for name in ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations"):
+        for name in entities.CENTRES:
             if name in chunk.components and not chunk.is_static:
                 rows = _vectors(chunk, name)
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))

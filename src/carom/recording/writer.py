@@ -76,7 +76,7 @@ class Writer:
         self._fail_if_full()
 
     def _check(self) -> None:
-        if not Container(self._part).finished:
+        if not Container.open(self._part).finished:
             raise RecordingError(f"{self.path} was written, but did not get its end")
 
     def _fail_if_full(self) -> None:
