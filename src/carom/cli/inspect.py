@@ -53,10 +53,14 @@ def _overview(summary: dict[str, Any]) -> Table:
     angular = summary["angular_momentum"]["max_error"]
     table = _grid()
     table.add_row("scene", f"{summary['scene']['title']}, {summary['bodies']} bodies")
-    table.add_row("outcome", summary["outcome"])
-    table.add_row(
-        "length", f"{summary['frames']} frames, {summary['steps']} steps, {summary['sim_time']:.6g} s simulated"
-    )
+    clip = summary.get("clip")
+    if clip:
+        few = "" if len(clip["bodies"]) == summary["bodies"] else f", bodies {' '.join(map(str, clip['bodies']))}"
+        table.add_row("clip of", f"{clip['source']}, {clip['from']:.6g} to {clip['to']:.6g} s{few}")
+    table.add_row("outcome", summary["outcome"] + (" (the whole run)" if clip else ""))
+    steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else f"{summary['steps']} steps"
+    length = summary["sim_time"] - (clip["from"] if clip else 0.0)
+    table.add_row("length", f"{summary['frames']} frames, {steps}, {length:.6g} s simulated")
     table.add_row("energy", f"{energy['initial']:.6g} J at first, {energy['final']:.6g} J at last")
     table.add_row("", f"integration error at most {energy['max_error']:.2e} of the energy scale")
     linear = summary["momentum"]["max_error"]

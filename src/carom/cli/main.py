@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import explain, inspect, replay, resume, run, scenes, stress, view
+from carom.cli import clip, explain, inspect, repair, replay, resume, run, scenes, stress, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -51,6 +51,8 @@ app.command("resume")(resume.resume)
 app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
+app.command("clip")(clip.clip)
+app.command("repair")(repair.repair)
 
 
 def main() -> None:

@@ -11,8 +11,6 @@ SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.")
 ]
 RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).")]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 ThreadsOption = Annotated[
     int | None,
     typer.Option("--threads", metavar="N", help="Default: one a core. The bits are the same.", min=1),
@@ -21,3 +19,8 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the scene; may be given again."),
 ]
+OutputOption = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: beside FILE, named after it.")
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]

@@ -17,6 +17,7 @@ from carom.physics.contact.memory import ContactMemory
 from carom.physics.energy import Energy, Ledger
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
+from carom.recording.header import Header
 
 Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
 
@@ -34,9 +35,10 @@ def size(frame: Frame) -> int:
     return _size(len(frame.position), frame.orientation is not None, contacts)
 
 
-def largest_size(bodies: int, spins: bool) -> int:
+def largest_size(header: Header) -> int:
     """Bytes that a checkpoint takes where bodies are packed densely."""
-    return _size(bodies, spins, _FULL * bodies)
+    lasts = header.collides and (header.gravitates or header.has_field)
+    return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0)
 
 
 def _size(bodies: int, spins: bool, contacts: int) -> int:

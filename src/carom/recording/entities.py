@@ -49,8 +49,11 @@ EVENTS = "events"
 FINGERPRINT = "state/fingerprint"
 MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
+START = "state/start"  # in a clip: the exact state that its first frame follows from
 STATIC_STATE = "state/bodies"
 START = "state/start"  # a clip's: the nearest checkpoint at or before its first frame
+
+CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)

@@ -50,7 +50,10 @@ class Extent:
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Take the last frame of a batch into account."""
-        position = batch[-1].position - origin
+        self.look(batch[-1].position - origin)
+
+    def look(self, position: FloatArray) -> None:
+        """Take positions (n, 3) into account."""
         centre = _middle(position)
         self._drift = max(self._drift, float(np.linalg.norm(centre - self._centre)))
         self._moving = max(self._moving, self._distance(position, centre))

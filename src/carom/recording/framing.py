@@ -7,14 +7,100 @@ A file that ends inside a message is refused by every reader; one that ends betw
 
 from __future__ import annotations
 
+import os
 import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import xxhash
+
+from carom.recording.errors import DamageError, TornFooterError
 
 STREAM_HEADER = 12
 MESSAGE_HEADER = 16
 STREAM_FOOTER = 32
-END = 0
+END, STORE, CHUNK, ACTIVATION = 0, 1, 2, 3  # kinds of messages
 
+_MAGIC, _PROTOBUF = b"RRF2", 2
 _MESSAGE = struct.Struct("<QQ")
+_FOOTER = struct.Struct(
+    "<QQI8sI"
+)  # where the end message's body lies, its length and checksum; magic, how many footers
+_FOOTER_MAGIC = b"RRF2FOOT"
+_FOOTER_SEED = 7850921  # of the checksum
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """Where a message's body lies in a file."""
+
+    kind: int
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Where the next message begins."""
+        return self.offset + self.length
+
+
+def is_rrd(file: BinaryIO) -> bool:
+    """Whether a file begins like an .rrd that can be read."""
+    file.seek(0)
+    header = file.read(STREAM_HEADER)
+    return len(header) == STREAM_HEADER and header.startswith(_MAGIC) and header[9] == _PROTOBUF
+
+
+def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
+    """Go from message to message, up to the end message or the end of the file.
+
+    Raises
+    ------
+    DamageError
+        Where the file goes on with something else, or ends inside a message.
+    """
+    size = os.fstat(file.fileno()).st_size
+    while start < size:
+        file.seek(start)
+        header = file.read(MESSAGE_HEADER)
+        if len(header) < MESSAGE_HEADER:
+            raise DamageError("it ends inside a message")
+        kind, length = _MESSAGE.unpack(header)
+        if kind > ACTIVATION:
+            raise DamageError(f"no message begins at byte {start}")
+        if length > size - start - MESSAGE_HEADER:
+            if kind == END:
+                raise TornFooterError("it ends inside its footer")
+            raise DamageError("it ends inside a message")
+        message = Message(kind, start + MESSAGE_HEADER, length)
+        yield message
+        if kind == END:
+            return
+        start = message.end
+
+
+def read_footer(file: BinaryIO) -> bytes | None:
+    """Read the end message's body, by which chunks are found; None if the file has no footer.
+
+    Raises
+    ------
+    DamageError
+        If there is one, but it is not as it was written.
+    """
+    size = os.fstat(file.fileno()).st_size
+    file.seek(max(0, size - STREAM_FOOTER))
+    last = file.read(STREAM_FOOTER)
+    if len(last) < STREAM_FOOTER or last[20:28] != _FOOTER_MAGIC:
+        return None
+    offset, length, checksum, _, _ = _FOOTER.unpack(last)
+    if offset + length > size - STREAM_FOOTER:
+        raise DamageError("its footer points outside of it")
+    file.seek(offset)
+    body = file.read(length)
+    if xxhash.xxh32(body, seed=_FOOTER_SEED).intdigest() != checksum:
+        raise DamageError("its footer does not have its checksum")
+    return body
 
 
 class MessageSplitter:

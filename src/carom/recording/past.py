@@ -8,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from rerun.chunk import Chunk
 
 from carom.recording import entities
 from carom.recording.clock import STEP, Clock
+from carom.recording.container import Chunk
 from carom.recording.recording import Recording
 
 _CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
@@ -46,15 +46,15 @@ class Past:
     def chunks(self) -> Iterator[Chunk]:
         """All rows up to the step, those that closed the recording apart."""
         for chunk in self.recording.temporal_chunks():
-            batch = chunk.to_record_batch()
+            batch = chunk.batch
             kept = pc.less_equal(batch[STEP], self.step)
-            if chunk.entity_path == f"/{entities.EVENTS}":
+            if chunk.entity_path == entities.EVENTS:
                 texts = pc.list_element(batch["TextLog:text"], 0)
                 kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, _CLOSING)))
             if pc.all(kept).as_py():
                 yield chunk
             elif pc.any(kept).as_py():
-                yield from Chunk.from_record_batch(batch.filter(kept))
+                yield Chunk(chunk.entity_path, batch.filter(kept))
 
 
 def _last(table: pa.Table, step: int) -> str:

@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce, wraps
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
-from rerun.chunk import Chunk, LazyChunkStream, RrdReader, StoreEntry
 
 from carom.physics.checkpoint import Checkpoint
 from carom.recording import entities
 from carom.recording.checkpoint import decode
 from carom.recording.clock import SIM_TIME, STEP
+from carom.recording.container import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
+from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.layout import schema_version
 from carom.recording.summary import summary
 
-UNFINISHED = "unfinished: the run was killed before it could close the file"
+UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
 _PROPERTIES = "__properties"
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def _named(
+    read: Callable[Concatenate[Recording, _Parameters], _Result],
+) -> Callable[Concatenate[Recording, _Parameters], _Result]:
+    """Let a method say which file it is that has not got in it what it should."""
+
+    @wraps(read)
+    def reads(self: Recording, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+        with reading(self.path):
+            return read(self, *args, **kwargs)
+
+    return reads
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +58,11 @@ class BodyTable:
 class Recording:
     """A recording on disk. Make one with :meth:`open`."""
 
-    def __init__(self, path: Path, reader: RrdReader, finished: bool) -> None:
-        self.path = path
-        self.finished = finished  # the file has its footer: the run closed it
-        self._reader = reader
+    def __init__(self, container: Container, store: Store) -> None:
+        self.path = container.path
+        self.finished = container.finished  # the file has its footer: the run closed it
+        self.store = store
+        self._container = container
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -53,34 +70,40 @@ class Recording:
         path = Path(path)
         if not path.is_file():
             raise RecordingError(f"there is no recording at {path}")
-        reader, stores = _stores(path)
-        if not stores:
+        with reading(path):
+            container = Container.open(path)
+        store = next((store for store in container.stores if store.kind == RECORDING), None)
+        if store is None:
             raise RecordingError(f"{path} holds no recording")
-        version = schema_version(stores[0].application_id)
+        version = schema_version(store.application_id)
         if version is None:
-            raise RecordingError(f"{path} was not made by carom, but by {stores[0].application_id!r}")
+            raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
         if version > entities.SCHEMA_VERSION:
             raise RecordingError(
                 f"{path} has schema version {version}; this carom reads up to {entities.SCHEMA_VERSION}: upgrade carom"
             )
-        return cls(path, reader, _has_footer(reader))
+        return cls(container, store)
 
     @cached_property
+    @_named
     def info(self) -> Mapping[str, Any]:
         """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
         return self._property("carom")
 
     @cached_property
+    @_named
     def properties(self) -> Mapping[str, Any]:
         """The property `run`: versions, command, git, cpu and whatever else the run was told to keep."""
         return self._property("run")
 
     @cached_property
+    @_named
     def closing(self) -> Mapping[str, Any]:
         """The property `outcome`: how it ended; empty if the run was killed."""
         return self._property("outcome")
 
     @cached_property
+    @_named
     def arrow_references(self) -> Mapping[str, Any]:
         """The property `arrows`: what the length of torques and angular accelerations is measured in."""
         return self._property("arrows")
@@ -91,22 +114,39 @@ class Recording:
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
         return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
 
+    @cached_property
+    @_named
+    def clip(self) -> Mapping[str, Any]:
+        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
+        return self._property("clip")
+
+    @cached_property
+    @_named
+    def shown(self) -> list[int]:
+        """Numbers of the bodies that have a sphere in it: all, unless it is a clip of a few."""
+        few = self.clip.get("bodies", range(int(self.info["bodies"])))
+        return [int(body) for body in np.atleast_1d(few)]
+
     @property
+    @_named
     def title(self) -> str:
         """The scene's title."""
         return str(self.info["title"])
 
     @property
+    @_named
     def outcome(self) -> str:
         """How the run ended."""
         return str(self.closing.get("outcome", UNFINISHED))
 
     @cached_property
+    @_named
     def scene_toml(self) -> str:
         """The scene, exactly as it was written."""
         return str(self._static(entities.SCENE_TOML)["TextDocument:text"][0])
 
     @cached_property
+    @_named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia."""
         stored = self._static(entities.STATIC_STATE)
@@ -119,31 +159,38 @@ class Recording:
         )
 
     @property
+    @_named
     def frames(self) -> int:
         """How many frames there are."""
         return int(self._fingerprints.num_rows)
 
+    @_named
     def fingerprints(self) -> pa.Table:
         """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
         return self._fingerprints
 
+    @_named
     def energy(self) -> pa.Table:
         """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error."""
         return self._series(entities.ENERGY)
 
+    @_named
     def steps(self) -> pa.Table:
         """Return dt (s), contacts, colours, sweeps and overlaps of every frame."""
         return self._series(entities.STEP)
 
+    @_named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
         return self._table(entities.MOMENTUM)
 
+    @_named
     def events(self) -> pa.Table:
         """Columns step, sim_time, level, text."""
         table = self._table(entities.EVENTS, ("TextLog:text", "TextLog:level"))
         return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
 
+    @_named
     def phases(self) -> pa.Table:
         """Columns step, sim_time, state: a row where the phase changes."""
         table = self._table(entities.PHASE, ("StateChange:state",))
@@ -155,12 +202,14 @@ class Recording:
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     @cached_property
+    @_named
     def checkpoint_steps(self) -> list[int]:
         """Steps that carry an exact checkpoint, rising; a clip's first one may lie before its first frame."""
         steps = {int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()}
         return sorted(steps | ({int(self._start[STEP][0])} if self._start else set()))
 
     @cached_property
+    @_named
     def checkpoint_times(self) -> list[float]:
         """Simulated time in s of each of :attr:`checkpoint_steps`."""
         table = self._table(entities.CHECKPOINT, ("time",))
@@ -169,6 +218,7 @@ class Recording:
             times.setdefault(int(self._start[STEP][0]), float(self._start["time"][0]))
         return [float(times[step]) for step in self.checkpoint_steps]
 
+    @_named
     def checkpoint(self, step: int) -> Checkpoint:
         """Decode the exact state at one of :attr:`checkpoint_steps`.
 
@@ -179,12 +229,11 @@ class Recording:
         """
         bodies = len(self.bodies.mass)
         for chunk in self._chunks(entities.CHECKPOINT):
-            batch = chunk.to_record_batch()
+            batch = chunk.batch
             rows = np.flatnonzero(batch[STEP].to_numpy() == step)
             if len(rows):
                 row = int(rows[-1])
-                names = [name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)]
-                return decode(step, {name: _values(batch[name][row]) for name in names}, bodies)
+                return decode(step, {name: _values(batch[name][row]) for name in chunk.components}, bodies)
         if self._start and int(self._start[STEP][0]) == step:
             return decode(step, self._start, bodies)
         raise RecordingError(f"{self.path} has no checkpoint at step {step}")
@@ -193,38 +242,42 @@ class Recording:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
 
+    @_named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
         names = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")
-        for chunk in self._chunks(entities.BODIES, names):
-            batch = chunk.to_record_batch()
-            rows = np.flatnonzero(batch[STEP].to_numpy() == step)
+        for chunk in self._chunks(entities.BODIES):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             for name in names:
-                if len(rows) and name in batch.schema.names:
-                    return np.asarray(batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
+                if len(rows) and name in chunk.components:
+                    return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
         return None
 
+    @_named
     def moment(self) -> float:
         """Find the time (s) to look at: the hardest impact, else the most contacts, else the end.
 
         A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
         """
-        if "moments.impact.time" in self.closing:
-            return float(self.closing["moments.impact.time"])
         if self.frames == 0:
             raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
+        times = _column(self._fingerprints, "time")
+        impact = float(self.closing.get("moments.impact.time", np.nan))
+        if times[0] <= impact <= times[-1]:
+            return impact
         energy = self.energy()
         if "restitution" in energy.column_names:
             taken = _column(energy, "restitution")
             taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
-            lost = np.diff(taken, prepend=0.0)
+            lost = np.diff(taken, prepend=taken[:1])
             if lost.max() > 0:
                 return float(_column(energy, "time")[np.argmax(lost)])
         steps = self.steps()
         if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
             return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
-        return float(_column(self._fingerprints, "time")[-1])
+        return float(times[-1])
 
+    @_named
     def summary(self) -> dict[str, Any]:
         """How the run went, as nested numbers and strings."""
         return summary(self)
@@ -235,61 +288,67 @@ class Recording:
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        return self._table(entities.FINGERPRINT)
+        found = self._table(entities.FINGERPRINT)
+        if found.num_rows:
+            return found
+        return found.append_column("fingerprint", pa.array([], pa.uint64())).append_column(
+            "time", pa.array([], pa.float64())
+        )
 
     def _series(self, root: str) -> pa.Table:
-        """All Scalars below an entity, side by side; every frame has a row in each."""
-        columns: dict[str, Any] = {STEP: self._fingerprints[STEP], SIM_TIME: self._fingerprints[SIM_TIME]}
-        columns["time"] = self._fingerprints["time"]
+        """All Scalars below an entity, side by side: the frames that have a value in each.
+
+        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
+        """
         parts: dict[str, list[pa.RecordBatch]] = {}
         for chunk in self._chunks(f"{root}/**", "Scalars:scalars"):
-            parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.to_record_batch())
-        for name, batches in parts.items():
-            columns[name] = _flat(batches, "Scalars:scalars")
-        whole = min(len(column) for column in columns.values())  # a killed run may have sent half a batch
-        return pa.table({name: column[:whole] for name, column in columns.items()})
+            parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.batch)
+        frames = self._fingerprints
+        columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
+        columns |= {name: _flat(batches, "Scalars:scalars") for name, batches in parts.items()}
+        steps = {name: np.concatenate([batch[STEP].to_numpy() for batch in parts[name]]) for name in parts}
+        own = frames[STEP].to_numpy()
+        if all(np.array_equal(column, own) for column in steps.values()):
+            return pa.table(columns)
+        common = reduce(np.intersect1d, steps.values(), own)
+        places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
+        return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
 
     def _table(self, path: str, components: tuple[str, ...] | None = None) -> pa.Table:
-        batches = [chunk.to_record_batch() for chunk in self._chunks(path, components)]
-        if not batches:
+        chunks = list(self._chunks(path))
+        if not chunks:
             empty: dict[str, Any] = {STEP: pa.array([], pa.int64()), SIM_TIME: pa.array([], pa.duration("ns"))}
             return pa.table(empty | {name: pa.array([], pa.string()) for name in components or ()})
-        names = components or [n for n in batches[0].schema.names if pa.types.is_list(batches[0].schema.field(n).type)]
+        batches, names = [chunk.batch for chunk in chunks], components or chunks[0].components
         columns = {name: pa.chunked_array([batch[name] for batch in batches]) for name in (STEP, SIM_TIME)}
         return pa.table(columns | {name: _flat(batches, name) for name in names})
 
-    def _chunks(self, content: str, components: str | tuple[str, ...] | None = None) -> Iterator[Chunk]:
-        chosen = list(components) if isinstance(components, tuple) else components
-        stream = self._stream().filter(content=f"/{content}", is_static=False, components=chosen)
-        return iter(sorted(self._read(stream), key=_first_step))
+    def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
+        """Read chunks as they lie in the file, one after the other."""
+        with reading(self.path):
+            yield from self._container.chunks(entries)
 
     def temporal_chunks(self) -> Iterator[Chunk]:
-        """All chunks that are not static, one after the other."""
-        stream = iter(self._stream().filter(is_static=False))
-        while True:
-            try:
-                yield next(stream)
-            except StopIteration:
-                return
-            except RuntimeError as error:
-                raise RecordingError(f"cannot read {self.path}: {error}") from error
+        """Read all chunks that are not static, as they lie in the file."""
+        return self.chunks([entry for entry in self.store.entries if not entry.is_static])
 
-    def _read(self, stream: LazyChunkStream) -> list[Chunk]:
-        try:
-            return list(stream)
-        except RuntimeError as error:
-            raise RecordingError(f"cannot read {self.path}: {error}") from error
+    def layout(self) -> list[Chunk]:
+        """Read the layout that it opens with, the last one sent; empty if there is none."""
+        layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
+        return list(self.chunks(layouts[-1].entries)) if layouts else []
 
-    def _stream(self) -> LazyChunkStream:
-        return self._reader.store().stream() if self.finished else self._reader.stream()
+    def _chunks(self, content: str, component: str | None = None) -> Iterator[Chunk]:
+        """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it."""
+        found = [entry for entry in self.store.entries if not entry.is_static and _within(entry, content)]
+        for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
+            if component is None or component in chunk.components:
+                yield chunk
 
     def _static(self, path: str, required: bool = True) -> dict[str, list[Any]]:
         """Read the components of a static entity."""
         found: dict[str, list[Any]] = {}
-        for chunk in self._read(self._stream().filter(content=f"/{path}", is_static=True)):
-            batch = chunk.to_record_batch()
-            lists = [n for n in batch.schema.names if pa.types.is_list(batch.schema.field(n).type)]
-            found |= {name: batch[name][0].as_py() for name in lists}
+        for chunk in self.chunks([e for e in self.store.entries if e.is_static and e.entity_path == path]):
+            found |= {name: chunk.batch[name][0].as_py() for name in chunk.components}
         if not found and required:
             raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
         return found
@@ -299,31 +358,10 @@ class Recording:
         return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
 
 
-def _stores(path: Path) -> tuple[RrdReader, list[StoreEntry]]:
-    """Open a file and list what is in it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "no footer": a killed run, which is said in the outcome
-        try:
-            reader = RrdReader(path)
-            return reader, reader.recordings()
-        except RuntimeError as error:
-            reason = str(error).rsplit(": ", 1)[-1]
-            raise RecordingError(
-                f"{path} is not a recording, or is damaged ({reason}); "
-                f"`rerun rrd optimize {path} -o repaired.rrd` saves what can be read"
-            ) from error
-
-
-def _has_footer(reader: RrdReader) -> bool:
-    try:
-        reader.store()
-    except RuntimeError:
-        return False
-    return True
-
-
-def _first_step(chunk: Chunk) -> int:
-    return int(chunk.to_record_batch()[STEP][0].as_py()) if chunk.num_rows else 0
+def _within(entry: Entry, content: str) -> bool:
+    if content.endswith("/**"):
+        return entry.entity_path.startswith(content.removesuffix("**"))
+    return entry.entity_path == content
 
 
 def _flat(batches: list[pa.RecordBatch], name: str) -> pa.ChunkedArray:

@@ -21,6 +21,7 @@ from carom.recording.live import LiveView
 from carom.recording.outlet import Outlet
 from carom.recording.past import Past
 from carom.recording.statics import statics
+from carom.recording.writer import rerun_chunks
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
@@ -40,7 +41,7 @@ class Stream:
         identity = application_id(header)
         self._live = None if live is None else LiveView(live, identity, header.run_id)
         # what is under way when the disk is found full, and the last checkpoint, must still fit
-        self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header.bodies, header.spins) + _ENDING
+        self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
         self._outlet = Outlet(path, self._reserve)
         self._stream = rr.RecordingStream(identity, recording_id=header.run_id)
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))
@@ -64,8 +65,8 @@ class Stream:
         sent = 0
         for chunk in past.chunks():
             for stream in self._streams():
-                stream.send_chunks(chunk)
-            size = chunk.to_record_batch().nbytes
+                stream.send_chunks(rerun_chunks(chunk.batch))
+            size = chunk.batch.nbytes
             self.payload_bytes += size
             sent += size
             if sent > self._batch_bytes:

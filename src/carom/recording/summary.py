@@ -16,9 +16,11 @@ def summary(recording: Recording) -> dict[str, Any]:
     """Nested numbers; see docs/recording.md for the keys.
 
     Worst errors are those of the recorded frames. A run that looked at every step knows better: what it put into the
-    closing property under the same dotted key (``contacts.total``, say) is taken instead.
+    closing property under the same dotted key (``contacts.total``, say) is taken instead. A clip's numbers are those of
+    its own frames; how the run ended and which promises it kept it has from the whole run.
     """
     frames = recording.fingerprints()
+    clip = _clip(recording)
     found: dict[str, Any] = {
         "scene": {"title": recording.title},
         "bodies": int(recording.info["bodies"]),
@@ -31,13 +33,25 @@ def summary(recording: Recording) -> dict[str, Any]:
         "angular_momentum": {"max_error": _largest(recording.momentum(), "angular_momentum_error")},
         "contacts": _contacts(recording.steps()),
         "moments": _moments(recording.closing),
-        "profile": _below(recording.closing, "profile"),
+        "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": _below(recording.properties, "version"),
         "expect": _below(recording.closing, "expect"),
     }
+    if clip:
+        steps = clip["first_step"], found["steps"]
+        inside = {name: moment for name, moment in found["moments"].items() if steps[0] <= moment["step"] <= steps[1]}
+        return found | {"clip": clip, "moments": inside}
     for section in ("energy", "momentum", "angular_momentum", "contacts"):
         found[section] |= _below(recording.closing, section)
     return found
+
+
+def _clip(recording: Recording) -> dict[str, Any]:
+    """Say what a clip is a clip of; empty for a whole run."""
+    if not recording.clip:
+        return {}
+    first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
+    return dict(recording.clip) | {"bodies": recording.shown, "first_step": first}
 
 
 def _energy(energy: pa.Table) -> dict[str, float]:

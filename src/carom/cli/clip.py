@@ -1,0 +1,87 @@
+"""`carom clip`: a smaller recording that still opens, inspects and replays."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
+
+Seconds = float | None
+
+
+def clip(
+    file: RecordingArgument,
+    start: Annotated[Seconds, typer.Option("--from", metavar="T", help="First simulated time (s) to keep.")] = None,
+    end: Annotated[Seconds, typer.Option("--to", metavar="T", help="Last simulated time (s) to keep.")] = None,
+    around: Annotated[Seconds, typer.Option("--around", metavar="T", help="Middle of what to keep (s).")] = None,
+    window: Annotated[Seconds, typer.Option("--window", metavar="W", help="Its length (s).")] = None,
+    bodies: Annotated[
+        str | None,
+        typer.Option("--bodies", metavar="3,17", help="Show these bodies only, with the contacts among them."),
+    ] = None,
+    output: OutputOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Cut a piece out of a recording: it opens, inspects and replays like the whole."""
+    import json
+    from dataclasses import asdict
+
+    from carom.cli.units import bytes_text
+    from carom.experiment.output import refuse_output
+    from carom.recording.clip import clip as cut
+
+    interval = _interval(start, end, around, window)
+    path = output or file.with_name(f"{file.stem}-clip.rrd")
+    _refuse_itself(file, path)
+    refuse_output(path, force)
+    made = cut(file, path, *interval, bodies=_numbers(bodies))
+    if as_json:
+        typer.echo(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
+        return
+    shown = "" if made.bodies is None else f", bodies {' '.join(map(str, made.bodies))}"
+    typer.echo(
+        f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
+        f"{made.start:.6g} to {made.end:.6g} s{shown}, {bytes_text(made.size)}."
+    )
+    if made.replays_from is None:
+        typer.echo(f"{file} has no exact state before that: the clip cannot be replayed.", err=True)
+
+
+def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) -> tuple[float, float]:
+    """Turn either way of naming an interval into its ends."""
+    from math import inf
+
+    from carom.recording.errors import RecordingError
+
+    if (around is None) != (window is None) or (around is not None and (start is not None or end is not None)):
+        raise RecordingError("say which part to keep: --from T --to T (one is enough), or --around T --window W")
+    if around is not None and window is not None:
+        if not window >= 0:
+            raise RecordingError(f"--window {window:g}: a length of time cannot be negative")
+        return around - window / 2, around + window / 2
+    first, last = -inf if start is None else start, inf if end is None else end
+    if not first <= last:
+        raise RecordingError(f"--from {first:g} --to {last:g}: the end lies before the beginning")
+    return first, last
+
+
+def _numbers(bodies: str | None) -> list[int] | None:
+    from carom.recording.errors import RecordingError
+
+    if bodies is None:
+        return None
+    parts = [part.strip() for part in bodies.split(",")]
+    if not all(part.isascii() and part.isdigit() for part in parts):
+        raise RecordingError(f"--bodies {bodies}: expected numbers of bodies with commas between them, such as 3,17")
+    return [int(part) for part in parts]
+
+
+def _refuse_itself(file: Path, path: Path) -> None:
+    from carom.recording.errors import RecordingError
+
+    if path.exists() and file.exists() and path.samefile(file):
+        raise RecordingError(f"{path}: is the recording itself; name another file with -o")

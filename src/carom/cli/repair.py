@@ -1,0 +1,57 @@
+"""`carom repair`: make a damaged recording whole."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
+
+
+def repair(
+    file: RecordingArgument,
+    output: OutputOption = None,
+    in_place: Annotated[
+        bool, typer.Option("--in-place", help="Let the repaired file take FILE's name; keep the other as FILE.torn.")
+    ] = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Save what can be read of a torn or damaged recording, or of a run that was killed."""
+    import json
+    from dataclasses import asdict
+
+    from carom.experiment.output import refuse_output
+    from carom.recording.repair import repair as mend
+
+    path = _path(file, output, in_place)
+    torn = file.with_name(f"{file.name}.torn")
+    for written in (path, torn) if in_place else (path,):
+        refuse_output(written, force)
+    done = mend(file, path)
+    if in_place and done.path is not None:
+        file.replace(torn)
+        path.replace(file)
+        path = file
+    if as_json:
+        typer.echo(json.dumps(asdict(done) | {"path": None if done.path is None else str(path)}, indent=2))
+    elif done.path is None:
+        typer.echo(f"{file}: nothing to repair.")
+    else:
+        reach = "no frame" if done.end is None else f"{done.frames} frames, to t = {done.end:.6g} s"
+        typer.echo(f"{path} written: {reach}; new: {', '.join(done.added)}.")
+        for piece in done.lost:
+            typer.echo(f"lost: {piece}")
+
+
+def _path(file: Path, output: Path | None, in_place: bool) -> Path:
+    from carom.recording.errors import RecordingError
+
+    if in_place and output is not None:
+        raise RecordingError("--in-place and -o: give one of them")
+    path = output or file.with_name(f"{file.stem}-repaired.rrd")
+    if path.exists() and file.exists() and path.samefile(file):
+        raise RecordingError(f"{path}: is the damaged recording itself; name another file, or give --in-place")
+    return path

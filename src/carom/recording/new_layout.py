@@ -1,0 +1,60 @@
+"""A layout for a recording that has none: the run was killed before it sent one, or it was lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from carom.recording import entities
+from carom.recording.blueprint import blueprint
+from carom.recording.extent import Extent
+from carom.recording.header import Header
+from carom.recording.recording import Recording
+from carom.scene.halfspace import HalfSpaces
+
+_LOOKS = 50  # frames that are looked at to find out how far away the eye has to be
+
+
+def new_layout(recording: Recording) -> rrb.Blueprint:
+    """Lay out a recording as the recorder would have done. RecordingError if too little of it is left."""
+    header = _header(recording)
+    entries = [e for e in recording.store.entries if e.entity_path == entities.BODIES and e.first_step is not None]
+    entries = sorted(entries, key=lambda entry: entry.first_step or 0)
+    some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
+    extent = None
+    for chunk in recording.chunks(some):
+        centres = next(chunk.batch[name] for name in entities.CENTRES if name in chunk.components)
+        first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
+        extent = extent or Extent(header.radius[recording.shown], first)
+        extent.look(last)
+    if extent is None:
+        extent = Extent(header.radius, np.zeros((header.bodies, 3)))
+    return blueprint(header, extent.view())
+
+
+def _header(recording: Recording) -> Header:
+    info, bodies = recording.info, recording.bodies
+    static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+    nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    return Header(
+        title=recording.title,
+        description="",
+        scene_toml=recording.scene_toml,
+        seed=int(info["seed"]),
+        run_id=recording.store.store_id,
+        names=bodies.name,
+        group=bodies.group,
+        mass=bodies.mass,
+        radius=bodies.radius,
+        inertia=bodies.inertia,
+        spins=bool(info["spins"]),
+        gravitates=bool(info["gravitates"]),
+        collides=bool(info["collides"]),
+        has_field=bool(info["has_field"]),
+        body_colouring=bool(info["body_colouring"]),
+        duration=float(info["duration"]),
+        shortest_dt_hint=0.0,
+        box=np.asarray(info["box"]) if "box" in info else None,
+        walls=np.ones(3) if entities.WALLS in static else None,  # the layout asks only whether there are any
+        planes=nowhere if entities.PLANES in static else None,
+    )

@@ -1,0 +1,81 @@
+"""As much of Protocol Buffers' wire format as the messages of an .rrd need: a message's fields, by number."""
+
+from __future__ import annotations
+
+from carom.recording.errors import DamageError
+
+Fields = dict[int, list["int | memoryview"]]
+
+_LONGEST_VARINT = 64  # bits
+
+
+def fields(message: memoryview) -> Fields:
+    """Take a message apart. A field may come more than once; nested messages stay bytes.
+
+    Raises
+    ------
+    DamageError
+        If it is no message.
+    """
+    found: Fields = {}
+    at = 0
+    while at < len(message):
+        tag, at = _varint(message, at)
+        value: int | memoryview
+        match tag & 7:
+            case 0:
+                value, at = _varint(message, at)
+            case 1:
+                value, at = _bytes(message, at, 8)
+            case 2:
+                length, at = _varint(message, at)
+                value, at = _bytes(message, at, length)
+            case 5:
+                value, at = _bytes(message, at, 4)
+            case _:
+                raise DamageError("a field of no known kind")
+        found.setdefault(tag >> 3, []).append(value)
+    return found
+
+
+def number(message: Fields, field: int, default: int = 0) -> int:
+    """Read a number; a field that is left out has its default."""
+    value = message.get(field, [default])[-1]
+    if not isinstance(value, int):
+        raise DamageError("bytes where a number should be")
+    return value
+
+
+def data(message: Fields, field: int) -> memoryview:
+    """Read bytes, or the nested message in them; left out, they are empty."""
+    value = message.get(field, [memoryview(b"")])[-1]
+    if not isinstance(value, memoryview):
+        raise DamageError("a number where bytes should be")
+    return value
+
+
+def text(message: Fields, field: int) -> str:
+    """Read a text."""
+    try:
+        return bytes(data(message, field)).decode()
+    except UnicodeDecodeError as error:
+        raise DamageError("a text that is none") from error
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, _LONGEST_VARINT, 7):
+        if at >= len(message):
+            raise DamageError("a number that does not end")
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise DamageError("a number that does not end")
+
+
+def _bytes(message: memoryview, at: int, length: int) -> tuple[memoryview, int]:
+    if length > len(message) - at:
+        raise DamageError("a field longer than its message")
+    return message[at : at + length], at + length

@@ -1,0 +1,27 @@
+"""A recording that the commands on files are tried on."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from carom.recording.recorder import Recorder
+from merry import Merry
+
+
+@pytest.fixture(scope="session")
+def _recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path, merry = tmp_path_factory.mktemp("recorded") / "run.rrd", Merry(20)
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(100):
+            recorder.put(frame)
+        recorder.finish("completed", {"contacts.total": 1234})
+    return path
+
+
+@pytest.fixture
+def run_file(_recorded: Path, tmp_path: Path) -> Path:
+    """A run of 20 bodies and 100 frames, 0.05 s apart, as `run.rrd` in a folder of its own."""
+    return Path(shutil.copy(_recorded, tmp_path))

@@ -1,0 +1,154 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carom.recording.container import Container
+from carom.recording.errors import RecordingError
+from carom.recording.framing import END, MESSAGE_HEADER, messages
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
+from carom.recording.repair import repair
+from merry import Merry
+
+
+def without_footer(path: Path) -> int:
+    """Leave out the footer; return the size of the rest."""
+    with path.open("rb") as file:
+        end = next(message for message in messages(file) if message.kind == END)
+    os.truncate(path, end.offset - MESSAGE_HEADER)
+    return end.offset - MESSAGE_HEADER
+
+
+def flip(path: Path, at: int, count: int = 8) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + count] = bytes(byte ^ 0x5A for byte in content[at : at + count])
+    path.write_bytes(content)
+
+
+def entry(path: Path, entity: str) -> tuple[int, int]:
+    """Find where the first chunk of an entity lies, and its length."""
+    found = next(e for e in Container.open(path).stores[0].entries if e.entity_path == entity and not e.is_static)
+    return found.offset, found.length
+
+
+def test_a_whole_file_needs_no_repair(recorded: Path, tmp_path: Path) -> None:
+    assert repair(recorded, tmp_path / "fixed.rrd").path is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_without_its_footer_gets_one_and_loses_nothing(run_file: Path, recorded: Path, tmp_path: Path) -> None:
+    without_footer(run_file)
+    assert "carom repair" in Recording.open(run_file).outcome or Recording.open(run_file).closing
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert (done.frames, done.last_step, done.lost, done.added) == (100, 99, [], ["footer"])
+    fixed, whole = Recording.open(tmp_path / "fixed.rrd"), Recording.open(recorded)
+    assert fixed.finished
+    assert fixed.fingerprints().equals(whole.fingerprints())
+    assert fixed.energy().equals(whole.energy()) and fixed.steps().equals(whole.steps())
+    assert fixed.checkpoint_steps == whole.checkpoint_steps
+    assert fixed.outcome == "completed; repaired, to t = 4.95 s (step 99)"
+    assert fixed.closing["contacts.total"] == 1234
+    assert len(fixed.layout()) == len(whole.layout()) > 0
+
+
+@pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
+def test_a_file_torn_inside_a_message_keeps_everything_before(
+    part: float, run_file: Path, recorded: Path, tmp_path: Path
+) -> None:
+    size = without_footer(run_file)
+    os.truncate(run_file, int(part * size))
+    with pytest.raises(RecordingError, match=r"ends inside a message\); `carom repair .*run\.rrd` saves"):
+        Recording.open(run_file)
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert [piece.split(" (")[1] for piece in done.lost] == ["it ends inside a message)"]
+    fixed = Container.open(tmp_path / "fixed.rrd").stores[0]
+    kept = [e for e in Container.open(recorded).stores[0].entries if e.offset + e.length <= int(part * size)]
+    names = [e.entity_path for e in kept]
+    assert [e.entity_path for e in fixed.entries][: len(names)] == names
+    assert "unfinished: the run was killed, or its end lost; repaired" in Recording.open(tmp_path / "fixed.rrd").outcome
+
+
+def test_a_layout_is_made_where_there_was_none(run_file: Path, tmp_path: Path) -> None:
+    last = Recording.open(run_file).store.entries[-1]  # of the recording: the layout lies behind most of it
+    layouts = Container.open(run_file).stores[1].entries
+    content = run_file.read_bytes()
+    cut = layouts[0].offset - MESSAGE_HEADER
+    assert cut < last.offset
+    run_file.write_bytes(content[:cut])
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert done.added == ["footer", "layout"]
+    paths = {chunk.entity_path for chunk in Recording.open(tmp_path / "fixed.rrd").layout()}
+    assert "viewport" in paths and sum(path.startswith("view/") for path in paths) > 10
+
+
+def test_wrong_bytes_in_the_middle_cost_one_chunk_which_is_named(run_file: Path, tmp_path: Path) -> None:
+    offset, length = entry(run_file, "energy/total")
+    flip(run_file, offset + length // 2)
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert done.lost == ["/energy/total of steps 0 to 99"]
+    fixed = Recording.open(tmp_path / "fixed.rrd")
+    assert fixed.frames == 100 and fixed.steps().num_rows == 100
+    assert "1 piece lost: /energy/total of steps 0 to 99" in fixed.outcome
+
+
+def test_what_follows_a_wrong_length_is_found_again(run_file: Path, tmp_path: Path) -> None:
+    offset, length = entry(run_file, "energy/total")
+    without_footer(run_file)
+    flip(run_file, offset - 8)
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert len(done.lost) == 1 and done.lost[0].startswith(f"{length + MESSAGE_HEADER} bytes at byte")
+    assert Recording.open(tmp_path / "fixed.rrd").frames == 100
+
+
+def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_misplaced(tmp_path: Path) -> None:
+    merry = Merry(5)
+    frames = list(merry.frames(9))
+    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=6) as recorder:  # 3 frames a batch
+        for frame in frames:
+            recorder.put(frame)
+        recorder.finish("completed")
+    entries = [e for e in Recording.open(tmp_path / "run.rrd").store.entries if e.entity_path == "energy/total"]
+    gone = next(e for e in entries if not e.is_static and e.first_step)
+    flip(tmp_path / "run.rrd", gone.offset + gone.length // 2)
+    done = repair(tmp_path / "run.rrd", tmp_path / "fixed.rrd")
+    assert done.lost == [f"/energy/total of steps {gone.first_step} to {gone.last_step}"]
+    energy = Recording.open(tmp_path / "fixed.rrd").energy()
+    assert 0 < energy.num_rows < 9
+    for step, total, other in zip(energy["step"], energy["total"], energy["translational"], strict=True):
+        assert total.as_py() == frames[step.as_py()].energy.total
+        assert other.as_py() == frames[step.as_py()].energy.translational
+
+
+def test_a_repaired_file_needs_no_repair(run_file: Path, tmp_path: Path) -> None:
+    without_footer(run_file)
+    repair(run_file, tmp_path / "fixed.rrd")
+    assert repair(tmp_path / "fixed.rrd", tmp_path / "again.rrd").path is None
+
+
+@pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 1000, b"RRF2" + bytes(500), os.urandom(100_000)])
+def test_what_is_no_recording_cannot_be_made_one(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "scene.toml").write_bytes(content)
+    with pytest.raises(RecordingError, match=r"nothing of .*scene\.toml can be read as a recording"):
+        repair(tmp_path / "scene.toml", tmp_path / "fixed.rrd")
+    assert not (tmp_path / "fixed.rrd").exists()
+
+
+def test_a_file_full_of_beginnings_does_not_take_for_ever(tmp_path: Path) -> None:
+    # Every 17 bytes something that looks like a message over half of the file: 100 000 candidates.
+    size = 1_700_000
+    message = (2).to_bytes(8, "little") + (size // 2).to_bytes(8, "little") + b"\n"
+    (tmp_path / "trap.rrd").write_bytes(b"RRF2\x00)\x00\x00\x01\x02\x00\x00" + message * (size // len(message)))
+    code = f"""
+import resource
+from carom.recording.repair import repair
+resource.setrlimit(resource.RLIMIT_CPU, (20, 20))  # 15 minutes, if every one of them were read
+try:
+    repair({str(tmp_path / "trap.rrd")!r}, {str(tmp_path / "fixed.rrd")!r})
+except Exception as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "nothing of" in done.stdout
