@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,8 @@ MOMENTS = {
     "energy_error": "largest integration error, {value:.2e} of the energy scale",
 }
 
+AROUND = 20  # frames, of a clip of a moment
+
 
 def inspect(
     file: RecordingArgument,
@@ -27,19 +30,23 @@ def inspect(
     """Say what is in a recording: outcome, energies, worst moments, where the time went, versions."""
     import json
 
+    from carom.recording.bundle import opened
     from carom.recording.recording import Recording
 
-    summary = Recording.open(file).summary()
+    with opened(file) as path:
+        summary = Recording.open(path).summary()
     if as_json:
         typer.echo(json.dumps(summary, indent=2, ensure_ascii=False))
         return
     from rich.console import Console
 
     console = Console(soft_wrap=True, highlight=False)
-    for table in (_overview(summary), _moments(summary, file), _profile(summary)):
-        if table.row_count:
-            console.print(table)
-            console.print()
+    console.print(_overview(summary))
+    console.print()
+    for line in _moments(summary, file):
+        console.print(line)
+    console.print()
+    console.print(_profile(summary))
 
 
 def _grid() -> Table:
@@ -80,16 +87,19 @@ def _overview(summary: dict[str, Any]) -> Table:
     return table
 
 
-def _moments(summary: dict[str, Any], file: Path) -> Table:
-    """Show each extreme with the command that looks at it."""
-    table = _grid()
+def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
+    """Name each extreme, and the commands that look closer."""
+    window = AROUND * summary["sim_time"] / max(1, summary["frames"] - 1)
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
         if moment:
-            who = " and ".join(map(str, moment["bodies"]))
+            who, time = " and ".join(map(str, moment["bodies"])), moment["time"]
+            begin, end = max(0.0, time - window / 2), time + window / 2
             what = wording.format(value=moment["value"]) + (f", bodies {who}" if who else "")
-            table.add_row(what, f"step {moment['step']}", f"carom view {file} --at {moment['time']:.6g}")
-    return table
+            yield f"{what}, at step {moment['step']}"
+            yield f"    carom view {file} --at {time:.9g}"
+            yield f"    carom clip {file} --around {time:.9g} --window {window:.3g}"
+            yield f"    carom replay {file} --from {begin:.6g} --to {end:.6g} --every step"
 
 
 def _profile(summary: dict[str, Any]) -> Table:

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import clip, explain, inspect, repair, replay, resume, run, scenes, stress, view
+from carom.cli import clip, explain, inspect, repair, replay, report, resume, run, scenes, stress, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -47,6 +47,7 @@ app.command("new")(scenes.new)
 app.command("explain")(explain.explain)
 app.command("inspect")(inspect.inspect)
 app.command("replay")(replay.replay)
+app.command("report")(report.report)
 app.command("resume")(resume.resume)
 app.command("stress")(stress.stress)
 app.command("view")(view.view)

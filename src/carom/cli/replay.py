@@ -34,26 +34,36 @@ def replay(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a recording again from a checkpoint; say whether every frame has the same bits, else which is the first."""
+    """Run a recording again; say whether every frame has the same bits, else which is the first that has not.
+
+    FILE may be the zip that `carom report` made.
+    """
     import json
 
     from carom.cli.compiling import announce_compilation
     from carom.experiment.replay import replay as run_again
     from carom.physics.error import PhysicsError
+    from carom.recording.bundle import opened
     from carom.recording.recording import Recording
 
     if every not in (None, "step"):
         raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")
     if end < begin:
         raise typer.BadParameter(f"{end:g} s is before --from {begin:g} s", param_hint="--to")
-    recording = Recording.open(file)
     dense = output or file.with_name(f"{file.stem}-dense.rrd") if every or output else None
     if not as_json:
         announce_compilation()
     try:
-        result = run_again(
-            recording, begin, end, threads=threads, dense=dense, force=force, consent=lambda s: yes or _agreed(s)
-        )
+        with opened(file) as path:
+            result = run_again(
+                Recording.open(path),
+                begin,
+                end,
+                threads=threads,
+                dense=dense,
+                force=force,
+                consent=lambda seconds: yes or _agreed(seconds),
+            )
     except PhysicsError as error:
         typer.echo(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None

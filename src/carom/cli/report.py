@@ -1,0 +1,47 @@
+"""`carom report`: one file to attach to a bug report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument
+
+
+def report(
+    file: RecordingArgument,
+    at: Annotated[
+        float | None, typer.Option("--at", metavar="T", help="The moment, in s. Default: the worst of the run.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Default: FILE-report.zip.")
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Pack what a bug report needs into one zip below 10 MB: clip, scene, picture, versions, a summary to paste."""
+    import json
+    from dataclasses import asdict
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.units import bytes_text
+    from carom.experiment.output import refuse_output
+    from carom.experiment.report import report as make
+    from carom.recording.recording import Recording
+
+    recording = Recording.open(file)
+    path = output or file.with_name(f"{file.stem}-report.zip")
+    refuse_output(path, force)
+    announce_compilation()
+    made = make(recording, path, at)
+    if as_json:
+        typer.echo(json.dumps({**asdict(made), "path": str(path)}, indent=2))
+        return
+    typer.echo(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {made.time:.9g} s,")
+    typer.echo(f"{made.why.splitlines()[0]}.")
+    typer.echo(made.replayed.replace("**", ""))
+    if made.picture:
+        typer.echo(f"Without a picture: {made.picture}", err=True)
+    typer.echo("Its README.md can be pasted into an issue; `carom replay` takes the zip as it is.")

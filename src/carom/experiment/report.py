@@ -1,0 +1,219 @@
+"""A bundle for a bug report: the clip around the moment in question, and all that a reader of the report asks first."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from carom.experiment.environment import environment
+from carom.experiment.replay import Replay, replay
+from carom.physics.error import PhysicsError
+from carom.recording import bundle
+from carom.recording.clip import clip
+from carom.recording.errors import RecordingError
+from carom.recording.picture import render
+from carom.recording.recording import Recording
+from carom.scene.error import SceneError
+
+FRAMES = 120  # of the clip, half of them before the moment
+ROOM = 7_000_000  # bytes that a clip may have before it is packed
+REPLAY_AT_MOST = 30.0  # s
+ENERGY_ERROR = 1e-3  # of the scale; from there on it is what went wrong
+MOST_WARNINGS = 3
+LEDGER = ("restitution", "friction", "stabilisation")
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was packed."""
+
+    path: Path
+    size: int  # bytes
+    time: float  # s, the moment
+    why: str  # what is wrong there, or what is to be seen
+    frames: int
+    replayed: str  # a sentence
+    picture: str  # empty, or why there is none
+
+
+def report(recording: Recording, path: Path, at: float | None = None) -> Report:
+    """Pack a bundle of less than 10 MB.
+
+    Parameters
+    ----------
+    recording
+        A whole run, or a clip.
+    path
+        The ``.zip`` to write.
+    at
+        s, the moment in question; by default the worst of the run.
+
+    Raises
+    ------
+    RecordingError
+        If the recording has no frame, one frame alone is too large, or the bundle cannot be written.
+    """
+    moment, why = (at, "the moment asked for") if at is not None else worst_moment(recording)
+    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
+        cut = Path(folder) / bundle.CLIP
+        _cut(recording, moment, cut)
+        small = Recording.open(cut)
+        replayed = _replay(small)
+        picture, missing = _picture(cut, moment, Path(folder) / "picture.png")
+        surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
+        text = _summary(recording, small, moment, why, replayed, bool(picture), path.name)
+        members: dict[str, bytes | Path] = {
+            "README.md": text.encode(),
+            "scene.toml": recording.scene_toml.encode(),
+            "environment.json": json.dumps(surroundings, indent=2).encode(),
+            bundle.CLIP: cut,
+        }
+        if picture:
+            members["picture.png"] = picture
+        size = bundle.pack(path, members)
+        if size > bundle.LARGEST:
+            path.unlink()
+            raise RecordingError(f"{recording.path}: with one frame alone the bundle would have {size / 1e6:.3g} MB")
+        return Report(path, size, moment, why, small.frames, replayed, missing)
+
+
+def worst_moment(recording: Recording) -> tuple[float, str]:
+    """Return the time in s that a report is about, and what is the matter there."""
+    if recording.frames == 0:
+        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    moments: dict[str, Any] = recording.summary()["moments"]
+    last = float(recording.fingerprints()["time"][-1].as_py())
+    if recording.outcome.startswith(("failed", "disk")):
+        return last, recording.outcome
+    warnings = _warnings(recording)
+    if warnings:
+        return warnings[0]
+    error = moments.get("energy_error")
+    if error and error["value"] > ENERGY_ERROR:
+        return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
+    for name, what in (("impact", "the hardest impact"), ("overlap", "the deepest overlap")):
+        if name in moments and moments[name]["bodies"]:
+            who = " and ".join(map(str, moments[name]["bodies"]))
+            return moments[name]["time"], f"{what}, bodies {who}"
+    return recording.moment(), "the fullest moment"
+
+
+def _warnings(recording: Recording) -> list[tuple[float, str]]:
+    """Return times and texts of what was logged about the energy."""
+    events, scale = recording.events(), float(recording.info["time_scale"])
+    times = events["sim_time"].cast(pa.int64()).to_numpy() * 1e-9 * scale
+    rows = zip(times, events["level"].to_pylist(), events["text"].to_pylist(), strict=True)
+    return [(float(t), text) for t, level, text in rows if level == "WARN" and text.startswith("Energy rose")]
+
+
+def _cut(recording: Recording, moment: float, path: Path) -> None:
+    """Cut as many frames around the moment as there is room for."""
+    times = recording.fingerprints()["time"].to_numpy()
+    middle, count = int(np.argmin(np.abs(times - moment))), FRAMES
+    while True:
+        first, last = max(0, middle - count // 2), min(len(times) - 1, middle + count // 2)
+        made = clip(recording.path, path, times[first], times[last])
+        if made.size <= ROOM or count == 0:
+            return
+        count = 0 if count == 1 else max(1, min(count // 2, int(count * ROOM / made.size)))
+
+
+def _replay(recording: Recording) -> str:
+    try:
+        result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
+    except (SceneError, RecordingError, PhysicsError) as error:
+        return f"It could not be replayed: {error}"
+    return _in_words(result)
+
+
+def _in_words(result: Replay) -> str:
+    if result.same:
+        return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
+    if result.difference is None:
+        done = f"{result.compared} of {result.frames} frames"
+        return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
+    found = result.difference
+    whose = "" if found.body is None else f" of body {found.body}"
+    return (
+        f"Replayed from step {result.begin}, **it differs** at step {found.step}, t = {found.time:.9g} s: "
+        f"{found.quantity}{whose}, recorded {found.recorded!r}, replayed {found.replayed!r}."
+    )
+
+
+def _picture(recording: Path, moment: float, path: Path) -> tuple[Path | None, str]:
+    try:
+        render(recording, moment, path)
+    except RecordingError as error:
+        return None, str(error)
+    return path, ""
+
+
+def _summary(
+    recording: Recording, clip: Recording, moment: float, why: str, replayed: str, picture: bool, name: str
+) -> str:
+    whole, times = recording.summary(), clip.fingerprints()["time"].to_numpy()
+    energy, contacts = whole["energy"], whole["contacts"]
+    lines = [
+        f"# {recording.title}",
+        "",
+        f"**{why[0].upper()}{why[1:].splitlines()[0]}**, t = {moment:.9g} s.",
+        "",
+        *(["![The moment](picture.png)", ""] if picture else []),
+        "| | |",
+        "|---|---|",
+        f"| command | `{recording.properties.get('command', '')}` |",
+        f"| outcome | {whole['outcome']} |",
+        f"| run | {whole['bodies']} bodies, {whole['steps']} steps, {whole['sim_time']:.6g} s simulated |",
+        f"| energy | {energy['initial']:.6g} J at first, {energy['final']:.6g} J at last; "
+        f"integration error at most {energy['max_error']:.3g} of the scale |",
+        f"| contacts | {contacts['total']}, deepest overlap {contacts['max_overlap']:.3g} of the smaller radius |",
+        *(f"| promise {name} | {_promise(verdict)} |" for name, verdict in whole["expect"].items()),
+        f"| versions | {', '.join(f'{package} {version}' for package, version in recording.versions.items())} |",
+        f"| machine | {recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')} |",
+        "",
+        f"The clip: {clip.frames} frames from {times[0]:.9g} to {times[-1]:.9g} s. {replayed}",
+        "",
+        *_ledger(clip),
+        *_warned(recording),
+        "## Look at it",
+        "",
+        "```sh",
+        f"carom replay {name}    # are the bits the same on your machine?",
+        f"unzip {name} {bundle.CLIP} && carom view {bundle.CLIP} --at {moment:.9g}",
+        "```",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _promise(verdict: dict[str, Any]) -> str:
+    kept = "kept" if verdict["met"] else "**missed**"
+    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}: {kept}"
+
+
+def _ledger(clip: Recording) -> list[str]:
+    """Say which way energy went within the clip."""
+    energy = clip.energy()
+    rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
+    rows = [*rows, ("integration_error", "the integrator's error")]
+    changes = [(name, what, energy[name].to_numpy()) for name, what in rows if name in energy.column_names]
+    table = [f"| {name.replace('_', ' ')} | {what} | {v[-1] - v[0]:+.4g} J |" for name, what, v in changes]
+    return ["## Where energy went in the clip", "", "| | | |", "|---|---|---|", *table, ""]
+
+
+def _warned(recording: Recording) -> list[str]:
+    warnings = _warnings(recording)
+    if not warnings:
+        return []
+    shown = [f"t = {time:.9g} s: {text}" for time, text in warnings[:MOST_WARNINGS]]
+    return [f"## Energy warnings ({len(warnings)})", "", "```text", *shown, "```", ""]
+
+
+def _plain(properties: Any) -> dict[str, Any]:
+    return {key: value for key, value in properties.items() if isinstance(value, str | int | float)}

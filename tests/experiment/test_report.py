@@ -1,0 +1,151 @@
+"""A bundle for a bug report: small, whole, and safe to open."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carom
+from carom.experiment import report as reports
+from carom.experiment.replay import replay
+from carom.experiment.report import report, worst_moment
+from carom.recording import bundle
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from carom.scene.schema import Scene
+from examples import cloud
+
+
+@pytest.fixture(scope="module")
+def rubble(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return carom.run(Scene.load("rubble-collision"), tmp_path_factory.mktemp("rubble") / "rubble.rrd")
+
+
+def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, tmp_path: Path) -> None:
+    made = report(rubble, tmp_path / "rubble.zip")
+    assert made.size == (tmp_path / "rubble.zip").stat().st_size < 10_000_000
+    assert "same bits" in made.replayed and made.picture == ""
+    with zipfile.ZipFile(made.path) as packed:
+        assert sorted(packed.namelist()) == ["README.md", "clip.rrd", "environment.json", "picture.png", "scene.toml"]
+        text = packed.read("README.md").decode()
+        assert packed.read("scene.toml").decode() == rubble.scene_toml
+        assert packed.read("picture.png").startswith(b"\x89PNG")
+        environment = json.loads(packed.read("environment.json"))
+    assert environment["recorded"]["version.carom"] == environment["reported"]["version.carom"]
+    for said in (rubble.title, "hardest impact", "restitution", "same bits", "carom replay rubble.zip"):
+        assert said in text, said
+
+
+def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, tmp_path: Path) -> None:
+    made = report(rubble, tmp_path / "rubble.zip")
+    with bundle.opened(made.path) as path:
+        clip = Recording.open(path)
+        assert clip.frames == made.frames < rubble.frames
+        assert replay(clip).same
+    assert not path.exists(), "nothing is left behind"
+
+
+def test_a_report_on_a_moment_has_that_moment_in_it(rubble: Recording, tmp_path: Path) -> None:
+    end = float(rubble.fingerprints()["time"][-1].as_py())
+    made = report(rubble, tmp_path / "end.zip", at=end)
+    with bundle.opened(made.path) as path:
+        assert Recording.open(path).fingerprints()["time"].to_pylist()[-1] == end
+
+
+def test_a_clip_too_large_to_attach_gets_fewer_frames(
+    rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reports, "ROOM", 1_500_000)
+    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
+    made = report(rubble, tmp_path / "small.zip")
+    assert 1 < made.frames < reports.FRAMES and made.size < 1_500_000
+    monkeypatch.setattr(bundle, "LARGEST", 1000)
+    with pytest.raises(RecordingError, match="with one frame alone the bundle would have"):
+        report(rubble, tmp_path / "none.zip")
+    assert not (tmp_path / "none.zip").exists()
+
+
+def test_a_run_that_differs_says_so_in_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    monkeypatch.setattr("carom.physics.space.fingerprint", lambda bodies, time: 1)
+    made = report(recording, tmp_path / "cloud.zip")
+    assert "it differs" in made.replayed
+
+
+def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:
+    scene = cloud(contact={"stabilisation": "baumgarte"}, record={"energy_tolerance": 1e-9})
+    recording = carom.run(scene, tmp_path / "cloud.rrd")
+    time, why = worst_moment(recording)
+    assert why.startswith("Energy rose by") and 0.0 < time <= 3.0
+
+
+def test_a_recording_without_a_frame_has_nothing_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+    monkeypatch.setattr(Recording, "frames", 0)
+    with pytest.raises(RecordingError, match="holds no frame"):
+        report(recording, tmp_path / "cloud.zip")
+
+
+def packed(path: Path, members: dict[str, bytes], **options: int) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content, **options)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("members", "said"),
+    [
+        ({"../../evil.rrd": b"x"}, "there must be one clip.rrd in it, not 0"),
+        ({"/etc/clip.rrd": b"x"}, "there must be one clip.rrd in it, not 0"),
+        ({f"{k}": b"" for k in range(200)}, "200 files in it are too many"),
+        ({"clip.rrd": bytes(300_000_000)}, "says that it unpacks to 300000000 bytes"),
+    ],
+    ids=["zip-slip", "absolute", "many", "bomb"],
+)
+def test_a_hostile_bundle_is_refused_before_it_is_unpacked(
+    members: dict[str, bytes], said: str, tmp_path: Path
+) -> None:
+    path = packed(tmp_path / "evil.zip", members)
+    with pytest.raises(RecordingError, match=said), bundle.opened(path):
+        pass
+    assert [entry.name for entry in tmp_path.iterdir()] == ["evil.zip"]
+
+
+def test_a_bundle_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
+    path = packed(tmp_path / "liar.zip", {"clip.rrd": np.random.default_rng(1).bytes(5000)})
+    raw = bytearray(path.read_bytes())
+    for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
+        at = raw.index(signature) + offset
+        raw[at : at + 4] = (100).to_bytes(4, "little")
+    path.write_bytes(raw)
+    with pytest.raises(RecordingError, match="not a bundle of carom's, or is damaged"), bundle.opened(path):
+        pass
+
+
+@pytest.mark.parametrize("size", [4, 100, 2000])
+def test_a_torn_bundle_is_refused(size: int, tmp_path: Path) -> None:
+    path = packed(tmp_path / "torn.zip", {"clip.rrd": np.random.default_rng(1).bytes(5000)})
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(RecordingError, match="not a bundle of carom's, or is damaged"), bundle.opened(path):
+        pass
+
+
+def test_bundles_with_flipped_bytes_are_read_or_refused(rubble: Recording, tmp_path: Path) -> None:
+    path, rng = tmp_path / "flipped.zip", np.random.default_rng(5)
+    whole = packed(path, {"clip.rrd": rng.bytes(2000), "README.md": b"text"}).read_bytes()
+    for _ in range(300):
+        raw = bytearray(whole)
+        for at in rng.integers(0, len(raw), rng.integers(1, 5)):
+            raw[at] ^= 1 << rng.integers(0, 8)
+        path.write_bytes(raw)
+        try:
+            with bundle.opened(path) as inside:
+                assert inside.exists()
+        except RecordingError:
+            pass
