@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest import mock
 
 from carom.experiment.memory import keep_freed_memory
 
@@ -56,6 +57,16 @@ def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
     return time.perf_counter() - began, outcome
 
 
+def recorded_without_exact_states(space: Space, folder: str) -> float:
+    """Record without fingerprints and checkpoints: such a file would be looked at, but not replayed."""
+    nothing = mock.patch("carom.physics.space.fingerprint", lambda bodies, time: 0)
+    never = mock.patch("carom.recording.checkpoint.CheckpointPlan.chosen", lambda plan, batch: [])
+    with nothing, never:
+        began = time.perf_counter()
+        simulate(space, Path(folder) / "bare.rrd", force=True)
+        return time.perf_counter() - began
+
+
 def peak_memory(duration: float) -> float:
     """Peak resident memory in MB of a process that records so long a run."""
     code = f"import benchmarks.recording as b; b.record_once({duration})"
@@ -71,6 +82,7 @@ def record_once(duration: float) -> None:
 
 def main() -> None:
     times: dict[str, list[float]] = {"only steps": [], "frames for nobody": [], "recorded": []}
+    times["without exact states"] = []
     with tempfile.TemporaryDirectory() as folder:
         recorded(Space(scene(100.0)), folder)
         for _ in range(ROUNDS):
@@ -78,11 +90,14 @@ def main() -> None:
             times["frames for nobody"].append(frames_for_nobody(Space(scene(DURATION))))
             seconds, outcome = recorded(Space(scene(DURATION)), folder)
             times["recorded"].append(seconds)
+            times["without exact states"].append(recorded_without_exact_states(Space(scene(DURATION)), folder))
     medians = {name: statistics.median(values) for name, values in times.items()}
     print(f"{outcome.steps} steps, {outcome.moments.total_contacts / outcome.steps:.0f} contacts in each")
     for name, seconds in medians.items():
-        print(f"{name:>18}: {seconds:.2f} s, {seconds / medians['only steps'] - 1:+.1%}")
+        print(f"{name:>20}: {seconds:.2f} s, {seconds / medians['only steps'] - 1:+.1%}")
     print(f"recorded, over frames for nobody: {medians['recorded'] / medians['frames for nobody'] - 1:+.1%}")
+    exact = medians["recorded"] / medians["without exact states"] - 1
+    print(f"fingerprints and checkpoints: {exact:+.1%}")
     print(f"file: {outcome.size / outcome.payload:.3f} of its payload")
     print(f"peak memory: {peak_memory(2000.0):.0f} MB for 2000 s, {peak_memory(8000.0):.0f} MB for 8000 s simulated")
 
