@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 
@@ -25,6 +24,7 @@ from carom.physics.names import Names
 from carom.physics.phase import Phase
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
+from carom.physics.team import Team, cores
 from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
@@ -64,7 +64,7 @@ class Space:
         self.groups = start.group
         self.planes = half_spaces(scene)
         self.state = Bodies.at_start(start, self.requirements.spin.modelled, len(self.planes))
-        self.threads = threads or _cores()
+        self.threads = threads or cores()
         self.time = 0.0  # s
         self.step = 0
         self.dt = 0.0  # s
@@ -238,7 +238,9 @@ class Space:
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:
             return None
-        return ContactStage(self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling)
+        return ContactStage(
+            self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, Team(self.threads)
+        )
 
     def _advance(self, end: float, checked: bool, interval: float) -> bool:
         """Do one step; tell whether a frame is due after it.
@@ -385,8 +387,3 @@ class Space:
 def _multiples(time: float, interval: float) -> float:
     """Count the multiples of an interval up to a time, forgiving the rounding of a clock that adds up steps."""
     return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
