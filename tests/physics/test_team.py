@@ -43,6 +43,18 @@ def test_any_number_of_threads_resolves_a_crowd_to_the_same_bits(hub: bool) -> N
             assert np.array_equal(one, many)
 
 
+@pytest.mark.parametrize("box", [0.0, 56.0])
+def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
+    # More contacts than there is room for at first, and radii over a decade.
+    rng = np.random.default_rng(5)
+    n = DIVIDED_FROM + 1
+    position, radius = rng.uniform(-28.0, 28.0, (n, 3)), 10.0 ** rng.uniform(-1.0, 0.5, n)
+    alone = Grid(radius, np.full(3, box)).pairs(position)
+    assert len(alone) > 3 * n
+    for threads in (2, 4):
+        assert np.array_equal(Grid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
+
+
 @pytest.mark.parametrize("count", [0, 1, DIVIDED_FROM, DIVIDED_FROM + 1])
 def test_what_is_divided_is_done_once(count: int) -> None:
     def visit(lo: int, hi: int, visits: NDArray[np.int64]) -> None:

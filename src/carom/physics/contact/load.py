@@ -31,6 +31,16 @@ DT, DRIFT, KICK, BIAS, ALPHA = range(5)
 CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts
 
 
+CACHE_LINE = 64  # bytes
+
+
+def rows(count: int, columns: int) -> FloatArray:
+    """Return zeros, (count, columns), that begin with a cache line: each row is then in as few of them as can be."""
+    room = np.zeros(count * columns + CACHE_LINE // 8)
+    first = -room.ctypes.data % CACHE_LINE // 8
+    return room[first : first + count * columns].reshape(count, columns)
+
+
 class Load(NamedTuple):
     """m contacts in the order of their stages, and the n bodies and p planes at their ends."""
 

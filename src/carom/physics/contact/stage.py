@@ -74,7 +74,7 @@ class ContactStage:
         self._planes = planes
         self._box = box
         self._field = field
-        self._search = search_by(contact.search, bodies.radius, box)
+        self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes)
         self._smallest = float(bodies.radius.min())

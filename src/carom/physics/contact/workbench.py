@@ -25,6 +25,7 @@ from carom.physics.contact.load import (
     REST,
     SPINS,
     Load,
+    rows,
 )
 from carom.physics.contact.meeting import meet
 from carom.physics.contact.motion import pack, those_that_touch, unpack
@@ -66,7 +67,7 @@ class Workbench:
         self._box = box
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
-        self._motion = np.empty((len(bodies.ends.velocity), MOTION))
+        self._motion = rows(len(bodies.ends.velocity), MOTION)
         self._flags = np.zeros(5, dtype=np.int64)
         self._flags[SPINS] = friction
         self._numbers = np.zeros(5)
@@ -79,8 +80,8 @@ class Workbench:
         self._load = Load(
             pairs=stages.pairs,
             pieces=stages.pieces,
-            hot=np.zeros((m, HOT)),
-            cold=np.zeros((m, COLD)),
+            hot=rows(m, HOT),
+            cold=rows(m, COLD),
             acceleration=self._bodies.ends.acceleration,
             motion=self._motion,
             law=self._law,
