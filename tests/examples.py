@@ -8,6 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.graph import colour_contacts
+from carom.physics.contact.stages import stages_of
+from carom.physics.contact.workbench import Workbench
+from carom.physics.team import Team
+from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
 
@@ -68,6 +73,18 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
         fixed=np.zeros(count, dtype=bool),
     )
     return Bodies.at_start(start, spins)
+
+
+def bench_of(
+    bodies: Bodies, pairs: NDArray[np.int64], law: list[float], box: FloatArray | None = None, threads: int = 1
+) -> Workbench:
+    """Lay contacts of bodies alone out for the kernels, given restitution, static and kinetic friction."""
+    no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
+    box = np.zeros(3) if box is None else box
+    spins = len(bodies.orientation) > 0
+    bench = Workbench(bodies, no_planes, np.array([law]), box, spins, Team(threads))
+    bench.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
+    return bench
 
 
 def momentum_of(bodies: Bodies) -> FloatArray:

@@ -12,10 +12,11 @@ from carom.physics.contact.graph import (
     CollisionGraph,
     colour_bodies,
     colour_contacts,
-    stage_order,
 )
 from carom.physics.contact.grid import Grid
-from carom.physics.contact.search import KdTree, contact_geometry
+from carom.physics.contact.search import KdTree
+from carom.physics.contact.stages import PIECE, stages_of
+from examples import bench_of, random_bodies
 
 IntArray = NDArray[np.int64]
 
@@ -58,8 +59,23 @@ def test_a_hub_past_64_colours_overflows_into_a_last_stage() -> None:
 
 
 def test_stages_follow_each_other_and_keep_the_order_of_pairs() -> None:
-    colours = np.array([2, 0, 1, 0, 2])
-    assert list(stage_order(colours)) == [1, 3, 2, 0, 4]
+    pairs = np.array([[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
+    stages = stages_of(pairs, np.array([2, 0, 1, 0, 2]))
+    assert list(stages.place) == [3, 0, 2, 1, 4]
+    assert np.array_equal(stages.pairs[stages.place], pairs)
+
+
+@settings(max_examples=20, deadline=None)
+@given(sizes=st.lists(st.integers(0, 3 * PIECE), min_size=1, max_size=OVERFLOW + 1))
+def test_pieces_cover_all_contacts_and_none_is_of_two_stages(sizes: list[int]) -> None:
+    colours = np.random.default_rng(0).permutation(np.repeat(np.arange(len(sizes)), sizes))
+    stages = stages_of(np.zeros((len(colours), 2), dtype=np.int64), colours)
+    covered = [place for lo, hi in stages.pieces for place in range(lo, hi)]
+    assert covered == list(range(len(colours)))
+    for lo, hi in stages.pieces:
+        assert len(np.unique(np.sort(colours)[lo:hi])) == 1 and hi - lo <= PIECE
+    assert stages.edges[-1] == len(stages.pieces)
+    assert stages.independent <= OVERFLOW
 
 
 @settings(max_examples=100, deadline=None)
@@ -117,18 +133,19 @@ def test_a_search_with_slack_finds_what_nearly_touches() -> None:
 
 
 def test_normals_point_from_i_to_j_and_overlaps_are_depths() -> None:
-    position = np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    pairs = np.array([[0, 1], [0, 2]])
-    normals, arms, overlaps = contact_geometry(pairs, position, np.ones(3), np.zeros(3))
-    assert np.array_equal(normals, [[1, 0, 0], [1, 0, 0]]), "coincident centres get a direction that is always the same"
-    assert np.array_equal(arms.sum(axis=1), [1.5, 0.0])
-    assert np.array_equal(overlaps, [0.5, 2.0])
+    bodies = random_bodies(3, 0)
+    bodies.position[:] = [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    bodies.radius[:] = 1.0
+    bench = bench_of(bodies, np.array([[0, 1], [0, 2]]), [0.0, 0.0, 0.0])
+    assert np.array_equal(bench.normals, [[1, 0, 0], [1, 0, 0]]), "coincident centres get the same direction always"
+    assert np.array_equal(bench.arms.sum(axis=1), [1.5, 0.0])
+    assert np.array_equal(bench.overlaps, [0.5, 2.0])
 
 
 def test_in_a_periodic_box_the_nearest_image_is_touched() -> None:
-    position = np.array([[-4.6, 0.0, 0.0], [4.6, 0.0, 0.0]])
-    box = np.array([10.0, 10.0, 10.0])
-    pairs = Grid(np.full(2, 0.5), box).pairs(position)
-    normals, arms, _ = contact_geometry(pairs, position, np.full(2, 0.5), box)
-    assert np.array_equal(normals, [[-1.0, 0.0, 0.0]])
-    assert np.allclose(arms.sum(axis=1), 0.8, rtol=1e-15)
+    bodies, box = random_bodies(2, 0), np.full(3, 10.0)
+    bodies.position[:] = [[-4.6, 0.0, 0.0], [4.6, 0.0, 0.0]]
+    bodies.radius[:] = 0.5
+    bench = bench_of(bodies, Grid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
+    assert np.array_equal(bench.normals, [[-1.0, 0.0, 0.0]])
+    assert np.allclose(bench.arms.sum(axis=1), 0.8, rtol=1e-15)

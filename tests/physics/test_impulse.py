@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.contact.impulse import CollisionContext
-from carom.physics.contact.search import contact_geometry
-from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION, resolve_contacts
-from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies
+from carom.physics.contact.load import FRICTION, RESTITUTION, STABILISATION
+from examples import angular_momentum_of, bench_of, kinetic_energy_of, momentum_of, random_bodies
 
 FloatArray = NDArray[np.float64]
 
@@ -39,29 +38,10 @@ def resolve(
     rest_speed: float = 0.0,
 ) -> FloatArray:
     """Resolve the contact of a pair in one pass of the kernel; return its ledger."""
-    normals, arms, overlaps = contact_geometry(PAIR, bodies.position, bodies.radius, np.zeros(3))
-    ledger = np.zeros((1, 3))
-    resolve_contacts(
-        np.array([0]),
-        PAIR,
-        normals,
-        arms,
-        overlaps,
-        bodies.velocity,
-        bodies.acceleration,
-        bodies.angular_velocity,
-        bodies.ends.inverse_mass,
-        bodies.ends.inverse_inertia,
-        np.array([[restitution, static_friction, kinetic_friction]]),
-        np.array([rest_speed]),
-        False,
-        bias_rate,
-        1,
-        ledger,
-        np.zeros(1),
-        np.zeros_like(bodies.torque),
-    )
-    return np.asarray(ledger[0])
+    bench = bench_of(bodies, PAIR, [restitution, static_friction, kinetic_friction])
+    bench.rest_speed[:] = rest_speed
+    bench.resolve_impacts(bias_rate, most_sweeps=1, impacts_only=False)
+    return np.asarray(bench.ledger[0])
 
 
 def closing(bodies: Bodies) -> bool:

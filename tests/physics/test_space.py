@@ -413,7 +413,7 @@ def test_torques_are_the_change_of_spin_over_the_step() -> None:
         before = space.state.angular_velocity.copy()
         space.compute_dynamics(iteration)
         change = space.state.inertia[:, None] * (space.state.angular_velocity - before)
-        # The impulses are summed from zero, the spins from what they were: round-off of the larger.
+        # Round-off of the spins.
         assert np.allclose(space.state.torque * space.dt, change, rtol=0, atol=1e-14 * (1 + np.abs(before).max()))
         alpha = space.state.torque / space.state.inertia[:, None]
         assert np.array_equal(space.state.angular_acceleration, alpha)

@@ -9,12 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.graph import colour_contacts, stage_order
 from carom.physics.contact.grid import Grid
-from carom.physics.contact.search import contact_geometry
-from carom.physics.contact.solver import STABILISATION
-from carom.physics.contact.stabilisation import push_apart
-from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies
+from carom.physics.contact.load import STABILISATION
+from examples import angular_momentum_of, bench_of, kinetic_energy_of, momentum_of, random_bodies
 
 FloatArray = NDArray[np.float64]
 
@@ -23,27 +20,12 @@ def push(
     bodies: Bodies, rest: float = np.inf, restitution: float = 0.0, sweeps: int = 1
 ) -> tuple[FloatArray, FloatArray]:
     """Push what overlaps; return the ledger and the overlaps left."""
-    open_space = np.zeros(3)
-    pairs = Grid(bodies.radius, open_space).pairs(bodies.position)
-    ledger, pushes = np.zeros((len(pairs), 3)), np.zeros((len(pairs), 3))
-    order = stage_order(colour_contacts(pairs, bodies.ends.inverse_mass))
-    push_apart(
-        order,
-        pairs,
-        bodies.position,
-        bodies.velocity,
-        bodies.ends.inverse_mass,
-        bodies.radius,
-        open_space,
-        np.empty((0, 3)),
-        np.empty(0),
-        np.array([[restitution, 0.0, 0.0]]),
-        np.full(len(pairs), rest),
-        sweeps,
-        ledger,
-        pushes,
-    )
-    return ledger, contact_geometry(pairs, bodies.position, bodies.radius, open_space)[2]
+    pairs = Grid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+    bench = bench_of(bodies, pairs, [restitution, 0.0, 0.0])
+    bench.rest_speed[:] = rest
+    bench.part(sweeps)
+    bench.meet()
+    return bench.ledger, bench.overlaps
 
 
 @settings(max_examples=100, deadline=None)

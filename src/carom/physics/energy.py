@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
+from carom.physics.contact.load import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.kernel import kernel
 from carom.physics.momentum import centre_velocity
 

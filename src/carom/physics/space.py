@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
@@ -29,6 +28,7 @@ from carom.physics.phase import Phase
 from carom.physics.profile import Profile
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
+from carom.physics.team import Team, cores
 from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
@@ -69,7 +69,7 @@ class Space:
         self.groups = start.group
         self.planes = half_spaces(scene)
         self.state = Bodies.at_start(start, self.requirements.spin.modelled, len(self.planes))
-        self.threads = threads or _cores()
+        self.threads = threads or cores()
         self.time = 0.0  # s
         self.step = 0
         self.dt = 0.0  # s
@@ -291,7 +291,9 @@ class Space:
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:
             return None
-        return ContactStage(self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling)
+        return ContactStage(
+            self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, Team(self.threads)
+        )
 
     def _advance(self, end: float, checked: bool, schedule: Schedule) -> bool:
         """Do one step; tell whether a frame is due after it, by the schedule or because it was the last."""
@@ -428,8 +430,3 @@ class Space:
             f"step {self.step + 1} of {self.dt:.3g} s no longer moves the clock at t = {time:.6g} s "
             f"(limit: {self.dt_limit}); raise time.target_dx or time.cfl, or set time.fixed_dt"
         )
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
+from carom.physics.contact.load import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.energy import Energy
 from carom.physics.event import Event
 from carom.physics.names import Names

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.lasting import Hold
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.energy import Energy, Ledger
 from carom.physics.frame import Frame
@@ -69,19 +68,18 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
-    held = [memory.hold for memory in memories]
     # mostly the impulses are those of the step's own contacts: their pairs are written once
-    own = [hold.pairs is memory.pairs for hold, memory in zip(held, memories, strict=True)]
+    own = [memory.held_pairs is memory.pairs for memory in memories]
     nobody = np.empty((0, 2), dtype=np.int64)
     return {
         "contact_pairs": _flat([memory.pairs.astype(np.uint32) for memory in memories]),
         "contact_rest_speed": _flat([memory.rest_speed for memory in memories]),
         "contact_dt": _each([memory.dt for memory in memories]),
         "held_pairs": _flat(
-            [(nobody if same else hold.pairs).astype(np.uint32) for hold, same in zip(held, own, strict=True)]
+            [(nobody if same else m.held_pairs).astype(np.uint32) for m, same in zip(memories, own, strict=True)]
         ),
-        "held_impulse": _flat([hold.impulse for hold in held]),
-        "held_kick": _each([hold.kick for hold in held]),
+        "held_impulse": _flat([memory.impulse for memory in memories]),
+        "held_kick": _each([memory.kick for memory in memories]),
     }
 
 
@@ -154,7 +152,9 @@ class _Row:
             pairs=pairs,
             rest_speed=self._finite("contact_rest_speed", len(pairs)),
             dt=self.number("contact_dt"),
-            hold=Hold(held, impulse.reshape(-1, 4), self.number("held_kick")),
+            held_pairs=held,
+            impulse=impulse.reshape(-1, 4),
+            kick=self.number("held_kick"),
         )
 
     def _pairs(self, name: str) -> NDArray[np.int64]:

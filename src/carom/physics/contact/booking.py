@@ -1,4 +1,4 @@
-"""What the impulses of contacts that last did to the energy and to the spins.
+"""What the impulses of contacts that last did to the energy.
 
 What an impulse takes out is -J·(v + v')/2, of the velocities before and after it. After the first kick there is one
 more thing: gravity's work in the drift that follows is done on the velocity with J in it, but half of that work stands
@@ -14,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.solver import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.contact.touch import relative
+from carom.physics.contact.load import BEFORE, DRIFT, FRICTION, KICK, LEDGER, RESTITUTION, SPINS, STABILISATION
 from carom.physics.kernel import kernel
 
 FloatArray = NDArray[np.float64]
@@ -24,47 +23,43 @@ IntArray = NDArray[np.int64]
 
 @kernel
 def book(
+    lo: int,
+    hi: int,
     pairs: IntArray,
-    normals: FloatArray,
-    arms: FloatArray,
-    closing: FloatArray,
-    before: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    angular_velocity: FloatArray,
-    kick: float,
-    impulse: FloatArray,
-    ledger: FloatArray,
-    angular_impulse: FloatArray,
+    C: FloatArray,
+    cold: FloatArray,
+    a: FloatArray,
+    V: FloatArray,
+    flags: IntArray,
+    numbers: FloatArray,
 ) -> None:
-    """Write what the impulses did to the energy and to the spins."""
-    for c in range(len(pairs)):
-        Jn = impulse[c, 0]
+    """Write into the ledger what the impulses of a piece did."""
+    spins = flags[SPINS] != 0
+    kick = numbers[KICK] if numbers[DRIFT] > 0.0 else 0.0
+    for c in range(lo, hi):
+        Jn = C[c, 8]
         if Jn == 0.0:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        nx, ny, nz = normals[c, 0], normals[c, 1], normals[c, 2]
-        vn, ux, uy, uz = relative(c, i, j, normals, arms, velocity, angular_velocity)
-        kx = (acceleration[j, 0] - acceleration[i, 0]) * kick
-        ky = (acceleration[j, 1] - acceleration[i, 1]) * kick
-        kz = (acceleration[j, 2] - acceleration[i, 2]) * kick
+        nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
+        ux, uy, uz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
+        vn = ux * nx + uy * ny + uz * nz
+        kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
         kn = kx * nx + ky * ny + kz * nz
-        if closing[c] < 0.0:  # the bias made it leave; without the bias it would have stayed
-            ledger[c, RESTITUTION] -= Jn * (0.5 * before[c, 0] - kn)
-            ledger[c, STABILISATION] += 0.5 * Jn * vn
+        if C[c, 7] < 0.0:  # the bias made it leave; without the bias it would have stayed
+            cold[c, LEDGER + RESTITUTION] -= Jn * (0.5 * cold[c, BEFORE] - kn)
+            cold[c, LEDGER + STABILISATION] += 0.5 * Jn * vn
         else:
-            ledger[c, RESTITUTION] -= Jn * (0.5 * (before[c, 0] + vn) - kn)
-        if len(angular_velocity) == 0:
+            cold[c, LEDGER + RESTITUTION] -= Jn * (0.5 * (cold[c, BEFORE] + vn) - kn)
+        if not spins:
             continue
-        Jx, Jy, Jz = impulse[c, 1], impulse[c, 2], impulse[c, 3]
-        ledger[c, FRICTION] -= (
-            Jx * (0.5 * (before[c, 1] + ux) - (kx - kn * nx))
-            + Jy * (0.5 * (before[c, 2] + uy) - (ky - kn * ny))
-            + Jz * (0.5 * (before[c, 3] + uz) - (kz - kn * nz))
+        ri, rj = C[c, 3], C[c, 4]
+        wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
+        ux = ux - vn * nx - (wy * nz - wz * ny)
+        uy = uy - vn * ny - (wz * nx - wx * nz)
+        uz = uz - vn * nz - (wx * ny - wy * nx)
+        cold[c, LEDGER + FRICTION] -= (
+            C[c, 9] * (0.5 * (cold[c, BEFORE + 1] + ux) - (kx - kn * nx))
+            + C[c, 10] * (0.5 * (cold[c, BEFORE + 2] + uy) - (ky - kn * ny))
+            + C[c, 11] * (0.5 * (cold[c, BEFORE + 3] + uz) - (kz - kn * nz))
         )
-        # r × J is -ρ n × J for both ends: the arms point in opposite directions, and so do the impulses
-        for end in range(2):
-            body, rho = pairs[c, end], arms[c, end]
-            angular_impulse[body, 0] -= rho * (ny * Jz - nz * Jy)
-            angular_impulse[body, 1] -= rho * (nz * Jx - nx * Jz)
-            angular_impulse[body, 2] -= rho * (nx * Jy - ny * Jx)

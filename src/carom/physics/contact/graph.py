@@ -101,11 +101,6 @@ def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     return colours, bodies
 
 
-def stage_order(colours: IntArray) -> IntArray:
-    """Return the order in which contacts are resolved: by colour, then by pair."""
-    return np.argsort(colours, kind="stable")
-
-
 @kernel
 def _colour_contacts(pairs: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray) -> None:
     one = np.uint64(1)

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.kernel import inline, kernel, long_kernel
+from carom.physics.machine import atomic_add
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,6 +27,7 @@ IntArray = NDArray[np.int64]
 WIDER = 1.0 + 1e-6  # cells are wider than the bodies need, so that no rounding moves a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis: with more, the rounding of a cell's index nears that margin
 SMALLEST_TABLE = 16
+CLAIM = 256  # rows of the buffer that a searcher claims at a time
 
 
 class Grid:
@@ -36,10 +39,13 @@ class Grid:
         (n,) m; they do not change.
     box
         Size of the periodic box, (3,) m; zeros in open space.
+    team
+        Who searches; nobody but the caller if left out.
     """
 
-    def __init__(self, radius: FloatArray, box: FloatArray) -> None:
+    def __init__(self, radius: FloatArray, box: FloatArray, team: Team | None = None) -> None:
         n = len(radius)
+        self._team = team or Team(1)
         self._radius = radius
         self._box = box
         octave = np.frexp(radius / (radius.max() * WIDER))[1]
@@ -58,6 +64,7 @@ class Grid:
         self._cells = np.empty((n, 3), dtype=np.int64)  # x, row, level
         self._spheres = np.empty((n, 4))  # x, y, z, radius
         self._counts = np.zeros(n + 1, dtype=np.int64)
+        self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that searchers have claimed
         self._found = np.empty((2, 2 * n + 64, 2), dtype=np.int64)  # pairs, and room to sort them
 
     def pairs(self, position: FloatArray, stretch: float = 1.0, slack: float = 0.0) -> IntArray:
@@ -73,67 +80,38 @@ class Grid:
             m, not negative.
         """
         m = self._find(position, stretch, slack)
-        if m > self._found.shape[1]:
-            self._found = np.empty((2, m + m // 2, 2), dtype=np.int64)
-            self._find(position, stretch, slack)
+        if self._taken[0] > self._found.shape[1]:
+            self._found = np.empty((2, 3 * self._taken[0] // 2, 2), dtype=np.int64)
+            m = self._find(position, stretch, slack)
         return self._found[0, :m].copy()
 
     def _find(self, position: FloatArray, stretch: float, slack: float) -> int:
-        """Fill the first half of the buffer; return how many pairs there are, even if they did not fit."""
-        found: int = _find(
+        """Fill the first half of the buffer; return how many pairs there are, if they fitted."""
+        ends, bodies, cells, spheres = self._ends, self._bodies, self._cells, self._spheres
+        taken, found = self._taken, self._found
+        _lay(position, self._box, self._diameter, stretch, slack, self._origin, self._density, self._count)
+        _fill(
             position,
             self._radius,
-            self._box,
-            stretch,
-            slack,
             self._level,
-            self._diameter,
             self._table,
             self._origin,
             self._density,
             self._count,
             self._buckets,
-            self._ends,
-            self._bodies,
-            self._cells,
-            self._spheres,
-            self._counts,
-            self._found,
+            ends,
+            bodies,
+            cells,
+            spheres,
         )
-        return found
-
-
-@long_kernel
-def _find(
-    position: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    stretch: float,
-    slack: float,
-    level: IntArray,
-    diameter: FloatArray,
-    table: IntArray,
-    origin: FloatArray,
-    density: FloatArray,
-    count: IntArray,
-    buckets: IntArray,
-    ends: IntArray,
-    bodies: IntArray,
-    cells: IntArray,
-    spheres: FloatArray,
-    counts: IntArray,
-    found: IntArray,
-) -> int:
-    _lay(position, box, diameter, stretch, slack, origin, density, count)
-    _fill(position, radius, level, table, origin, density, count, buckets, ends, bodies, cells, spheres)
-    if box[0] > 0.0:
-        m = _search_box(
-            ends, bodies, cells, spheres, box, diameter, table, origin, density, count, stretch, slack, found
-        )
-    else:
-        m = _search(ends, bodies, cells, spheres, diameter, table, origin, density, stretch, slack, found)
-    _sort_pairs(m, found, counts)
-    return m
+        taken[0] = 0
+        grids = (self._diameter, self._table, self._origin, self._density, stretch, slack, taken, found)
+        if self._box[0] > 0.0:
+            self._team.divide(len(bodies), _search_box, ends, bodies, cells, spheres, self._box, self._count, *grids)
+        else:
+            self._team.divide(len(bodies), _search, ends, bodies, cells, spheres, *grids)
+        m: int = _sort_pairs(taken[0], found, self._counts)
+        return m
 
 
 @kernel
@@ -221,8 +199,10 @@ def _fill(
         cells[slot, 2] = L
 
 
-@kernel
+@long_kernel
 def _search(
+    lo: int,
+    hi: int,
     ends: IntArray,
     bodies: IntArray,
     cells: IntArray,
@@ -233,15 +213,16 @@ def _search(
     density: FloatArray,
     stretch: float,
     slack: float,
+    taken: IntArray,
     found: IntArray,
-) -> int:
-    """Note all pairs in open space, unsorted: a body against the rows of cells that its reach meets.
+) -> None:
+    """Note the pairs of bodies [lo, hi) of the table in open space: each against the rows of cells within its reach.
 
     The distance is compared first: nearly all that a row's buckets hold is near. Only what touches has to prove that
     it lies in the row, and not in another one with the same hash, where it is or was found, too.
     """
-    m = 0
-    for a in range(len(bodies)):
+    m, end = 0, 0
+    for a in range(lo, hi):
         x, y, z, r = spheres[a, 0], spheres[a, 1], spheres[a, 2], spheres[a, 3]
         for L in range(cells[a, 2] + 1):
             after = a + 1 if cells[a, 2] == L else 0  # within an octave each pair once
@@ -263,29 +244,32 @@ def _search(
                             touch = (r + spheres[b, 3]) * stretch + slack
                             near = dx * dx + dy * dy + dz * dz <= touch * touch
                             if near and cells[b, 1] == row and fx <= cells[b, 0] < lx:
-                                m = _note(bodies[a], bodies[b], found, m)
-    return m
+                                m, end = _note(bodies[a], bodies[b], taken, found, m, end)
+    _leave(found, m, end)
 
 
-@kernel
+@long_kernel
 def _search_box(
+    lo: int,
+    hi: int,
     ends: IntArray,
     bodies: IntArray,
     cells: IntArray,
     spheres: FloatArray,
     box: FloatArray,
+    count: IntArray,
     diameter: FloatArray,
     table: IntArray,
     origin: FloatArray,
     density: FloatArray,
-    count: IntArray,
     stretch: float,
     slack: float,
+    taken: IntArray,
     found: IntArray,
-) -> int:
-    """Note all pairs in a periodic box, cell by cell; where it is narrow no cell twice."""
-    m = 0
-    for a in range(len(bodies)):
+) -> None:
+    """Note the pairs of bodies [lo, hi) in a periodic box, cell by cell; where it is narrow no cell twice."""
+    m, end = 0, 0
+    for a in range(lo, hi):
         x, y, z, r = spheres[a, 0], spheres[a, 1], spheres[a, 2], spheres[a, 3]
         for L in range(cells[a, 2] + 1):
             after = a + 1 if cells[a, 2] == L else 0
@@ -307,8 +291,8 @@ def _search_box(
                             touch = (r + spheres[b, 3]) * stretch + slack
                             near = dx * dx + dy * dy + dz * dz <= touch * touch
                             if near and cells[b, 1] == row and cells[b, 0] == cell:
-                                m = _note(bodies[a], bodies[b], found, m)
-    return m
+                                m, end = _note(bodies[a], bodies[b], taken, found, m, end)
+    _leave(found, m, end)
 
 
 @inline
@@ -318,32 +302,53 @@ def _span(offset: float, reach: float, density: float) -> tuple[int, int]:
 
 
 @inline
-def _note(i: int, j: int, found: IntArray, m: int) -> int:
-    """Write the pair m, if there is room for it; return the number of pairs with it."""
+def _note(i: int, j: int, taken: IntArray, found: IntArray, m: int, end: int) -> tuple[int, int]:
+    """Write a pair into row m, or a row of new ones if that is the end; return the next row, and the end."""
+    if m == end:
+        m = atomic_add(taken, 0, CLAIM)
+        end = m + CLAIM
     if m < found.shape[1]:
         found[0, m, 0] = min(i, j)
         found[0, m, 1] = max(i, j)
-    return m + 1
+    return m + 1, end
 
 
 @kernel
-def _sort_pairs(m: int, found: IntArray, counts: IntArray) -> None:
-    """Sort the first m pairs by (i, j), if they are all there: by j into the second half of the buffer, by i back."""
-    if m <= found.shape[1]:
-        _sort_by(1, m, found[0], found[1], counts)
-        _sort_by(0, m, found[1], found[0], counts)
+def _leave(found: IntArray, m: int, end: int) -> None:
+    """Mark the rows that were claimed but not needed."""
+    for row in range(m, min(end, found.shape[1])):
+        found[0, row, 1] = -1
 
 
 @kernel
-def _sort_by(end: int, m: int, pairs: IntArray, ordered: IntArray, counts: IntArray) -> None:
-    """Sort by one of the ends, keeping the order of equals."""
+def _sort_pairs(rows: int, found: IntArray, counts: IntArray) -> int:
+    """Sort what the rows hold by (i, j), if they are all there: by j into the second half of the buffer, by i back.
+
+    Returns
+    -------
+    m
+        How many pairs they hold.
+    """
+    if rows > found.shape[1]:
+        return 0
+    m = _sort_by(1, rows, found[0], found[1], counts)
+    return _sort_by(0, m, found[1], found[0], counts)
+
+
+@kernel
+def _sort_by(end: int, rows: int, pairs: IntArray, ordered: IntArray, counts: IntArray) -> int:
+    """Sort by one of the ends, keeping the order of equals and leaving out what is no pair; return how many are."""
     for i in range(len(counts)):
         counts[i] = 0
-    for c in range(m):
-        counts[pairs[c, end] + 1] += 1
+    for c in range(rows):
+        if pairs[c, 1] >= 0:
+            counts[pairs[c, end] + 1] += 1
     for i in range(1, len(counts)):
         counts[i] += counts[i - 1]
-    for c in range(m):
-        slot = counts[pairs[c, end]]
-        counts[pairs[c, end]] += 1
-        ordered[slot, 0], ordered[slot, 1] = pairs[c, 0], pairs[c, 1]
+    m: int = counts[len(counts) - 1]
+    for c in range(rows):
+        if pairs[c, 1] >= 0:
+            slot = counts[pairs[c, end]]
+            counts[pairs[c, end]] += 1
+            ordered[slot, 0], ordered[slot, 1] = pairs[c, 0], pairs[c, 1]
+    return m

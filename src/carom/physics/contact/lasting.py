@@ -35,9 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.bodies import Ends
-from carom.physics.contact.booking import book
-from carom.physics.contact.sweep import sweep
+from carom.physics.contact.load import HOT, IMPULSE
 from carom.physics.kernel import kernel
 
 FloatArray = NDArray[np.float64]
@@ -49,104 +47,55 @@ class Hold:
     """The impulses that a set of contacts carried in the last kick."""
 
     pairs: IntArray  # (m, 2), sorted
-    impulse: FloatArray  # (m, 4) N s: λ_n, λ_t
+    place: IntArray  # (m,) where the impulse of each stands
+    hot: FloatArray  # (m, 16), λ_n and λ_t in N s from column 8 on, see `Load`
     kick: float  # s, how long that kick was
 
     @classmethod
     def empty(cls) -> Hold:
         """Return what a run begins with."""
-        return cls(np.empty((0, 2), dtype=np.int64), np.empty((0, 4)), 0.0)
+        return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, HOT)), 0.0)
 
-    def carried_to(self, pairs: IntArray, normals: FloatArray, kick: float) -> FloatArray:
-        """Return what contacts that were there before carried, (m, 4), for a kick of another length; 0 for new ones."""
-        impulse = np.zeros((len(pairs), 4))
+    @classmethod
+    def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> Hold:
+        """Build what an earlier `impulse` tells of."""
+        hot = np.zeros((len(pairs), HOT))
+        hot[:, IMPULSE : IMPULSE + 4] = impulse
+        return cls(pairs, np.arange(len(pairs)), hot, kick)
+
+    @property
+    def impulse(self) -> FloatArray:
+        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs."""
+        carried: FloatArray = self.hot[self.place, IMPULSE : IMPULSE + 4]
+        return carried
+
+    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, hot: FloatArray) -> None:
+        """Write what contacts that were there before carried, for a kick of another length; 0 for new ones.
+
+        Parameters
+        ----------
+        pairs, place
+            (m, 2), sorted, and (m,), where each stands in ``hot``.
+        kick
+            s
+        hot
+            (m, 16), see `Load`; may be the very array in which the impulses stood before.
+        """
         if self.kick > 0.0 and kick > 0.0:
-            _carry(self.pairs, self.impulse, kick / self.kick, pairs, normals, impulse)
-        return impulse
-
-
-def hold(
-    order: IntArray,
-    pairs: IntArray,
-    normals: FloatArray,
-    arms: FloatArray,
-    closing: FloatArray,
-    dt: float,
-    fastest: FloatArray,
-    ends: Ends,
-    spins: bool,
-    law: FloatArray,
-    kick: float,
-    impulse: FloatArray,
-    most_sweeps: int,
-    ledger: FloatArray,
-    angular_impulse: FloatArray,
-) -> int:
-    """Find the impulses of a kick, apply them and return the number of sweeps.
-
-    Parameters
-    ----------
-    order, pairs, normals, arms, law, ledger, angular_impulse
-        As for `resolve_contacts`.
-    closing
-        (m,) m/s; the speed at which a contact may close: gap/dt, or minus the speed that a bias wants.
-    dt
-        s, length of the drift to come, 0 after the last kick.
-    fastest
-        (m,) m/s; what closes faster is an impact yet to come, and left alone.
-    kick
-        s, length of the first kick if the drift is still to come, 0 after the last kick.
-    impulse
-        (m, 4) N s, λ_n and λ_t: the first guess, and then the result.
-    """
-    spinning = ends.angular_velocity if spins else ends.angular_velocity[:0]
-    before = np.empty((len(pairs), 4))
-    sweeps: int = sweep(
-        order,
-        pairs,
-        normals,
-        arms,
-        closing,
-        dt,
-        fastest,
-        ends.velocity,
-        spinning,
-        ends.inverse_mass,
-        ends.inverse_inertia,
-        law,
-        impulse,
-        most_sweeps,
-        before,
-        np.empty((len(pairs), 3)),
-        np.zeros((len(pairs), 4)),
-        np.empty_like(ends.velocity),
-        np.empty_like(spinning),
-    )
-    book(
-        pairs,
-        normals,
-        arms,
-        closing,
-        before,
-        ends.velocity,
-        ends.acceleration,
-        spinning,
-        kick,
-        impulse,
-        ledger,
-        angular_impulse,
-    )
-    return sweeps
+            _carry(self.pairs, self.place, self.hot, kick / self.kick, pairs, place, hot)
+        else:
+            hot[:, IMPULSE : IMPULSE + 4] = 0.0
 
 
 @kernel
 def _carry(
     old_pairs: IntArray,
+    old_place: IntArray,
     old: FloatArray,
     ratio: float,
     pairs: IntArray,
-    normals: FloatArray,
-    impulse: FloatArray,
+    place: IntArray,
+    hot: FloatArray,
 ) -> None:
     """Find each pair among the old ones, both sorted; turn its tangential impulse into the new tangential plane."""
     k = 0
@@ -154,10 +103,10 @@ def _carry(
         i, j = pairs[c, 0], pairs[c, 1]
         while k < len(old_pairs) and (old_pairs[k, 0] < i or (old_pairs[k, 0] == i and old_pairs[k, 1] < j)):
             k += 1
-        if k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j:
-            along = 0.0
-            for axis in range(3):
-                along += old[k, 1 + axis] * normals[c, axis]
-            impulse[c, 0] = ratio * old[k, 0]
-            for axis in range(3):
-                impulse[c, 1 + axis] = ratio * (old[k, 1 + axis] - along * normals[c, axis])
+        known = k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j
+        p, q = place[c], old_place[k] if known else 0
+        Jn, x, y, z = (old[q, 8], old[q, 9], old[q, 10], old[q, 11]) if known else (0.0, 0.0, 0.0, 0.0)
+        nx, ny, nz = hot[p, 0], hot[p, 1], hot[p, 2]
+        along = x * nx + y * ny + z * nz
+        hot[p, 8], hot[p, 9] = ratio * Jn, ratio * (x - along * nx)
+        hot[p, 10], hot[p, 11] = ratio * (y - along * ny), ratio * (z - along * nz)

@@ -1,4 +1,4 @@
-"""Finding contacts: which pairs touch, and the geometry of each contact."""
+"""Finding contacts: which pairs touch."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.grid import Grid
 from carom.physics.kernel import kernel
+from carom.physics.team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.neighbours import overlapping_pairs
 
@@ -36,9 +37,9 @@ class KdTree:
         return overlapping_pairs(position, self._radius * stretch + 0.5 * slack, self._box)
 
 
-def search_by(method: str, radius: FloatArray, box: FloatArray) -> Search:
-    """Return the search that a scene names in ``contact.search``."""
-    return KdTree(radius, box) if method == "k-d-tree" else Grid(radius, box)
+def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team | None = None) -> Search:
+    """Return the search that a scene names in ``contact.search``; the grids are searched by a team."""
+    return KdTree(radius, box) if method == "k-d-tree" else Grid(radius, box, team)
 
 
 class PlaneSearch:
@@ -77,21 +78,6 @@ class PlaneSearch:
         return merged[:m].copy()
 
 
-def contact_geometry(
-    pairs: IntArray, position: FloatArray, radius: FloatArray, box: FloatArray, planes: HalfSpaces | None = None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return normals from i to j, (m, 3), lever arms, (m, 2) m, and overlaps, (m,) m.
-
-    Both bodies share one contact point on the line of centres, d r_i/(r_i + r_j) from i and the rest of d from j. A
-    plane is touched at the foot of the perpendicular and has no lever arm.
-    """
-    m = len(pairs)
-    normals, arms, overlaps = np.empty((m, 3)), np.empty((m, 2)), np.empty(m)
-    surface, offset = (np.empty((0, 3)), np.empty(0)) if planes is None else (planes.normal, planes.offset)
-    _geometry(pairs, position, radius, box, surface, offset, normals, arms, overlaps)
-    return normals, arms, overlaps
-
-
 @kernel
 def _merge(
     pairs: IntArray,
@@ -121,44 +107,3 @@ def _merge(
                 merged[m, 0], merged[m, 1] = i, len(radius) + k
                 m += 1
     return m
-
-
-@kernel
-def _geometry(
-    pairs: IntArray,
-    position: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    surface: FloatArray,
-    offset: FloatArray,
-    normals: FloatArray,
-    arms: FloatArray,
-    overlaps: FloatArray,
-) -> None:
-    n = len(radius)
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        if j >= n:
-            height = -offset[j - n]
-            for k in range(3):
-                height += surface[j - n, k] * position[i, k]
-                normals[c, k] = -surface[j - n, k]
-            arms[c, 0], arms[c, 1] = max(0.0, height), 0.0
-            overlaps[c] = radius[i] - height
-            continue
-        d2 = 0.0
-        for k in range(3):
-            d = position[j, k] - position[i, k]
-            if box[k] > 0.0:
-                d -= box[k] * np.floor(d / box[k] + 0.5)
-            normals[c, k] = d
-            d2 += d * d
-        d = np.sqrt(d2)
-        if d > 0.0:
-            for k in range(3):
-                normals[c, k] /= d
-        else:  # coincident centres: any direction will do, as long as it is always the same
-            normals[c, 0], normals[c, 1], normals[c, 2] = 1.0, 0.0, 0.0
-        share = d / (radius[i] + radius[j])
-        arms[c, 0], arms[c, 1] = share * radius[i], share * radius[j]
-        overlaps[c] = radius[i] + radius[j] - d

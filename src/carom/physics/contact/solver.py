@@ -1,4 +1,4 @@
-"""Staged impulses: the contacts of a step, colour by colour, in sweeps until nothing approaches.
+"""Impacts: the contacts of a step, colour by colour, in sweeps until nothing approaches.
 
 The equations stand in `impulse`. What each impulse does to the energy follows from the impulse itself,
 
@@ -21,164 +21,135 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.contact.load import (
+    APPROACH,
+    BIAS,
+    CHANGE,
+    FOUND,
+    FRICTION,
+    IMPACTS_ONLY,
+    LEDGER,
+    OVERLAP,
+    REST,
+    RESTITUTION,
+    SPINS,
+    STABILISATION,
+    SWEEP,
+)
+from carom.physics.kernel import kernel
+from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-RESTITUTION, FRICTION, STABILISATION = 0, 1, 2  # columns of a contact's ledger
-
 CONVERGED = 1e-9  # a sweep whose largest velocity change is this part of the first sweep's is the last
 
 
-@long_kernel
-def resolve_contacts(
-    order: IntArray,
+@kernel
+def strike(
+    lo: int,
+    hi: int,
+    piece: int,
     pairs: IntArray,
-    normals: FloatArray,
-    arms: FloatArray,
-    overlaps: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    angular_velocity: FloatArray,
-    inverse_mass: FloatArray,
-    inverse_inertia: FloatArray,
+    C: FloatArray,
+    cold: FloatArray,
+    a: FloatArray,
+    V: FloatArray,
     law: FloatArray,
-    rest_speed: FloatArray,
-    impacts_only: bool,
-    bias_rate: float,
-    most_sweeps: int,
-    ledger: FloatArray,
-    approach: FloatArray,
-    angular_impulse: FloatArray,
-) -> int:
-    """Resolve the contacts of a step and return the number of sweeps.
+    found: FloatArray,
+    flags: IntArray,
+    numbers: FloatArray,
+) -> None:
+    """Resolve a piece, once; note the largest change of a velocity, and in the first sweep the approach.
 
-    Sweeps end when one of them changes next to nothing, or at ``most_sweeps``.
-
-    Parameters
-    ----------
-    order
-        (m,) contacts in the order of their stages.
-    pairs, normals, arms, overlaps
-        Geometry of the contacts, (m, 2), (m, 3), (m, 2), (m,).
-    velocity, acceleration, angular_velocity, inverse_mass, inverse_inertia
-        Of the n bodies and, after them, of the planes; (0, 3) angular velocities without spin.
-    law
-        (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane.
-    rest_speed
-        (m,) m/s; an approach up to this speed is a contact at rest and does not bounce.
-    impacts_only
-        Whether contacts at rest are left alone.
-    bias_rate
-        1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
-    ledger
-        (m, 3) J, added to: what left by restitution and by friction, what the bias put in.
-    approach
-        (m,) m/s, overwritten: the speed at which each contact closed when it was first visited.
-    angular_impulse
-        (n + p, 3) N m s, added to: Σ r × J of each end; (0, 3) without spin.
+    ``C`` are the contacts' hot columns and ``V`` the bodies' motion, see `Load`.
     """
-    bodies = len(inverse_mass) - (len(law) - 1)
-    spins = len(angular_velocity) > 0
-    first_change = 0.0
-    for sweep in range(most_sweeps):
-        largest_change = 0.0
-        for c in order:
-            i, j = pairs[c, 0], pairs[c, 1]
-            nx, ny, nz = normals[c, 0], normals[c, 1], normals[c, 2]
-            vx = velocity[j, 0] - velocity[i, 0]
-            vy = velocity[j, 1] - velocity[i, 1]
-            vz = velocity[j, 2] - velocity[i, 2]
-            vn = vx * nx + vy * ny + vz * nz
-            if sweep == 0:
-                approach[c] = max(0.0, -vn)
-            if impacts_only and -vn <= rest_speed[c]:
-                continue
-            material = max(0, j - bodies + 1)
-            e = law[material, 0] if -vn > rest_speed[c] else 0.0
-            if sweep == 0 and e > 0.0 and overlaps[c] > 0.0:
-                fall = (
-                    2.0
-                    * overlaps[c]
-                    * -(
-                        (acceleration[j, 0] - acceleration[i, 0]) * nx
-                        + (acceleration[j, 1] - acceleration[i, 1]) * ny
-                        + (acceleration[j, 2] - acceleration[i, 2]) * nz
-                    )
-                )
-                if fall > 0.0:
-                    e = np.sqrt(e * e + (1.0 - e * e) * min(1.0, fall / (vn * vn)))
-            change = -(1.0 + e) * vn
-            biased = change + bias_rate * max(0.0, overlaps[c])
-            if biased <= 0.0:
-                continue
-            largest_change = max(largest_change, biased)
-            Kn = inverse_mass[i] + inverse_mass[j]
-            Jn = biased / Kn
-            Jn_unbiased = max(0.0, change) / Kn
-            lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * Kn)
-            ledger[c, RESTITUTION] += lost
-            ledger[c, STABILISATION] += Jn * (vn + 0.5 * Jn * Kn) + lost
-            Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
-            if spins:
-                ri, rj = arms[c, 0], arms[c, 1]
-                wx = ri * angular_velocity[i, 0] + rj * angular_velocity[j, 0]
-                wy = ri * angular_velocity[i, 1] + rj * angular_velocity[j, 1]
-                wz = ri * angular_velocity[i, 2] + rj * angular_velocity[j, 2]
-                ux = vx - vn * nx - (wy * nz - wz * ny)
-                uy = vy - vn * ny - (wz * nx - wx * nz)
-                uz = vz - vn * nz - (wx * ny - wy * nx)
-                slip = np.sqrt(ux * ux + uy * uy + uz * uz)
-                if slip > 0.0:
-                    Kt = Kn + ri * ri * inverse_inertia[i] + rj * rj * inverse_inertia[j]
-                    Jt = slip / Kt
-                    if Jt > law[material, 1] * Jn:
-                        Jt = law[material, 2] * Jn
-                    ledger[c, FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
-                    Jx -= Jt * (ux / slip)
-                    Jy -= Jt * (uy / slip)
-                    Jz -= Jt * (uz / slip)
-                    # r × J is -ρ n × J for both bodies: the arms point in opposite directions, and so do the impulses
-                    tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
-                    angular_impulse[i, 0] += ri * tx
-                    angular_impulse[i, 1] += ri * ty
-                    angular_impulse[i, 2] += ri * tz
-                    angular_impulse[j, 0] += rj * tx
-                    angular_impulse[j, 1] += rj * ty
-                    angular_impulse[j, 2] += rj * tz
-                    si, sj = ri * inverse_inertia[i], rj * inverse_inertia[j]
-                    angular_velocity[i, 0] += si * tx
-                    angular_velocity[i, 1] += si * ty
-                    angular_velocity[i, 2] += si * tz
-                    angular_velocity[j, 0] += sj * tx
-                    angular_velocity[j, 1] += sj * ty
-                    angular_velocity[j, 2] += sj * tz
-            velocity[i, 0] -= Jx * inverse_mass[i]
-            velocity[i, 1] -= Jy * inverse_mass[i]
-            velocity[i, 2] -= Jz * inverse_mass[i]
-            velocity[j, 0] += Jx * inverse_mass[j]
-            velocity[j, 1] += Jy * inverse_mass[j]
-            velocity[j, 2] += Jz * inverse_mass[j]
-        if sweep == 0:
-            first_change = largest_change
-        if largest_change <= CONVERGED * first_change:
-            return sweep + 1
-    return most_sweeps
+    spins, first, impacts_only = flags[SPINS] != 0, flags[SWEEP] == 0, flags[IMPACTS_ONLY] != 0
+    bias_rate = numbers[BIAS]
+    bodies = len(V) - (len(law) - 1)
+    last = len(pairs) - 1
+    largest_change = 0.0
+    for c in range(lo, hi):
+        prefetch(V, pairs[min(last, c + AHEAD), 0], 0)
+        prefetch(V, pairs[min(last, c + AHEAD), 1], 0)
+        i, j = pairs[c, 0], pairs[c, 1]
+        nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
+        vx, vy, vz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
+        vn = vx * nx + vy * ny + vz * nz
+        if first:
+            cold[c, APPROACH] = max(0.0, -vn)
+        rests = -vn <= cold[c, REST]
+        if impacts_only and (rests or cold[c, OVERLAP] < 0.0):  # where contacts last, one across a gap has time
+            continue
+        material = max(0, j - bodies + 1)
+        e = 0.0 if rests else law[material, 0]
+        overlap = cold[c, FOUND]
+        if first and e > 0.0 and overlap > 0.0:
+            an = (a[i, 0] - a[j, 0]) * nx + (a[i, 1] - a[j, 1]) * ny + (a[i, 2] - a[j, 2]) * nz
+            if an > 0.0:
+                e = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * an / (vn * vn)))
+        change = -(1.0 + e) * vn
+        biased = change + bias_rate * overlap
+        if biased <= 0.0:
+            continue
+        largest_change = max(largest_change, biased)
+        mi, mj = V[i, 6], V[j, 6]
+        Kn = mi + mj
+        Jn = biased / Kn
+        Jn_unbiased = max(0.0, change) / Kn
+        lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * Kn)
+        cold[c, LEDGER + RESTITUTION] += lost
+        cold[c, LEDGER + STABILISATION] += Jn * (vn + 0.5 * Jn * Kn) + lost
+        Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
+        if spins:
+            ri, rj = C[c, 3], C[c, 4]
+            wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
+            ux = vx - vn * nx - (wy * nz - wz * ny)
+            uy = vy - vn * ny - (wz * nx - wx * nz)
+            uz = vz - vn * nz - (wx * ny - wy * nx)
+            slip = np.sqrt(ux * ux + uy * uy + uz * uz)
+            if slip > 0.0:
+                Kt = Kn + ri * ri * V[i, 7] + rj * rj * V[j, 7]
+                Jt = slip / Kt
+                if Jt > law[material, 1] * Jn:
+                    Jt = law[material, 2] * Jn
+                cold[c, LEDGER + FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
+                Jx -= Jt * (ux / slip)
+                Jy -= Jt * (uy / slip)
+                Jz -= Jt * (uz / slip)
+                # r × J is -ρ n × J for both bodies: the arms point in opposite directions, and so do the impulses
+                tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
+                si, sj = ri * V[i, 7], rj * V[j, 7]
+                if si > 0.0:
+                    V[i, 3] += si * tx
+                    V[i, 4] += si * ty
+                    V[i, 5] += si * tz
+                if sj > 0.0:
+                    V[j, 3] += sj * tx
+                    V[j, 4] += sj * ty
+                    V[j, 5] += sj * tz
+        # What does not move is left alone: contacts of a colour may share it, and threads would pass its line around.
+        if mi > 0.0:
+            V[i, 0] -= Jx * mi
+            V[i, 1] -= Jy * mi
+            V[i, 2] -= Jz * mi
+        if mj > 0.0:
+            V[j, 0] += Jx * mj
+            V[j, 1] += Jy * mj
+            V[j, 2] += Jz * mj
+    found[piece, CHANGE] = largest_change
 
 
 @kernel
-def still_closing(
-    pairs: IntArray, normals: FloatArray, velocity: FloatArray, approach: FloatArray, rest_speed: FloatArray
-) -> bool:
+def still_closing(pairs: IntArray, C: FloatArray, cold: FloatArray, v: FloatArray) -> bool:
     """Tell whether a contact closes faster than one at rest after the sweeps: there were too few of them."""
     largest = 0.0
     for c in range(len(pairs)):
-        largest = max(largest, approach[c])
+        largest = max(largest, cold[c, APPROACH])
     for c in range(len(pairs)):
         vn = 0.0
         for k in range(3):
-            vn += (velocity[pairs[c, 1], k] - velocity[pairs[c, 0], k]) * normals[c, k]
-        if -vn > max(rest_speed[c], CONVERGED * largest):
+            vn += (v[pairs[c, 1], k] - v[pairs[c, 0], k]) * C[c, k]
+        if -vn > max(cold[c, REST], CONVERGED * largest):
             return True
     return False

@@ -20,8 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.solver import STABILISATION
-from carom.physics.kernel import kernel
+from carom.physics.contact.load import LEDGER, PUSHES, REST, STABILISATION
+from carom.physics.kernel import kernel, long_kernel
+from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,57 +33,50 @@ LEAVING = 0.1  # of the rest speed; what separates faster clears itself. 1 raise
 ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another sweep
 
 
-@kernel
+@long_kernel
 def push_apart(
-    order: IntArray,
     pairs: IntArray,
-    position: FloatArray,
-    velocity: FloatArray,
+    x: FloatArray,
+    v: FloatArray,
     inverse_mass: FloatArray,
     radius: FloatArray,
     box: FloatArray,
     surface: FloatArray,
     offset: FloatArray,
     law: FloatArray,
-    rest_speed: FloatArray,
     most_sweeps: int,
-    ledger: FloatArray,
-    pushes: FloatArray,
-) -> bool:
-    """Push the contacts at rest apart, stage by stage; tell whether any was.
+    cold: FloatArray,
+) -> None:
+    """Push the contacts at rest apart, in sweeps until nothing overlaps.
+
+    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
 
     Parameters
     ----------
-    order, pairs, law
-        (m,), (m, 2) and (1 + p, 3), as for the impulses.
-    velocity, inverse_mass
-        (n + p, 3) m/s and (n + p,) 1/kg, of bodies and planes.
+    pairs, cold, law
+        (m, 2), (m, 16) and (1 + p, 3), see `Load`; ledger and pushes are added to.
+    x
+        (n, 3) m.
+    v, inverse_mass, radius
+        (n + p, 3) m/s, (n + p,) 1/kg and m, of bodies and planes.
     surface, offset
         (p, 3) normals and (p,) m of the planes.
-    rest_speed
-        (m,) m/s; a contact is at rest if it separates no faster than a tenth of it, or closes and will not rebound.
-    ledger
-        (m, 3) J, added to: the energy of the scaling of v_t.
-    pushes
-        (m, 3) m, added to: Σ δ n of each contact.
     """
-    pushed = False
-    n = len(position)
-    for _ in range(most_sweeps):
+    n, last, again, sweep = len(x), len(pairs) - 1, True, 0
+    while again and sweep < most_sweeps:
         again = False
-        for c in order:
+        sweep += 1
+        for c in range(len(pairs)):
+            ahead = min(last, c + AHEAD)
+            prefetch(x, pairs[ahead, 0], 0)
+            prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
             i, j = pairs[c, 0], pairs[c, 1]
-            vx = velocity[j, 0] - velocity[i, 0]
-            vy = velocity[j, 1] - velocity[i, 1]
-            vz = velocity[j, 2] - velocity[i, 2]
             if j >= n:
                 nx, ny, nz = -surface[j - n, 0], -surface[j - n, 1], -surface[j - n, 2]
-                d = -(nx * position[i, 0] + ny * position[i, 1] + nz * position[i, 2]) - offset[j - n]
+                d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - offset[j - n]
                 reach = radius[i]
             else:
-                dx = position[j, 0] - position[i, 0]
-                dy = position[j, 1] - position[i, 1]
-                dz = position[j, 2] - position[i, 2]
+                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
                 if box[0] > 0.0:
                     dx -= box[0] * np.floor(dx / box[0] + 0.5)
                     dy -= box[1] * np.floor(dy / box[1] + 0.5)
@@ -96,50 +90,48 @@ def push_apart(
             push = reach - d
             if push <= 0.0:
                 continue
+            vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
             vn = vx * nx + vy * ny + vz * nz
-            if vn > LEAVING * rest_speed[c] or (-vn > rest_speed[c] and law[max(0, j - n + 1), 0] > 0.0):
+            if vn > LEAVING * cold[c, REST] or (-vn > cold[c, REST] and law[max(0, j - n + 1), 0] > 0.0):
                 continue
             if push > ENOUGH * reach:
                 again = True
-            pushed = True
             mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
             mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
-            position[i, 0] -= mi * push * nx
-            position[i, 1] -= mi * push * ny
-            position[i, 2] -= mi * push * nz
-            if j < n:
-                position[j, 0] += mj * push * nx
-                position[j, 1] += mj * push * ny
-                position[j, 2] += mj * push * nz
-            pushes[c, 0] += push * nx
-            pushes[c, 1] += push * ny
-            pushes[c, 2] += push * nz
+            if mi > 0.0:
+                x[i, 0] -= mi * push * nx
+                x[i, 1] -= mi * push * ny
+                x[i, 2] -= mi * push * nz
+            if mj > 0.0:
+                x[j, 0] += mj * push * nx
+                x[j, 1] += mj * push * ny
+                x[j, 2] += mj * push * nz
+            cold[c, PUSHES + 0] += push * nx
+            cold[c, PUSHES + 1] += push * ny
+            cold[c, PUSHES + 2] += push * nz
             if j >= n:
                 continue  # nothing turns about a plane
             scale = d / (d + push) - 1.0
             tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
             reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
-            ledger[c, STABILISATION] += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
-            velocity[i, 0] -= mi * scale * tx
-            velocity[i, 1] -= mi * scale * ty
-            velocity[i, 2] -= mi * scale * tz
-            velocity[j, 0] += mj * scale * tx
-            velocity[j, 1] += mj * scale * ty
-            velocity[j, 2] += mj * scale * tz
-        if not again:
-            break
-    return pushed
+            cold[c, LEDGER + STABILISATION] += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
+            if mi > 0.0:
+                v[i, 0] -= mi * scale * tx
+                v[i, 1] -= mi * scale * ty
+                v[i, 2] -= mi * scale * tz
+            if mj > 0.0:
+                v[j, 0] += mj * scale * tx
+                v[j, 1] += mj * scale * ty
+                v[j, 2] += mj * scale * tz
 
 
 @kernel
-def work_of_pushes(
-    pairs: IntArray, pushes: FloatArray, acceleration: FloatArray, inverse_mass: FloatArray, ledger: FloatArray
-) -> None:
-    """Book the potential energy that pushes moved, -μ (a_j - a_i)·Σ δ n, into the ledger, (m, 3) J."""
+def work_of_pushes(pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, cold: FloatArray) -> None:
+    """Book the potential energy that pushes moved, -μ (a_j - a_i)·Σ δ n, into the ledger in J."""
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
         work = 0.0
         for k in range(3):
-            work += (acceleration[j, k] - acceleration[i, k]) * pushes[c, k]
-        ledger[c, STABILISATION] -= reduced * work
+            work += (acceleration[j, k] - acceleration[i, k]) * cold[c, PUSHES + k]
+        cold[c, LEDGER + STABILISATION] -= reduced * work

@@ -18,17 +18,18 @@ from carom.physics.contact.graph import (
     colour_bodies,
     colour_contacts,
     empty_graph,
-    stage_order,
 )
-from carom.physics.contact.lasting import Hold, hold
+from carom.physics.contact.lasting import Hold
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_square, rest_speeds
-from carom.physics.contact.search import PlaneSearch, contact_geometry, search_by
-from carom.physics.contact.solver import resolve_contacts, still_closing
-from carom.physics.contact.stabilisation import BAUMGARTE, push_apart, work_of_pushes
+from carom.physics.contact.search import PlaneSearch, search_by
+from carom.physics.contact.stabilisation import BAUMGARTE
+from carom.physics.contact.stages import stages_of
+from carom.physics.contact.workbench import Workbench
 from carom.physics.error import PhysicsError
 from carom.physics.kernel import kernel
 from carom.physics.profile import Profile
+from carom.physics.team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.requirements import Requirements
 from carom.scene.schema import Contact
@@ -56,6 +57,8 @@ class ContactStage:
         Size of the periodic box, (3,) m; zeros in open space.
     field
         (3,) m/s², the uniform field as far as it pulls all alike: zero if something is fixed.
+    team
+        Threads that work.
     """
 
     def __init__(
@@ -66,81 +69,87 @@ class ContactStage:
         requirements: Requirements,
         box: FloatArray,
         field: FloatArray,
+        team: Team,
     ) -> None:
         self._contact = contact
         self._bodies = bodies
         self._planes = planes
         self._box = box
         self._field = field
-        self._search = search_by(contact.search, bodies.radius, box)
+        self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes)
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
         own = (contact.restitution, contact.static_friction, contact.kinetic_friction)
-        self._law = np.vstack((np.array(own), planes.law))
+        law = np.vstack((np.array(own), planes.law))
         self._friction = requirements.friction.modelled
         self._lasts = contact.solver == "lasting" and (requirements.gravity.modelled or requirements.field.modelled)
         self.warned: set[str] = set()  # limits reached and told so far
-        self._angular_impulse = np.zeros_like(bodies.ends.angular_velocity)
+        self._bench = Workbench(bodies, planes, law, box, self._friction, team)
+        self._spin = np.zeros_like(bodies.angular_velocity)  # rad/s, at the beginning of the step
         self._compile()
 
     def forget(self) -> None:
         """Begin anew, as before the first step."""
-        self._begin(empty_graph())
-        self._angular_impulse[:] = 0.0
+        self._order_contacts(empty_graph().pairs, 0.0)
+        self._spin[:] = self._bodies.angular_velocity
         self._hold = Hold.empty()
-        self._dt = 0.0  # s, the step that the contacts were found for
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
 
     @property
     def memory(self) -> ContactMemory | None:
-        """What the next step begins with; None where no contact can last."""
+        """A copy of what the next step begins with; None where no contact can last."""
         if not self._lasts:
             return None
-        return ContactMemory(self._graph.pairs, self._rest_speed, self._dt, self._hold)
+        hold, bench = self._hold, self._bench
+        return ContactMemory(
+            pairs=self._graph.pairs,
+            rest_speed=bench.rest_speed[bench.stages.place],
+            dt=self._dt,
+            held_pairs=hold.pairs,
+            impulse=hold.impulse,
+            kick=hold.kick,
+        )
 
     def recall(self, memory: ContactMemory | None) -> None:
         """Go on after the step that left a memory, the bodies being where they were then."""
         self.forget()
         if memory is not None:
-            if any(
-                len(pairs) and pairs.max() >= len(self._bodies.ends.radius)
-                for pairs in (memory.pairs, memory.hold.pairs)
-            ):
+            if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
-            geometry = self._geometry(memory.pairs)
-            self._begin(self._coloured(memory.pairs, geometry))
-            self._normals, self._arms, self._gap_overlaps = geometry
-            self._rest_speed, self._dt, self._hold = memory.rest_speed, memory.dt, memory.hold
+            self._order_contacts(memory.pairs, memory.dt)
+            self._bench.rest_speed[self._bench.stages.place] = memory.rest_speed
+            self._hold = Hold.of(memory.held_pairs, memory.impulse, memory.kick)
+            self._show(np.zeros(len(memory.pairs), dtype=np.bool_))
 
     def begin(self, dt: float) -> None:
         """Find what touches at the start of a run, so that it lasts from the first step on, of about dt."""
         if self._lasts:
             self._order_contacts(self._near(dt), dt)
-            self._normals, self._arms, self._gap_overlaps = self._geometry(self._graph.pairs)
 
     def hold(self, kick: float, dt: float) -> None:
         """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s."""
-        self.held = np.zeros((len(self._graph), 3))
+        if self._friction:
+            self._spin[:] = self._bodies.angular_velocity
+        self.held = np.zeros((0, 3))
         if self._is_at_rest():
-            closing = np.maximum(0.0, -self._gap_overlaps) / dt
-            # at rest is what closes by no more than this kick has caused, and by what half a step's fall adds to that
-            fastest = self._rest_speed * ((kick + 0.5 * dt) / self._dt)
-            self._find_impulses(kick, dt, closing, fastest, self.held)
+            ledger = self._bench.ledger
+            ledger[:] = 0.0
+            self._hold_contacts(self._dt, kick, dt, 0.0)
+            self.held = ledger.sum(axis=0, keepdims=True)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
         pairs = self._near(dt)
         profile.mark("search")
-        if len(pairs) == 0:
-            self._begin(empty_graph())
+        if len(pairs) == 0 and len(self._graph) == 0:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
-        if self._contact.stabilisation == "split":
-            self._push()
+        if self._contact.stabilisation == "split" and len(pairs):
+            self._bench.part(self._contact.sweeps)
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float) -> None:
@@ -159,15 +168,15 @@ class ContactStage:
             self._hold = Hold.empty()
 
     def turn(self, dt: float) -> None:
-        """Write torques, Σ r × J / dt, and angular accelerations, τ / I, of this step."""
+        """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
         if self._friction:
             bodies = self._bodies
-            _turn(self._angular_impulse, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+            _turn(self._spin, bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
 
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
         reached = []
-        if self._contact.colouring == "contacts" and self._graph.colours.max() == OVERFLOW:
+        if self._contact.colouring == "contacts" and self._graph.colours.max(initial=0) == OVERFLOW:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
@@ -177,21 +186,6 @@ class ContactStage:
         fresh = [text for text in reached if text not in self.warned]
         self.warned.update(fresh)
         return fresh
-
-    def _begin(self, graph: CollisionGraph) -> None:
-        """Take a graph, with nothing done to its contacts yet."""
-        m = len(graph)
-        self._graph = graph
-        self._order = stage_order(graph.colours)
-        self._pushes = np.zeros((m, 3))  # m, Σ δ n of each contact
-        self._apart = np.zeros(m, dtype=bool)  # whether they were only near when they were found
-        self.work: FloatArray = np.zeros((m, 3))  # J, the ledger of each contact, seen or not
-        self._approach = np.zeros(m)
-        self._rest_speed = np.zeros(m)
-        self._show(slice(None))
-        self._normals, self._arms, self._gap_overlaps = np.zeros((m, 3)), np.zeros((m, 2)), np.zeros(m)
-        self.sweeps = 0
-        self._too_few_sweeps = False
 
     def _near(self, dt: float) -> IntArray:
         """Find the pairs that touch and, where contacts last, those that a step's fall from rest could make touch.
@@ -209,97 +203,56 @@ class ContactStage:
         return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
-        ends, geometry = self._bodies.ends, self._geometry(pairs)
-        _, arms, overlaps = geometry
-        self._begin(self._coloured(pairs, geometry))
-        self._apart = overlaps < -(TOUCHING * (arms.sum(axis=1) + overlaps) + self._rounding)
-        self._rest_speed = rest_speeds(pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
-        self._dt = dt  # s, the step that they are for
-
-    def _coloured(self, pairs: IntArray, geometry: tuple[FloatArray, FloatArray, FloatArray]) -> CollisionGraph:
-        normals, _, overlaps = geometry
+        """Take contacts, with nothing done to them yet."""
+        bodies, ends, bench = self._bodies, self._bodies.ends, self._bench
         body_colours = None
         if self._contact.colouring == "bodies":
-            colours, body_colours = colour_bodies(pairs, len(self._bodies))
+            colours, body_colours = colour_bodies(pairs, len(bodies))
         else:
-            colours = colour_contacts(pairs, self._bodies.ends.inverse_mass)
-        return CollisionGraph(pairs, normals, np.maximum(overlaps, 0.0), colours, body_colours)
+            colours = colour_contacts(pairs, ends.inverse_mass)
+        bench.lay(stages_of(pairs, colours, independent=body_colours is None))
+        place = bench.stages.place
+        bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
+        normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
+        self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
+        _describe(place, bench.hot, bench.overlaps, self._rounding, normals, overlaps, self._apart)
+        self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
+        self._dt = dt  # s, the step that they are for
+        self.sweeps = 0
+        self._too_few_sweeps = False
+        self._show(slice(None))
 
     def _resolve(self, dt: float, kick: float) -> None:
-        contact, ends, graph = self._contact, self._bodies.ends, self._graph
-        self._normals, self._arms, self._gap_overlaps = self._geometry(graph.pairs)
+        contact, bench = self._contact, self._bench
+        bench.meet()
         if contact.stabilisation == "split":
-            work_of_pushes(graph.pairs, self._pushes, ends.acceleration, ends.inverse_mass, self.work)
+            bench.book_pushes()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
-        self.sweeps = resolve_contacts(
-            self._order,
-            graph.pairs,
-            self._normals,
-            self._arms,
-            graph.overlaps,
-            ends.velocity,
-            ends.acceleration,
-            ends.angular_velocity if self._friction else ends.angular_velocity[:0],
-            ends.inverse_mass,
-            ends.inverse_inertia,
-            self._law,
-            np.where(self._gap_overlaps < 0.0, np.inf, self._rest_speed) if lasting else self._rest_speed,
-            lasting,
-            bias_rate,
-            contact.sweeps,
-            self.work,
-            self._approach,
-            self._angular_impulse,
-        )
-        overlap, seen = self._gap_overlaps, ~self._apart
-        if lasting and np.any(self._approach <= self._rest_speed):
-            closing = np.where(overlap < 0.0, -overlap / dt, -bias_rate * overlap)
-            fastest = np.where(overlap < 0.0, self._rest_speed, np.inf)  # what touches fast has been resolved
-            held, impulse = self._find_impulses(kick, 0.0, closing, fastest, self.work)
+        self.sweeps = bench.resolve_impacts(bias_rate, contact.sweeps, impacts_only=lasting)
+        seen = ~self._apart
+        if lasting and np.any(bench.approach <= bench.rest_speed):
+            held = self._hold_contacts(dt, kick, 0.0, bias_rate)
             self.sweeps = max(self.sweeps, held)
-            seen |= impulse[:, 0] > 0.0
+            seen |= bench.pressing
         else:
             self._hold = Hold.empty()
-        self._show(slice(None) if seen.all() else seen)
+        self._show(slice(None) if seen.all() else seen[bench.stages.place])
         if self.sweeps == contact.sweeps:
-            self._too_few_sweeps = still_closing(
-                graph.pairs, self._normals, ends.velocity, self._approach, self._rest_speed
-            )
+            self._too_few_sweeps = bench.is_closing()
 
     def _is_at_rest(self) -> bool:
         """Tell whether something presses the contacts together: without that, all of them are impacts."""
-        return self._lasts and len(self._graph) > 0 and float(self._rest_speed.max()) > 0.0
+        return self._lasts and len(self._graph) > 0 and float(self._bench.rest_speed.max()) > 0.0
 
-    def _find_impulses(
-        self, kick: float, dt: float, closing: FloatArray, fastest: FloatArray, ledger: FloatArray
-    ) -> tuple[int, FloatArray]:
-        """Hold the contacts after a kick, with a drift of length dt to come or with none, 0; both in s.
-
-        Returns the number of sweeps and the impulses, (m, 4) N s.
-        """
-        pairs = self._graph.pairs
-        impulse = self._hold.carried_to(pairs, self._normals, kick)
+    def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float) -> int:
+        """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
+        bench, pairs = self._bench, self._graph.pairs
+        place = bench.stages.place
+        self._hold.carry_to(pairs, place, kick, bench.hot)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
-            self._hold = Hold(pairs, impulse, kick)
-        sweeps = hold(
-            self._order,
-            pairs,
-            self._normals,
-            self._arms,
-            closing,
-            dt,
-            fastest,
-            self._bodies.ends,
-            self._friction,
-            self._law,
-            kick if dt > 0.0 else 0.0,
-            impulse,
-            self._contact.sweeps,
-            ledger,
-            self._angular_impulse,
-        )
-        return sweeps, impulse
+            self._hold = Hold(pairs, place, bench.hot, kick)
+        return bench.hold(dt, kick, drift, bias_rate, self._contact.sweeps)
 
     def _show(self, which: slice | NDArray[np.bool_]) -> None:
         """Let those contacts be seen that touch or carry an impulse, not those that are merely near."""
@@ -313,55 +266,70 @@ class ContactStage:
                 graph.body_colours,
             )
         self.graph: CollisionGraph = graph
-        self.contributions: FloatArray = self.work[which]  # J, the ledger of each of them in this step
-        self.approach: FloatArray = self._approach[which]  # m/s, closing speed before the impulses
-        self.rest_speed: FloatArray = self._rest_speed[which]  # m/s, up to which a contact is at rest
+        self._shown = self._bench.stages.place[which]
 
-    def _geometry(self, pairs: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return contact_geometry(pairs, self._bodies.position, self._bodies.radius, self._box, self._planes)
+    @property
+    def contributions(self) -> FloatArray:
+        """(m, 3) J, the ledger of each contact of the graph in this step."""
+        return self._bench.ledger[self._shown]
 
-    def _push(self) -> None:
-        bodies = self._bodies
-        push_apart(
-            self._order,
-            self._graph.pairs,
-            bodies.position,
-            bodies.ends.velocity,
-            bodies.ends.inverse_mass,
-            bodies.radius,
-            self._box,
-            self._planes.normal,
-            self._planes.offset,
-            self._law,
-            self._rest_speed,
-            self._contact.sweeps,
-            self.work,
-            self._pushes,
-        )
+    @property
+    def work(self) -> FloatArray:
+        """(m, 3) J, the ledger of each contact, seen or not."""
+        return np.ascontiguousarray(self._bench.ledger)
+
+    @property
+    def approach(self) -> FloatArray:
+        """(m,) m/s, closing speed of each contact of the graph before the impulses."""
+        return self._bench.approach[self._shown]
+
+    @property
+    def rest_speed(self) -> FloatArray:
+        """(m,) m/s, up to which each contact of the graph is at rest."""
+        return self._bench.rest_speed[self._shown]
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
         self.forget()
-        self._order_contacts(empty_graph().pairs, 1.0)
-        self._push()
+        self._bench.part(1)
         self._resolve(1.0, 1.0)
         if self._lasts:
-            for dt in (1.0, 0.0):
-                self._find_impulses(1.0, dt, np.zeros(0), np.zeros(0), self.work)
+            for drift in (1.0, 0.0):
+                self._hold_contacts(1.0, 1.0, drift, 0.0)
         self.turn(1.0)
         self.forget()
 
 
 @kernel
+def _describe(
+    place: IntArray,
+    hot: FloatArray,
+    overlap: FloatArray,
+    rounding: float,
+    normals: FloatArray,
+    overlaps: FloatArray,
+    apart: NDArray[np.bool_],
+) -> None:
+    """Write normals and overlaps in the order of pairs, and at each place whether there is a gap that counts."""
+    for c in range(len(place)):
+        p = place[c]
+        for k in range(3):
+            normals[c, k] = hot[p, k]
+        overlaps[c] = max(0.0, overlap[p])
+        reach = hot[p, 3] + hot[p, 4] + overlap[p]
+        apart[p] = overlap[p] < -(TOUCHING * reach + rounding)
+
+
+@kernel
 def _turn(
-    angular_impulse: FloatArray,
+    before: FloatArray,
+    angular_velocity: FloatArray,
     inertia: FloatArray,
     dt: float,
     torque: FloatArray,
     angular_acceleration: FloatArray,
 ) -> None:
-    for i in range(len(inertia)):
+    for i in range(len(before)):
         for k in range(3):
-            torque[i, k] = angular_impulse[i, k] / dt
+            torque[i, k] = inertia[i] * (angular_velocity[i, k] - before[i, k]) / dt
             angular_acceleration[i, k] = torque[i, k] / inertia[i]
-            angular_impulse[i, k] = 0.0

@@ -1,0 +1,66 @@
+"""Threads share out the contacts of a step, and nobody can tell from the result how many there were."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from carom.physics.contact.grid import Grid
+from carom.physics.contact.load import IMPULSE
+from carom.physics.contact.workbench import SHARED_FROM
+from carom.physics.team import DIVIDED_FROM, Team
+from examples import bench_of, random_bodies
+
+FloatArray = NDArray[np.float64]
+
+
+def resolved(threads: int, hub: bool) -> tuple[FloatArray, ...]:
+    """Resolve impacts in a crowd, then hold it; with a large body that touches hundreds, which takes a last stage."""
+    bodies = random_bodies(15**3, 7)
+    bodies.radius[:] = 1.0
+    lattice = np.stack(np.meshgrid(*[np.arange(15.0)] * 3), axis=-1).reshape(-1, 3) * 1.95
+    bodies.position[:] = np.random.default_rng(3).permutation(lattice)
+    if hub:
+        bodies.radius[0], bodies.position[0] = 10.0, 15.0
+    pairs = Grid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+    assert len(pairs) > SHARED_FROM
+    bench = bench_of(bodies, pairs, [0.5, 0.6, 0.4], threads=threads)
+    sweeps = bench.resolve_impacts(0.0, 3, impacts_only=False)
+    bodies.velocity[:, 2] -= bodies.position[:, 2]  # presses all of it together
+    bench.rest_speed[:] = np.inf
+    held = bench.hold(1.0, 1.0, 0.0, 0.0, 5)
+    assert (sweeps, held) == (3, 5)
+    return bodies.velocity, bodies.angular_velocity, bench.ledger, bench.approach, bench.hot[:, IMPULSE : IMPULSE + 4]
+
+
+@pytest.mark.parametrize("hub", [False, True])
+def test_any_number_of_threads_resolves_a_crowd_to_the_same_bits(hub: bool) -> None:
+    alone = resolved(1, hub)
+    assert np.abs(alone[4]).max() > 0.0
+    for threads in (2, 4):
+        for one, many in zip(alone, resolved(threads, hub), strict=True):
+            assert np.array_equal(one, many)
+
+
+@pytest.mark.parametrize("box", [0.0, 56.0])
+def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
+    # More contacts than there is room for at first, and radii over a decade.
+    rng = np.random.default_rng(5)
+    n = DIVIDED_FROM + 1
+    position, radius = rng.uniform(-28.0, 28.0, (n, 3)), 10.0 ** rng.uniform(-1.0, 0.5, n)
+    alone = Grid(radius, np.full(3, box)).pairs(position)
+    assert len(alone) > 3 * n
+    for threads in (2, 4):
+        assert np.array_equal(Grid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
+
+
+@pytest.mark.parametrize("count", [0, 1, DIVIDED_FROM, DIVIDED_FROM + 1])
+def test_what_is_divided_is_done_once(count: int) -> None:
+    def visit(lo: int, hi: int, visits: NDArray[np.int64]) -> None:
+        visits[lo:hi] += 1
+
+    for threads in (1, 2, 3):
+        visits = np.zeros(count, dtype=np.int64)
+        Team(threads).divide(count, visit, visits)
+        assert np.all(visits == 1)
