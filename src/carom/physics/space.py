@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +15,7 @@ from carom.physics.energy import Energy, EnergyAccount, Ledger
 from carom.physics.error import PhysicsError
 from carom.physics.fingerprint import fingerprint
 from carom.physics.frame import Checkpoint, Event, Frame, FrameStore, copies
-from carom.physics.gravity.direct import DirectGravity
+from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
 from carom.physics.momentum import MomentumAccount
@@ -80,7 +79,7 @@ class Space:
         # where something stands still, speeds count from it, and the field does not pull all alike
         self._falling = np.zeros(3) if scene.anchored else self._field
         self._substeps = SUBSTEPS[scene.time.integrator]
-        self._gravity = self._make_gravity()
+        self._gravity = gravity_of(scene, self.state.mass, self.threads)
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, self._falling, scene.anchored)
         self._energy_account = EnergyAccount(self._field, scene.anchored)
@@ -229,13 +228,6 @@ class Space:
             angular_momentum_error=momentum.angular_error,
             slot=slot,
         )
-
-    def _make_gravity(self) -> DirectGravity | None:
-        if not self.requirements.gravity.modelled:
-            return None
-        gravity = self.scene.gravity
-        executor: Executor | None = ThreadPoolExecutor(self.threads, "gravity") if self.threads > 1 else None
-        return DirectGravity(self.state.mass, gravity.constant, gravity.softening, executor, self.threads)
 
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:

@@ -62,7 +62,7 @@ class DirectGravity:
             tasks = [self._executor.submit(self._sum, lo, hi, acceleration, potential) for lo, hi in self._chunks]
             for task in tasks:
                 task.result()
-        return _potential_energy(self._mass, self._potential) if potential else None
+        return potential_energy(self._mass, self._potential) if potential else None
 
     def _sum(self, lo: int, hi: int, acceleration: FloatArray, potential: bool) -> None:
         x, y, z = self._sources
@@ -182,7 +182,8 @@ def _pull_and_potential(
 
 
 @kernel
-def _potential_energy(m: FloatArray, potential: FloatArray) -> float:
+def potential_energy(m: FloatArray, potential: FloatArray) -> float:
+    """Return ½ Σ m φ in joules."""
     total = 0.0
     for i in range(len(m)):
         total += m[i] * potential[i]
