@@ -4,7 +4,7 @@
                                  [--rounds N] [--json FILE]
 
 `direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: carom gets
-the largest opening angle, in steps of 0.05, whose median and 99th percentile of the error are both no larger than the
+the largest opening angle, in steps of 0.02, whose median and 99th percentile of the error are both no larger than the
 peer's. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one
 peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it.
 """
@@ -153,13 +153,13 @@ class Errors:
 
 
 def opening_angle(position: FloatArray, mass: FloatArray, errors: Errors, median: float, last: float) -> float:
-    """Return the largest opening angle of carom, in steps of 0.05, with no larger errors than these."""
-    low, high = 1, 20  # twentieths; the errors grow with the angle
+    """Return the largest opening angle of carom, in steps of 0.02, with no larger errors than these."""
+    low, high = 1, 50  # fiftieths; the errors grow with the angle
     while low < high:
         middle = (low + high + 1) // 2
-        found = errors.of(carom_tree(position, mass, middle / 20, 2)())
+        found = errors.of(carom_tree(position, mass, middle / 50, 2)())
         low, high = (middle, high) if found[0] <= median and found[1] <= last else (low, middle - 1)
-    return low / 20
+    return low / 50
 
 
 def medians(contenders: dict[str, Force], rounds: int) -> dict[str, float]:

@@ -19,6 +19,7 @@ approximate reciprocal roots (slower, and other bits), a reduction over sources 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import Executor
 
 import numpy as np
@@ -50,6 +51,7 @@ class DirectGravity:
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
         self._potential = np.zeros(n)
         self._executor = executor if threads > 1 and n >= PARALLEL_FROM else None
+        self._threads = threads
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the acceleration of every body; return the potential energy in joules if it is asked for.
@@ -66,26 +68,27 @@ class DirectGravity:
         n = len(position)
         self._source[:3, :n] = position.T
         into = self._potential if potential else None
-        slabs = range(len(self._edges) - 1)
+        slabs = iter(range(len(self._edges) - 1))
         if self._executor is None:
-            for slab in slabs:
-                self._sum(slab, into)
+            self._sum(slabs, into)
         else:
-            for task in [self._executor.submit(self._sum, slab, into) for slab in slabs]:
+            for task in [self._executor.submit(self._sum, slabs, into) for _ in range(self._threads)]:
                 task.result()
         _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, acceleration, into)
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _sum(self, slab: int, potential: FloatArray | None) -> None:
-        _pull(
-            self._edges[slab],
-            self._edges[slab + 1],
-            len(self._mass),
-            self._source,
-            self._softening_squared,
-            self._sums[slab],
-            potential,
-        )
+    def _sum(self, slabs: Iterator[int], potential: FloatArray | None) -> None:
+        """Sum the next slab that no other thread has taken, until there are none."""
+        for slab in slabs:
+            _pull(
+                self._edges[slab],
+                self._edges[slab + 1],
+                len(self._mass),
+                self._source,
+                self._softening_squared,
+                self._sums[slab],
+                potential,
+            )
 
 
 def _slabs(blocks: int, count: int) -> IntArray:
