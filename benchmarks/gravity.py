@@ -1,50 +1,171 @@
-"""Direct gravity beside REBOUND's basic gravity and a NumPy sum: one thread, the same bodies, in one run.
+"""Gravity beside its peers, in one run: the same bodies, rounds interleaved, medians compared.
 
-    python benchmarks/gravity.py [N ...]
+    python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound]
+                                 [--rounds N] [--json FILE]
 
-Rounds are interleaved and medians are compared, so that another process or a hot processor slows all alike.
+`direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: carom gets
+the largest opening angle, in steps of 0.02, whose median and 99th percentile of the error are both no larger than the
+peer's. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one
+peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import platform
 import statistics
-import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytreegrav
 import rebound
+from numpy.typing import NDArray
 
 from carom.experiment.environment import versions
 from carom.physics.gravity.direct import DirectGravity
+from carom.physics.gravity.tree import TreeGravity
+from carom.physics.kernel import long_kernel
 
-ROUNDS = 9
+FloatArray = NDArray[np.float64]
+Force = Callable[[], FloatArray]  # computes the accelerations, (n, 3)
+
+DIRECT_BODIES = [1024, 4096, 16384]
+TREE_BODIES = [100_000]
+SAMPLE = 1000  # bodies whose error is measured
+ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
+TINY = 1e-12  # s: REBOUND's step is one evaluation of the forces, and drifts that cost n
+POOL = ThreadPoolExecutor(2)
 
 
-def carom_force(position: np.ndarray, mass: np.ndarray, potential: bool) -> Callable[[], object]:
-    gravity = DirectGravity(mass, 1.0, 0.0, None, 1)
+def plummer(n: int) -> FloatArray:
+    rng = np.random.default_rng(0)
+    radius = 1 / np.sqrt(rng.uniform(0.0, 0.999, n) ** (-2 / 3) - 1)
+    return _directions(rng, n) * radius[:, None]
+
+
+def ball(n: int) -> FloatArray:
+    rng = np.random.default_rng(0)
+    return _directions(rng, n) * np.cbrt(rng.uniform(0.0, 1.0, n))[:, None]
+
+
+def _directions(rng: np.random.Generator, n: int) -> FloatArray:
+    v = rng.standard_normal((n, 3))
+    return np.asarray(v / np.linalg.norm(v, axis=1)[:, None])
+
+
+SHAPES = {"plummer": plummer, "ball": ball}
+
+
+def carom_direct(position: FloatArray, mass: FloatArray, threads: int, potential: bool) -> Force:
+    gravity = DirectGravity(mass, 1.0, 0.0, POOL if threads > 1 else None, threads)
+    return _carom(gravity, position, potential)
+
+
+def carom_tree(position: FloatArray, mass: FloatArray, theta: float, threads: int) -> Force:
+    gravity = TreeGravity(mass, 1.0, 0.0, theta, POOL if threads > 1 else None, threads)
+    return _carom(gravity, position, potential=False)
+
+
+def _carom(gravity: DirectGravity | TreeGravity, position: FloatArray, potential: bool) -> Force:
     acceleration = np.empty_like(position)
-    return lambda: gravity.accelerate(position, acceleration, potential)
+
+    def force() -> FloatArray:
+        gravity.accelerate(position, acceleration, potential)
+        return acceleration
+
+    return force
 
 
-def rebound_force(position: np.ndarray, mass: np.ndarray) -> Callable[[], object]:
-    """Return a leapfrog step of almost no length: one evaluation of the forces, and drifts that cost n."""
+def rebound_force(position: FloatArray, mass: FloatArray, method: str, theta: float = 0.5) -> Force:
+    """Return a leapfrog step of almost no length: the velocities after it are the accelerations times its length."""
     simulation = rebound.Simulation()
-    simulation.gravity = "basic"
+    if method == "tree":
+        simulation.root_size = 2.5 * float(np.abs(position).max())
+        simulation.opening_angle2 = theta * theta
+    simulation.gravity = method
     simulation.integrator = "leapfrog"
-    simulation.dt = 1e-12
+    simulation.dt = TINY
     for (x, y, z), m in zip(position, mass, strict=True):
         simulation.add(m=m, x=x, y=y, z=z)
-    return lambda: simulation.steps(1)
+    velocity, before = np.empty_like(position), np.zeros_like(position)
+
+    def force() -> FloatArray:
+        simulation.steps(1)
+        simulation.serialize_particle_data(vxvyvz=velocity)
+        acceleration = (velocity - before) / TINY
+        before[:] = velocity
+        return acceleration
+
+    return force
 
 
-def medians(contenders: dict[str, Callable[[], object]]) -> dict[str, float]:
+def pytreegrav_force(position: FloatArray, mass: FloatArray, theta: float) -> Force:
+    pytreegrav.Accel(position[:2000], mass[:2000], theta=theta, quadrupole=True, method="tree")  # compiles
+    return lambda: np.asarray(pytreegrav.Accel(position, mass, theta=theta, quadrupole=True, method="tree"))
+
+
+def peer_force(peer: str, shape: str, position: FloatArray, mass: FloatArray) -> tuple[str, Force]:
+    """Return a peer as its users run it, and what that is."""
+    if peer == "rebound":
+        return "REBOUND, tree, 0.5", rebound_force(position, mass, "tree", 0.5)
+    theta = 0.7 if shape == "plummer" else 0.5  # its default, and one that serves a ball as well
+    return f"pytreegrav, quadrupole, {theta}", pytreegrav_force(position, mass, theta)
+
+
+@long_kernel
+def _exact(position: FloatArray, mass: FloatArray, sample: NDArray[np.int64], acceleration: FloatArray) -> None:
+    for k in range(len(sample)):
+        i = sample[k]
+        ax = ay = az = 0.0
+        for j in range(len(mass)):
+            dx, dy, dz = (
+                position[j, 0] - position[i, 0],
+                position[j, 1] - position[i, 1],
+                position[j, 2] - position[i, 2],
+            )
+            r2 = dx * dx + dy * dy + dz * dz
+            s = mass[j] / (r2 * np.sqrt(r2)) if j != i else 0.0
+            ax += s * dx
+            ay += s * dy
+            az += s * dz
+        acceleration[k] = ax, ay, az
+
+
+class Errors:
+    """Relative errors of accelerations, at a sample of the bodies."""
+
+    def __init__(self, position: FloatArray, mass: FloatArray) -> None:
+        self._sample = np.sort(np.random.default_rng(1).choice(len(mass), min(SAMPLE, len(mass)), replace=False))
+        self._exact = np.empty((len(self._sample), 3))
+        _exact(position, mass, self._sample, self._exact)
+
+    def of(self, acceleration: FloatArray) -> tuple[float, float]:
+        """Return the median and the 99th percentile."""
+        off = np.linalg.norm(acceleration[self._sample] - self._exact, axis=1)
+        relative = off / np.linalg.norm(self._exact, axis=1)
+        return float(np.median(relative)), float(np.percentile(relative, 99))
+
+
+def opening_angle(position: FloatArray, mass: FloatArray, errors: Errors, median: float, last: float) -> float:
+    """Return the largest opening angle of carom, in steps of 0.02, with no larger errors than these."""
+    low, high = 1, 50  # fiftieths; the errors grow with the angle
+    while low < high:
+        middle = (low + high + 1) // 2
+        found = errors.of(carom_tree(position, mass, middle / 50, 2)())
+        low, high = (middle, high) if found[0] <= median and found[1] <= last else (low, middle - 1)
+    return low / 50
+
+
+def medians(contenders: dict[str, Force], rounds: int) -> dict[str, float]:
     """Return the median of the interleaved rounds in seconds."""
     spent: dict[str, list[float]] = {name: [] for name in contenders}
-    for contender in contenders.values():
-        contender()
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for name, contender in contenders.items():
             began = time.perf_counter()
             contender()
@@ -52,25 +173,98 @@ def medians(contenders: dict[str, Callable[[], object]]) -> dict[str, float]:
     return {name: statistics.median(times) for name, times in spent.items()}
 
 
+def compare_direct(bodies: list[int], rounds: int) -> list[dict[str, Any]]:
+    print(
+        f"\n{'direct':>9} {'carom':>10} {'potential':>10} {'2 threads':>10} {'REBOUND':>10} {'ratio':>6} {'pairs/s':>9}"
+    )
+    rows = []
+    for n in bodies:
+        position, mass = plummer(n), np.full(n, 1 / n)
+        contenders = {
+            "carom": carom_direct(position, mass, 1, potential=False),
+            "potential": carom_direct(position, mass, 1, potential=True),
+            "two threads": carom_direct(position, mass, 2, potential=False),
+            "REBOUND": rebound_force(position, mass, "basic"),
+        }
+        medians(contenders, 1)
+        spent = medians(contenders, rounds)
+        ratio, rate = spent["REBOUND"] / spent["carom"], n * n / spent["carom"]
+        times = " ".join(f"{seconds * 1e3:>8.2f}ms" for seconds in spent.values())
+        print(f"{n:>9} {times} {ratio:>5.1f}x {rate:>9.3g}", flush=True)
+        rows.append({"bodies": n, "seconds": spent, "ratio": ratio, "pairs_per_second": rate})
+    return rows
+
+
+def compare_trees(bodies: list[int], shapes: list[str], peers: list[str], rounds: int) -> list[dict[str, Any]]:
+    print(f"\n{'trees':>9} {'shape':>8} {'':29} {'median':>8} {'99 %':>8} {'time':>10} {'2 threads':>10} {'ratio':>6}")
+    rows = []
+    for n in bodies:
+        for shape in shapes:
+            position, mass = SHAPES[shape](n), np.full(n, 1 / n)
+            errors = Errors(position, mass)
+            for peer in peers or [""]:
+                rows.append(_compare_tree(shape, position, mass, errors, peer, rounds))
+    return rows
+
+
+def _compare_tree(
+    shape: str, position: FloatArray, mass: FloatArray, errors: Errors, peer: str, rounds: int
+) -> dict[str, Any]:
+    """Compare with a peer at its error; without one, take the error that is enough."""
+    row: dict[str, Any] = {"bodies": len(mass), "shape": shape}
+    contenders: dict[str, Force] = {}
+    limits = np.inf, ENOUGH
+    if peer:
+        row["peer"], contenders["peer"] = peer_force(peer, shape, position, mass)
+        row["peer_error"] = limits = errors.of(contenders["peer"]())
+    theta = opening_angle(position, mass, errors, *limits)
+    contenders["carom"] = carom_tree(position, mass, theta, 1)
+    contenders["two threads"] = carom_tree(position, mass, theta, 2)
+    row |= {
+        "opening_angle": theta,
+        "error": errors.of(contenders["two threads"]()),
+        "seconds": medians(contenders, rounds),
+    }
+    seconds = row["seconds"]
+    if peer:
+        row["ratio"] = seconds["peer"] / seconds["carom"]
+        _print_tree(
+            row, row["peer"], row["peer_error"], f"{seconds['peer'] * 1e3:>8.1f}ms {'':>10} {row['ratio']:>5.1f}x"
+        )
+    _print_tree(
+        row,
+        f"carom, {theta:g}",
+        row["error"],
+        f"{seconds['carom'] * 1e3:>8.1f}ms {seconds['two threads'] * 1e3:>8.1f}ms",
+    )
+    return row
+
+
+def _print_tree(row: dict[str, Any], name: str, error: tuple[float, float], times: str) -> None:
+    print(f"{row['bodies']:>9} {row['shape']:>8}  {name:28} {error[0]:>8.1e} {error[1]:>8.1e} {times}", flush=True)
+
+
 def main() -> None:
-    sizes = [int(argument) for argument in sys.argv[1:]] or [1024, 4096, 16384]
-    print(f"{platform.processor() or platform.machine()}, {versions()}, rebound {rebound.__version__}")
-    print(f"{'N':>7} {'carom':>10} {'with potential':>15} {'REBOUND':>10} {'ratio':>7} {'pairs/s':>10}")
-    for n in sizes:
-        rng = np.random.default_rng(0)
-        position, mass = rng.standard_normal((n, 3)), np.full(n, 1 / n)
-        times = medians(
-            {
-                "carom": carom_force(position, mass, potential=False),
-                "potential": carom_force(position, mass, potential=True),
-                "rebound": rebound_force(position, mass),
-            }
-        )
-        ratio, rate = times["rebound"] / times["carom"], n * n / times["carom"]
-        print(
-            f"{n:>7} {times['carom'] * 1e3:>8.2f}ms {times['potential'] * 1e3:>13.2f}ms "
-            f"{times['rebound'] * 1e3:>8.2f}ms {ratio:>6.2f}x {rate:>10.3g}"
-        )
+    parser = argparse.ArgumentParser(description="Gravity beside its peers.")
+    parser.add_argument("parts", nargs="*", help="direct, tree; both by default")
+    parser.add_argument("--bodies", type=int, nargs="+", default=[])
+    parser.add_argument("--shapes", nargs="+", choices=list(SHAPES), default=list(SHAPES))
+    parser.add_argument("--peers", nargs="*", choices=["pytreegrav", "rebound"], default=["pytreegrav", "rebound"])
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--json", type=Path, help="where the results go as JSON")
+    chosen = parser.parse_args()
+    parts = chosen.parts or ["direct", "tree"]
+    found: dict[str, Any] = {
+        "machine": platform.processor() or platform.machine(),
+        "versions": versions() | {peer: version(peer) for peer in ("rebound", "pytreegrav")},
+    }
+    print(", ".join(f"{name} {number}" for name, number in found["versions"].items()))
+    if "direct" in parts:
+        found["direct"] = compare_direct(chosen.bodies or DIRECT_BODIES, chosen.rounds)
+    if "tree" in parts:
+        found["tree"] = compare_trees(chosen.bodies or TREE_BODIES, chosen.shapes, chosen.peers, chosen.rounds)
+    if chosen.json:
+        chosen.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -129,7 +129,11 @@ MISTAKES = {
         "[[group]]\ncount = 3\nregion = { shape = 'ball', radius = 3.0, centre = [20, 0, 0] }\n",
         ["group.0.region", "no room for the bodies outside wall at +x"],
     ),
-    "trees": ("[gravity]\nmethod = 'tree'\n" + ONE_BODY, ["gravity.method", "direct"]),
+    "an opening angle beyond 1": (
+        "[gravity]\nopening_angle = 1.5\n" + ONE_BODY,
+        ["gravity.opening_angle", "at most 1"],
+    ),
+    "a time of impact": ("[contact]\ntiming = 'time-of-impact'\n" + ONE_BODY, ["contact.timing", "end-of-step"]),
 }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.requirements import frame_interval, require, target_dx
+from carom.scene.requirements import frame_interval, gravity_method, require, target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -57,6 +57,24 @@ def test_a_part_is_modelled_where_it_is_required(sentence: str, scene: Scene, pa
     decision = getattr(require(scene), part)
     assert decision.modelled is modelled
     assert decision.why
+
+
+@pytest.mark.parametrize(
+    ("count", "gravity", "method", "why"),
+    [
+        (2, {}, "direct", "direct sum over 2 bodies (fewer than 5000)"),
+        (4999, {}, "direct", "direct sum over 4999 bodies (fewer than 5000)"),
+        (5000, {}, "tree", "tree over 5000 bodies, opening angle 0.5 (at least 5000)"),
+        (5000, {"method": "direct"}, "direct", "direct sum over 5000 bodies,"),
+        (9, {"method": "tree", "opening_angle": 0.3}, "tree", "tree over 9 bodies, opening angle 0.3,"),
+        (1, {"method": "tree"}, "none", "one body"),
+        (9, {"method": "tree", "constant": 0}, "none", "gravity.constant = 0"),
+    ],
+)
+def test_many_bodies_are_summed_by_a_tree(count: int, gravity: dict[str, Any], method: str, why: str) -> None:
+    scene = Scene.from_dict({"group": [{"count": count}], "gravity": gravity})
+    assert gravity_method(scene) == method
+    assert why in require(scene).gravity.why
 
 
 def test_a_part_that_is_not_required_takes_no_memory() -> None:

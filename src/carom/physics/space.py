@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint
 from carom.physics.finite import refuse_infinities
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.gravity.direct import DirectGravity
+from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
 from carom.physics.moments import Moments
 from carom.physics.names import Names
@@ -83,7 +82,7 @@ class Space:
         # where something stands still, speeds count from it, and the field does not pull all alike
         self._falling = np.zeros(3) if scene.anchored else self._field
         self._substeps = SUBSTEPS[scene.time.integrator]
-        self._gravity = self._make_gravity()
+        self._gravity = gravity_of(scene, self.state.mass, self.threads)
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
         self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
@@ -280,13 +279,6 @@ class Space:
             phase=self._phase.name,
             limits=tuple(sorted(self._contact.warned)) if self._contact else (),
         )
-
-    def _make_gravity(self) -> DirectGravity | None:
-        if not self.requirements.gravity.modelled:
-            return None
-        gravity = self.scene.gravity
-        executor: Executor | None = ThreadPoolExecutor(self.threads, "gravity") if self.threads > 1 else None
-        return DirectGravity(self.state.mass, gravity.constant, gravity.softening, executor, self.threads)
 
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:

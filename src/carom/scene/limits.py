@@ -23,8 +23,6 @@ def refuse_impossible(scene: Scene) -> None:
     SceneError
         Naming the key and what would be right.
     """
-    if scene.gravity.method == "tree":
-        raise SceneError('gravity.method = "tree": this version sums directly; use "auto" or "direct"')
     if scene.contact.timing == "time-of-impact":
         raise SceneError('contact.timing = "time-of-impact": this version resolves contacts at the "end-of-step"')
     needed, there = memory_estimate(scene), _memory()

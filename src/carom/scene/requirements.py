@@ -7,6 +7,7 @@ the result.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from carom.scene.schema import Scene
 
@@ -17,6 +18,9 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from rest through the smallest radius
 STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
+
+
+TREE_FROM = 5000  # bodies, for "auto": here a tree takes a half to a third of the time of a direct sum
 
 
 @dataclass(frozen=True)
@@ -71,14 +75,34 @@ def require(scene: Scene) -> Requirements:
 
 
 def _gravity(scene: Scene) -> Part:
-    name = "gravity"
+    name, n, method = "gravity", scene.count, gravity_method(scene)
     if scene.gravity.method == "none":
         return Part(name, False, 'gravity.method = "none"')
     if scene.gravity.constant == 0:
         return Part(name, False, "gravity.constant = 0")
-    if scene.count == 1:
+    if n == 1:
         return Part(name, False, "one body pulls nothing else")
-    return Part(name, True, f"direct sum over {scene.count} bodies, with the potential where an energy is due")
+    how = {
+        "direct": f"direct sum over {n} bodies",
+        "tree": f"tree over {n} bodies, opening angle {scene.gravity.opening_angle:g}",
+    }[method]
+    if scene.gravity.method == "auto":
+        how += f" ({'fewer than' if n < TREE_FROM else 'at least'} {TREE_FROM})"
+    return Part(name, True, f"{how}, with the potential where an energy is due")
+
+
+def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
+    """Decide how the pull is summed.
+
+    Both take as long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" waits for `TREE_FROM`: up to
+    there a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
+    """
+    method = scene.gravity.method
+    if method == "none" or scene.gravity.constant == 0 or scene.count == 1:
+        return "none"
+    if method == "auto":
+        return "direct" if scene.count < TREE_FROM else "tree"
+    return method
 
 
 def _field(scene: Scene) -> Part:

@@ -53,8 +53,12 @@ class Gravity(Section):
     """[gravity]: what pulls."""
 
     constant: NonNegative = Field(6.6743e-11, description="m³ kg⁻¹ s⁻², 0 is no gravity; not negative")
-    method: Literal["auto", "direct", "tree", "none"] = Field("auto", description="how the pull is summed")
-    opening_angle: Positive = Field(0.5, description="rad, tree only; more than 0")
+    method: Literal["auto", "direct", "tree", "none"] = Field(
+        "auto", description="how the pull is summed; auto takes a tree for many bodies"
+    )
+    opening_angle: Positive = Field(
+        0.5, le=1, description="rad, tree only: what looks smaller pulls as a whole; more than 0, at most 1"
+    )
     softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
     uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
 

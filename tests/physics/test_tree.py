@@ -1,0 +1,289 @@
+"""Gravity by a tree: beside the direct sum, within the error of its opening angle, and the same bits on any threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from carom.physics.gravity.boxes import GROUP, LEAF, Boxes
+from carom.physics.gravity.direct import DirectGravity
+from carom.physics.gravity.tree import TreeGravity
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+# docs/physics.md: the median and the 99th percentile of |a - a_direct| / |a_direct| stay below these times θ^3.5
+MEDIAN, PERCENTILE_99 = 0.012, 0.1
+
+
+def directions(n: int, seed: int) -> FloatArray:
+    v = np.random.default_rng(seed).standard_normal((n, 3))
+    return np.asarray(v / np.linalg.norm(v, axis=1)[:, None])
+
+
+def plummer(n: int) -> FloatArray:
+    u = np.random.default_rng(1).uniform(0.0, 0.999, n)
+    return directions(n, 2) / np.sqrt(u ** (-2 / 3) - 1)[:, None]
+
+
+def ball(n: int) -> FloatArray:
+    return directions(n, 3) * np.random.default_rng(4).uniform(0.0, 1.0, n)[:, None] ** (1 / 3)
+
+
+def disc(n: int) -> FloatArray:
+    return plummer(n) * [1.0, 1.0, 1e-3]
+
+
+def string(n: int) -> FloatArray:
+    return np.linspace(-1.0, 1.0, n)[:, None] * [1.0, 2.0, -0.5]
+
+
+def with_one_far_away(n: int) -> FloatArray:
+    position = plummer(n)
+    position[n // 2] = [1e9, -1e9, 3e8]
+    return position
+
+
+def far_from_the_origin(n: int) -> FloatArray:
+    return np.asarray(plummer(n) + [1e6, -1e6, 1e6])  # noqa: RUF005 - a sum, not a list that grows
+
+
+def nested(n: int) -> FloatArray:
+    """A cluster of clusters, each 10⁻⁴ of the last one's size: deeper than 63 bits of keys can tell apart."""
+    return ball(n) * 1e-4 ** np.arange(n).__mod__(6)[:, None]
+
+
+def many_at_few_points(n: int) -> FloatArray:
+    return plummer(8)[np.arange(n) % 8]
+
+
+Shape = Callable[[int], FloatArray]
+SHAPES: tuple[Shape, ...] = (
+    plummer,
+    ball,
+    disc,
+    string,
+    with_one_far_away,
+    far_from_the_origin,
+    nested,
+    many_at_few_points,
+)
+
+
+def masses(n: int, decades: float = 1.0) -> FloatArray:
+    return np.asarray(10.0 ** np.random.default_rng(5).uniform(0.0, decades, n) / n)
+
+
+def pulled(
+    position: FloatArray, mass: FloatArray, theta: float, softening: float = 0.0
+) -> tuple[FloatArray, float | None]:
+    acceleration = np.empty_like(position)
+    energy = TreeGravity(mass, 1.0, softening, theta, None, 1).accelerate(position, acceleration, potential=True)
+    return acceleration, energy
+
+
+def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tuple[FloatArray, float | None]:
+    acceleration = np.empty_like(position)
+    energy = DirectGravity(mass, 1.0, softening, None, 1).accelerate(position, acceleration, potential=True)
+    return acceleration, energy
+
+
+def total_pull(position: FloatArray, mass: FloatArray, softening: float) -> FloatArray:
+    """The sum of the magnitudes of all pulls on each body: where pulls cancel, their errors need not."""
+    d2 = np.sum((position[None, :, :] - position[:, None, :]) ** 2, axis=2)
+    pull = np.divide(np.sqrt(d2), (d2 + softening**2) ** 1.5, out=np.zeros_like(d2), where=d2 > 0.0)
+    return np.asarray(np.sum(mass * pull, axis=1))
+
+
+def errors(found: FloatArray, expected: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1))
+
+
+@pytest.mark.parametrize("theta", [0.2, 0.3, 0.5, 0.7, 0.8])
+@pytest.mark.parametrize("shape", [plummer, ball])
+def test_the_error_is_that_of_the_opening_angle(shape: Shape, theta: float) -> None:
+    position, mass = shape(3000), masses(3000)
+    error = errors(pulled(position, mass, theta)[0], summed(position, mass)[0])
+    assert np.median(error) <= MEDIAN * theta**3.5
+    assert np.percentile(error, 99) <= PERCENTILE_99 * theta**3.5
+
+
+@pytest.mark.parametrize("shape", [plummer, ball])
+def test_half_the_opening_angle_takes_the_error_to_an_eighth(shape: Shape) -> None:
+    # What a box leaves out begins with its octupole, θ³ of its pull.
+    position, mass = shape(3000), masses(3000)
+    expected = summed(position, mass)[0]
+    coarse, fine = (np.median(errors(pulled(position, mass, theta)[0], expected)) for theta in (0.6, 0.3))
+    assert fine <= coarse / 8
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("softening", [0.0, 0.1])
+def test_any_shape_is_summed_within_the_opening_error(shape: Shape, softening: float) -> None:
+    position, mass = shape(1000), masses(1000)
+    found, energy = pulled(position, mass, 0.5, softening)
+    expected, expected_energy = summed(position, mass, softening)
+    error = np.linalg.norm(found - expected, axis=1) / total_pull(position, mass, softening)
+    # A box that is seen just under θ = 1/2 leaves out its octupole, at worst 4 θ³ of its pull and about θ³ for a pair
+    # of bodies. With few boxes these do not average out.
+    assert np.median(error) <= 0.1 * 0.5**3
+    assert np.max(error) <= 0.5**3
+    assert energy == pytest.approx(expected_energy, rel=1e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_an_angle_of_almost_nothing_leaves_a_direct_sum(shape: Shape) -> None:
+    position, mass = shape(300), masses(300)
+    found, energy = pulled(position, mass, 1e-9)
+    expected, expected_energy = summed(position, mass)
+    # 300 terms in another order, each rounded by 2⁻⁵³ relative to the largest; a box of coincident bodies is one term
+    # at a centre of mass that is rounded, too, which far from the origin moves it by 2⁻⁵³ |x| / d.
+    rounding = 300 * 4e-16 * (1.0 + np.abs(position.mean(axis=0)).max())
+    assert np.abs(found - expected).max() <= rounding * np.abs(expected).max()
+    assert energy == pytest.approx(expected_energy, rel=rounding)
+
+
+@pytest.mark.parametrize("decades", [6.0, 30.0])
+def test_masses_may_span_decades(decades: float) -> None:
+    position, mass = plummer(2000), masses(2000, decades)
+    error = errors(pulled(position, mass, 0.5)[0], summed(position, mass)[0])
+    assert np.median(error) <= MEDIAN * 0.5**3.5
+    assert np.percentile(error, 99) <= PERCENTILE_99 * 0.5**3.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, LEAF, LEAF + 1, GROUP - 1, GROUP, GROUP + 1, 2 * GROUP + 1])
+@pytest.mark.parametrize("softening", [0.0, 0.3])
+def test_any_number_of_bodies_is_summed(n: int, softening: float) -> None:
+    position, mass = ball(n), masses(n)
+    found, energy = pulled(position, mass, 0.5, softening)
+    expected, expected_energy = summed(position, mass, softening)
+    assert np.abs(found - expected).max() <= MEDIAN * np.abs(expected).max()
+    assert energy == pytest.approx(expected_energy, rel=MEDIAN, abs=1e-300)
+
+
+def test_bodies_at_one_point_do_not_pull_each_other() -> None:
+    position, mass = np.ones((3 * GROUP, 3)), masses(3 * GROUP)
+    found, energy = pulled(position, mass, 0.5)
+    assert energy == 0.0
+    assert np.array_equal(found, np.zeros_like(position))
+
+
+def test_softened_bodies_at_one_point_have_a_potential_and_no_pull() -> None:
+    position, mass = np.ones((3 * GROUP, 3)), np.ones(3 * GROUP)
+    found, energy = pulled(position, mass, 0.5, softening=0.5)
+    pairs = 3 * GROUP * (3 * GROUP - 1) / 2
+    assert energy == pytest.approx(-pairs / 0.5, rel=1e-12)
+    assert np.array_equal(found, np.zeros_like(position))
+
+
+def test_the_potential_is_that_of_the_force() -> None:
+    # a = -∇φ of the same multipoles: moving everything but one light body by h changes its φ by -a·h, to order h².
+    position, mass = plummer(2000), masses(2000)
+    position[0], mass[0] = [3.0, 4.0, 5.0], 1e-6
+    acceleration = pulled(position, mass, 0.5)[0][0]
+    h = 1e-4
+    gradient = np.zeros(3)
+    for axis in range(3):
+        energies = []
+        for sign in (1.0, -1.0):
+            moved = position.copy()
+            moved[0, axis] += sign * h
+            energy = pulled(moved, mass, 0.5)[1]
+            assert energy is not None
+            energies.append(energy)
+        gradient[axis] = (energies[0] - energies[1]) / (2 * h) / mass[0]
+    # The rest of the bodies see it too, through other boxes: their halves of U agree to the opening error only, and the
+    # difference of two sums of 10⁷ times its size keeps 10⁻⁶.
+    assert np.abs(gradient + acceleration).max() <= 1e-3 * np.linalg.norm(acceleration)
+
+
+def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
+    position, mass = plummer(1000), masses(1000)
+    gravity = TreeGravity(mass, 1.0, 0.0, 0.5, None, 1)
+    with_potential, without = np.empty((1000, 3)), np.empty((1000, 3))
+    gravity.accelerate(position, with_potential, potential=True)
+    gravity.accelerate(position, without, potential=False)
+    assert np.array_equal(with_potential, without)
+
+
+def test_what_was_summed_before_changes_no_bit() -> None:
+    position, mass = plummer(1000), masses(1000)
+    gravity = TreeGravity(mass, 1.0, 0.0, 0.5, None, 1)
+    fresh, used = np.empty((1000, 3)), np.empty((1000, 3))
+    gravity.accelerate(position, fresh, potential=True)
+    gravity.accelerate(ball(1000), used, potential=True)
+    gravity.accelerate(position, used, potential=True)
+    assert np.array_equal(fresh, used)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 4])
+def test_threads_change_no_bit(threads: int) -> None:
+    position, mass = plummer(6000), masses(6000)
+    serial, parallel = np.empty((6000, 3)), np.empty((6000, 3))
+    energy = TreeGravity(mass, 1.0, 0.0, 0.5, None, 1).accelerate(position, serial, potential=True)
+    with ThreadPoolExecutor(threads) as executor:
+        shared = TreeGravity(mass, 1.0, 0.0, 0.5, executor, threads).accelerate(position, parallel, potential=True)
+    assert np.array_equal(serial, parallel) and energy == shared
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_order_of_the_bodies_does_not_matter(shape: Shape) -> None:
+    position, mass = shape(1000), masses(1000)
+    order = np.random.default_rng(6).permutation(1000)
+    found, _ = pulled(position, mass, 0.5)
+    shuffled, _ = pulled(position[order], mass[order], 0.5)
+    # The boxes are the same and their sums are in another order. A centre of mass is rounded by 2⁻⁵³ of its distance
+    # from the first body of its box, and far from the origin by 2⁻⁵³ of that.
+    rounding = 1000 * 4e-16 * (1.0 + np.abs(position.mean(axis=0)).max())
+    assert np.abs(shuffled - found[order]).max() <= rounding * np.abs(found).max()
+
+
+@pytest.mark.parametrize("theta", [0.3, 0.5, 0.8])
+def test_forces_add_up_to_nothing_within_the_opening_error(theta: float) -> None:
+    position, mass = plummer(3000), masses(3000)
+    force = mass[:, None] * pulled(position, mass, theta)[0]
+    assert np.linalg.norm(force.sum(axis=0)) <= MEDIAN * theta**3.5 * np.linalg.norm(force, axis=1).sum()
+
+
+def test_a_state_that_is_not_finite_still_comes_to_an_end() -> None:
+    position, mass = plummer(1000), masses(1000)
+    position[3], position[5], position[7], position[9] = np.nan, np.inf, -np.inf, [0.0, np.inf, np.nan]
+    pulled(position, mass, 0.5)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_boxes_stand_in_preorder_and_hold_every_body_once(shape: Shape) -> None:
+    n = 1000
+    boxes = Boxes(n)
+    position = shape(n)
+    boxes.sort(position)
+    assert np.array_equal(np.sort(boxes.body), np.arange(n))
+    assert np.array_equal(boxes.position.T, position[boxes.body])
+    first, last, skip = (array[: boxes.count] for array in (boxes.first, boxes.last, boxes.skip))
+    for box in range(boxes.count):
+        inside = range(box + 1, skip[box])
+        assert all(first[box] <= first[k] and last[k] <= last[box] for k in inside)
+        assert skip[box] == boxes.count or first[skip[box]] == last[box]
+    assert boxes.groups[0] == 0 and boxes.groups[-1] == n
+    sizes = np.diff(boxes.groups)
+    assert sizes.min() > 0 and sizes.max() <= GROUP
+
+
+def test_a_cloud_falls_together_by_a_tree_as_by_the_direct_sum() -> None:
+    group = {"count": 400, "radius": 0.1, "region": {"shape": "ball", "radius": 3.0}}
+    document = {"time": {"max_dt": 0.01, "duration": 0.2}, "group": [group], "contact": {"enabled": False}}
+    end = {}
+    for method in ("tree", "direct"):
+        space = Space(Scene.from_dict({**document, "gravity": {"constant": 1e-3, "method": method}}))
+        start = space.state.position.copy()
+        for frame in space.run():
+            end[method] = frame.position
+    moved = np.linalg.norm(end["direct"] - start, axis=1)
+    parted = np.linalg.norm(end["tree"] - end["direct"], axis=1)
+    # The error of the pull, carried along; a body whose pull is small is compared with the typical way.
+    assert 0.0 < np.percentile(parted, 99) <= PERCENTILE_99 * 0.5**3.5 * np.median(moved)
