@@ -84,9 +84,11 @@ class Stream:
     def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
         """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
         for stream in self._streams():
-            stream.send_recording_name(self._header.title)
+            stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
         self.send_property("carom", self._identity(clock, origin))
         self.send_property("run", self._header.properties)
+        if self._header.member:
+            self.send_property("sweep", {"name": self._header.member.name, **self._header.member.parameters})
         for path, archetype in statics(self._header, clock, origin, reach):
             for stream in self._streams():
                 stream.log(path, archetype, static=True)
