@@ -15,7 +15,7 @@ from carom.experiment.sweep.plan import Point
 from carom.experiment.sweep.task import Report, Task, execute
 
 INTERRUPTED = "interrupted"
-GONE = "the scheduler is gone"
+GONE = "the scheduler is gone, or has dropped runs"
 _TICK = 0.2  # s between two looks at a sweep under way
 _RETRIES = 3  # of a run whose report does not arrive
 _ANSWER = 60.0  # s a scheduler may take
@@ -47,6 +47,7 @@ class Conductor:
         self._waiting: dict[str, Future[Report]] = {}  # by key
         self._names: dict[str, str] = {}  # of the runs, by key
         self._ended: queue.SimpleQueue[Future[Report]] = queue.SimpleQueue()
+        self._dropped = 0  # runs that the scheduler will not make
         self._unsaved = ""  # why the manifest could not be written
 
     def conduct(self, points: list[Point], interrupts: Interrupts) -> str:
@@ -66,12 +67,11 @@ class Conductor:
                 self._save()
             self._watch.tick()
             if self._client.status not in ("running", "connecting"):
-                self._watch.say(f"{GONE}: {len(self._waiting)} runs are left")
                 break
             if interrupts.count and not stopping:
                 stopping = True
                 self._let_finish()
-        stopped = INTERRUPTED if interrupts.count else GONE if self._waiting else ""
+        stopped = INTERRUPTED if interrupts.count else GONE if self._waiting or self._dropped else ""
         self._forget(list(self._waiting.values()))
         if self._unsaved:
             self._manifest.save()
@@ -102,7 +102,10 @@ class Conductor:
 
     def _settle(self, future: Future[Report]) -> bool:
         """Enter one run; tell whether there was anything to enter."""
-        if self._waiting.pop(str(future.key), None) is None or future.status in ("cancelled", "lost"):
+        if self._waiting.pop(str(future.key), None) is None:
+            return False
+        if future.status in ("cancelled", "lost"):
+            self._dropped += 1
             return False
         run = self._manifest.runs[self._names[str(future.key)]]
         run.settle(_report(future))

@@ -167,7 +167,7 @@ def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
         raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")
     if tuple(stored["varied"]) != plan.varied:
         keys = ", ".join(stored["varied"])
-        raise ExperimentError(f"{folder.root}: holds a sweep in which {keys} varies, in this order; {remedy}")
+        raise ExperimentError(f"{folder.root}: is of a sweep that varies {keys}, in this order; {remedy}")
     theirs, ours = stored["versions"]["carom"], versions()["carom"]
     if theirs != ours:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
