@@ -107,9 +107,7 @@ class Conductor:
         if future.status in ("cancelled", "lost"):
             self._dropped += 1
             return False
-        run = self._manifest.runs[self._names[str(future.key)]]
-        run.settle(_report(future))
-        self._watch.ended(run)
+        self._watch.ended(self._manifest.settle(self._names[str(future.key)], _report(future)))
         return True
 
     def _save(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
 from carom.experiment.environment import versions
@@ -19,7 +19,7 @@ COMPLETED = "completed"
 _ENTRY = 4000  # bytes that a run's entry may have, for the reserve
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Run:
     """One run, and what became of it."""
 
@@ -41,11 +41,6 @@ class Run:
         """Whether it went to its end and kept its promises."""
         return self.outcome == COMPLETED
 
-    def settle(self, report: dict[str, Any]) -> None:
-        """Enter what a worker reports; names as here."""
-        for name, value in report.items():
-            setattr(self, name, value)
-
 
 class Manifest:
     """The list of all runs, on disk in a sweep's folder."""
@@ -55,6 +50,7 @@ class Manifest:
         self.plan = plan
         self.runs = runs  # by name
         self.command = command
+        self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
         self._reserve: Reserve | None = None
 
     @classmethod
@@ -90,7 +86,13 @@ class Manifest:
     def reset(self, points: list[Point]) -> None:
         """Put runs back to the beginning."""
         for point in points:
-            self.runs[point.name] = Run(point.name, point.parameters, point.seed)
+            self._enter(Run(point.name, point.parameters, point.seed))
+
+    def settle(self, name: str, report: dict[str, Any]) -> Run:
+        """Enter what a worker reports of a run: fields of `Run`."""
+        run = replace(self.runs[name], **report)
+        self._enter(run)
+        return run
 
     def hold_room(self) -> None:
         """Keep room on the disk for the manifest as it will be, so that a full disk is told of, too."""
@@ -103,7 +105,8 @@ class Manifest:
 
     def save(self) -> None:
         """Write the file; OSError if that fails, and then the one before is still there."""
-        text = json.dumps(self._document(), indent=1, ensure_ascii=False)
+        head = json.dumps(self._head(), indent=1, ensure_ascii=False).removesuffix("\n}")
+        text = f'{head},\n "runs": [\n' + ",\n".join(self._lines.values()) + "\n]}\n"
         try:
             put(self.folder.manifest, text)
         except OSError as error:
@@ -117,7 +120,11 @@ class Manifest:
         path = self.folder.root / run.file
         return run.status == DONE and path.is_file() and path.stat().st_size == run.size
 
-    def _document(self) -> dict[str, Any]:
+    def _enter(self, run: Run) -> None:
+        self.runs[run.name] = run
+        self._lines[run.name] = _line(run)
+
+    def _head(self) -> dict[str, Any]:
         return {
             "schema": SCHEMA,
             "title": self.plan.title,
@@ -126,7 +133,6 @@ class Manifest:
             "versions": versions(),
             "command": self.command,
             "counts": dict(Counter(run.status for run in self.runs.values())),
-            "runs": [asdict(run) for run in self.runs.values()],
         }
 
 
@@ -154,6 +160,11 @@ def read(folder: Folder) -> dict[str, Any]:
 def stored_runs(folder: Folder) -> list[Run]:
     """Return the runs of a sweep as its manifest has them."""
     return list(_runs(read(folder)).values())
+
+
+def _line(run: Run) -> str:
+    """Write a run's entry once, not whenever another run ends."""
+    return json.dumps(asdict(run), ensure_ascii=False)
 
 
 def _runs(stored: dict[str, Any]) -> dict[str, Run]:
