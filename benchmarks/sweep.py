@@ -2,8 +2,10 @@
 
 python benchmarks/sweep.py [--runs 200] [-o benchmarks/results/sweep.json]
 
-Needs `carom[cluster]`. The time of a sweep counts from the end of its first run to the end of its last: starting the
-workers is told on its own. What a run costs besides itself is its share of that time less its own wall time.
+Needs `carom[cluster]`. The runs are made in rounds, by one worker and by two in turn, so that whatever else the machine
+does falls on both; what counts is the median. The time of a sweep is from the first run of each worker to the end of
+the last run: starting the workers is told on its own. What a run costs besides itself is its share of that time less
+its own wall time.
 """
 
 from __future__ import annotations
@@ -16,13 +18,13 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from carom.experiment.environment import versions
 from carom.experiment.sweep.manifest import Run
 from carom.experiment.sweep.plan import plan
 from carom.experiment.sweep.sweep import sweep
 
+ROUNDS = 4
 SCENE = """
 title = "A cloud of 60 that collapses"
 [time]
@@ -61,21 +63,19 @@ class Times:
         pass
 
 
-def measured(folder: Path, workers: int, runs: int) -> dict[str, Any]:
+def measured(folder: Path, workers: int, runs: int) -> tuple[dict[str, float], dict[str, str]]:
     scene = folder / "cloud.toml"
     scene.write_text(SCENE, encoding="utf-8")
     times = Times()
     began, busy = time.perf_counter(), time.process_time()
-    ending = sweep(plan(scene, seeds=runs), folder / f"{workers}", times, workers=workers)
+    ending = sweep(plan(scene, seeds=runs), folder / f"{workers}-workers", times, workers=workers)
     whole = time.perf_counter() - began
     assert ending.ok
     made = ending.manifest.asked
     steady = times.ends[-1] - times.ends[workers - 1]
     each = steady * workers / (runs - workers)
     own = statistics.mean(run.wall_time or 0.0 for run in made)
-    return {
-        "workers": workers,
-        "runs": runs,
+    found = {
         "whole_s": whole,
         "until_first_s": times.ends[0] - began,
         "steady_s": steady,
@@ -83,8 +83,12 @@ def measured(folder: Path, workers: int, runs: int) -> dict[str, Any]:
         "client_cpu_s": time.process_time() - busy,
         "run_s": own,
         "overhead_s": each - own,
-        "fingerprints": {run.name: run.fingerprint for run in made},
     }
+    return found, {run.name: run.fingerprint for run in made}
+
+
+def median(rounds: list[dict[str, float]]) -> dict[str, float]:
+    return {key: statistics.median(found[key] for found in rounds) for key in rounds[0]}
 
 
 def main() -> None:
@@ -92,17 +96,26 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("-o", "--output", type=Path)
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        found = [measured(Path(folder), workers, asked.runs) for workers in (1, 2)]
-    one, two = found
-    assert one.pop("fingerprints") == two.pop("fingerprints")
+    rounds: dict[int, list[dict[str, float]]] = {1: [], 2: []}
+    for _ in range(ROUNDS):
+        prints = []
+        with tempfile.TemporaryDirectory() as folder:
+            for workers, found in rounds.items():
+                times, fingerprints = measured(Path(folder), workers, asked.runs // ROUNDS)
+                found.append(times)
+                prints.append(fingerprints)
+        assert prints[0] == prints[1]
+    one, two = median(rounds[1]), median(rounds[2])
     document = {
         "cpu": platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
         "versions": versions(),
-        "sweeps": found,
+        "runs": asked.runs,
+        "rounds": ROUNDS,
+        "one_worker": one,
+        "two_workers": two,
         "speedup": two["runs_per_s"] / one["runs_per_s"],
-        "speedup_with_start": one["whole_s"] / two["whole_s"],
+        "runs_per_s_of_rounds": {workers: [found["runs_per_s"] for found in rounds[workers]] for workers in rounds},
     }
     text = json.dumps(document, indent=2)
     print(text)
