@@ -21,12 +21,17 @@ _HOST = "127.0.0.1"  # Rerun's own default is all interfaces, and it asks nobody
 
 @contextlib.contextmanager
 def catalog(name: str, paths: Sequence[Path]) -> Iterator[str]:
-    """Serve recordings as a dataset on this machine; give the address of its table."""
+    """Serve recordings as a dataset on this machine; give the address of its table.
+
+    A row opens with the layout of the first recording: runs of one scene have the same.
+    """
     missing = [path for path in paths if not path.is_file()]
     if missing or not paths:
         raise RecordingError(f"there is no recording at {missing[0]}" if missing else f"{name}: no recordings yet")
     with Server(host=_HOST, datasets={name: list(paths)}) as server:
-        yield f"{server.url()}/dataset/{server.client().get_dataset(name).id}"
+        dataset = server.client().get_dataset(name)
+        dataset.register_blueprint(f"file://{paths[0].resolve()}")
+        yield f"{server.url()}/dataset/{dataset.id}"
 
 
 def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None]) -> None:
