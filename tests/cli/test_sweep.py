@@ -16,6 +16,7 @@ from carom.cli.main import main
 from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.recording import Recording
+from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from command import carom
 from sweeps import fingerprints, manifest, write_scene
@@ -68,7 +69,7 @@ def test_a_run_of_a_sweep_is_the_run_that_carom_run_makes(
     assert fingerprints(out)[BOUNCY] == f"{prints[-1].as_py():016x}"
     assert recording.properties["command"].startswith("carom sweep spheres.toml --vary")
     assert recording.parameters == {"name": BOUNCY, "contact.restitution": 0.8, "seed": 6}
-    assert Scene.from_text(recording.scene_toml) == alone
+    assert scene_from_text(recording.scene_toml, "the recording") == alone
 
 
 def test_the_table_has_a_row_a_run_as_parquet_and_as_csv(

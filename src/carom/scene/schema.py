@@ -371,13 +371,6 @@ class Scene(Section):
         return load_scene(source, overrides or [])
 
     @classmethod
-    def from_text(cls, text: str, overrides: list[str] | None = None, file: str = "scene.toml") -> Scene:
-        """Build a scene from TOML; raises `SceneError` like `load`, naming the file."""
-        from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
-
-        return scene_from_text(text, file, overrides)
-
-    @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Scene:
         """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
         from carom.scene.load import scene_from_dict  # noqa: PLC0415 - load needs Scene

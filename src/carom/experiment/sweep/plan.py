@@ -15,6 +15,7 @@ import tomlkit
 
 from carom.experiment.error import ExperimentError
 from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.variation import Values, combinations, override, values_of
 
@@ -153,7 +154,7 @@ def _refuse_hopeless(text: str, points: Sequence[Point]) -> None:
     first: SceneError | None = None
     for point in points:
         try:
-            Scene.from_text(text, point.overrides)
+            scene_from_text(text, "scene.toml", point.overrides)
             return
         except SceneError as error:
             first = first or error

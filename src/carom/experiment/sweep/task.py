@@ -20,6 +20,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.header import SweepMember
 from carom.recording.recording import Recording
 from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 
 Report = dict[str, Any]  # fields of `Run`
@@ -73,7 +74,7 @@ def _made(task: Task, folder: Folder) -> Report:
     if why := unfit(task.root, task.scene, task.version):
         return _failure("error", f"this worker {why}")
     point = task.point
-    scene = Scene.from_text(folder.scene.read_text(encoding="utf-8"), point.overrides)
+    scene = scene_from_text(folder.scene.read_text(encoding="utf-8"), folder.scene.name, point.overrides)
     whole = folder.whole(point.name)
     found = _found(whole, scene)
     if found:
