@@ -270,3 +270,13 @@ outlet.os.write = fails
     assert run.returncode == 1, run.stderr
     assert "Input/output error" in run.stdout
     assert Recording.open(path).frames > 10
+
+
+def test_recordings_that_are_closed_keep_no_threads(tmp_path: Path, merry: Merry) -> None:
+    if not Path("/proc/self/task").exists():
+        pytest.skip("threads that are not Python's are counted in /proc")
+    counts = []
+    for number in range(6):
+        record(tmp_path / f"{number}.rrd", merry, 20)
+        counts.append(len(list(Path("/proc/self/task").iterdir())))
+    assert counts[-1] == counts[1]  # the streams of the one before may still be there

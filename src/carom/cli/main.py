@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import clip, diff, explain, inspect, repair, replay, report, resume, run, scenes, stress, view
+from carom.cli import clip, diff, explain, inspect, repair, replay, report, resume, run, scenes, stress, sweep, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -50,6 +50,7 @@ app.command("replay")(replay.replay)
 app.command("report")(report.report)
 app.command("resume")(resume.resume)
 app.command("stress")(stress.stress)
+app.command("sweep")(sweep.sweep)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
 app.command("clip")(clip.clip)
@@ -63,10 +64,11 @@ def main() -> None:
     try:
         app()
     except Exception as error:
+        from carom.experiment.error import ExperimentError
         from carom.recording.errors import RecordingError
         from carom.scene.error import SceneError
 
-        if not isinstance(error, (SceneError, RecordingError)):
+        if not isinstance(error, (SceneError, RecordingError, ExperimentError)):
             raise
         typer.echo(f"carom: {error}", err=True)
         sys.exit(2)

@@ -6,6 +6,7 @@ import importlib.metadata
 import platform
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
@@ -13,13 +14,7 @@ PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
 
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that a result depends on."""
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+    return {"python": platform.python_version(), **{package: _version(package) for package in PACKAGES}}
 
 
 def environment(threads: int) -> dict[str, str | int]:
@@ -31,6 +26,15 @@ def environment(threads: int) -> dict[str, str | int]:
     stamped["cpu"] = _cpu()
     stamped["threads"] = threads
     return stamped
+
+
+@cache
+def _version(package: str) -> str:
+    """Return what is installed; to look that up costs a millisecond or two, and a sweep asks for every run."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def _git_revision() -> str:

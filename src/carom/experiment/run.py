@@ -18,7 +18,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
-from carom.recording.header import Header, Scalar
+from carom.recording.header import Header, Scalar, SweepMember
 from carom.recording.past import Past
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
@@ -100,6 +100,7 @@ def simulate(
     watch: Watcher | None = None,
     past: Past | None = None,
     properties: Mapping[str, Scalar] | None = None,
+    member: SweepMember | None = None,
 ) -> Outcome:
     """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
 
@@ -119,6 +120,8 @@ def simulate(
         What an earlier recording holds up to where the space stands; it is written first.
     properties
         What the recording says of where it came from, by default what this process knows.
+    member
+        What the run is within a sweep, recorded with it.
 
     Raises
     ------
@@ -131,6 +134,8 @@ def simulate(
     header = header_of(space)
     if properties is not None:
         header = replace(header, properties=properties)
+    if member is not None:
+        header = replace(header, member=member, properties={**header.properties, "command": member.command})
     recorder = Recorder(path, header, live=live, past=past)
     physics = _Physics(space, recorder, past)
     interrupted = _wait(physics, watch)
@@ -139,8 +144,9 @@ def simulate(
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
+    summary = {"wall_time": time.perf_counter() - began, **_summary(space, verdicts)}
     try:
-        recorder.finish(f"{status}: {reason}" if reason else status, _summary(space, verdicts), space.highlights())
+        recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
     except RecordingError as error:
         status, reason = "disk", str(error)
     return Outcome(

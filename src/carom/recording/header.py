@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,15 @@ from numpy.typing import NDArray
 from carom.scene.halfspace import HalfSpaces
 
 Scalar = str | int | float | bool
+
+
+@dataclass(frozen=True, slots=True)
+class SweepMember:
+    """What a run is within a sweep."""
+
+    name: str  # shown in place of the title
+    parameters: Mapping[str, Any]  # what varies, and the seed; of TOML
+    command: str  # of the sweep: the run itself was started by a worker
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +51,7 @@ class Header:
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
+    member: SweepMember | None = None  # None: a run of its own
 
     @property
     def bodies(self) -> int:

@@ -98,6 +98,12 @@ class Recording:
 
     @cached_property
     @_named
+    def parameters(self) -> Mapping[str, Any]:
+        """The property `sweep`: the run's name in its sweep, and what varies there; empty for a run of its own."""
+        return self._property("sweep")
+
+    @cached_property
+    @_named
     def closing(self) -> Mapping[str, Any]:
         """The property `outcome`: how it ended; empty if the run was killed."""
         return self._property("outcome")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun_bindings
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
@@ -38,12 +39,14 @@ class Stream:
         self._header = header
         self._indexed: tuple[Sequence[int], Sequence[float]] = ((), ())
         self._index: list[rr.TimeColumn] = []
-        identity = application_id(header)
-        self._live = None if live is None else LiveView(live, identity, header.run_id)
+        self._application = application_id(header)
+        self._live = None if live is None else LiveView(live, self._application, header.run_id)
         # what is under way when the disk is found full, and the last checkpoint, must still fit
         self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
         self._outlet = Outlet(path, self._reserve)
-        self._stream = rr.RecordingStream(identity, recording_id=header.run_id)
+        # the streams of earlier recordings keep two threads and megabytes each until someone asks, as `rr.init` does
+        rerun_bindings.flush_and_cleanup_orphaned_recordings()
+        self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))
         self._outlet.opened()
 
@@ -81,9 +84,11 @@ class Stream:
     def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
         """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
         for stream in self._streams():
-            stream.send_recording_name(self._header.title)
+            stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
         self.send_property("carom", self._identity(clock, origin))
         self.send_property("run", self._header.properties)
+        if self._header.member:
+            self.send_property("sweep", {"name": self._header.member.name, **self._header.member.parameters})
         for path, archetype in statics(self._header, clock, origin, reach):
             for stream in self._streams():
                 stream.log(path, archetype, static=True)
@@ -98,7 +103,7 @@ class Stream:
     def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
         """Send a layout; the last one sent is the one that opens."""
         for stream in self._streams():
-            stream.send_blueprint(layout)
+            _send_blueprint(stream, self._application, layout)
 
     def flush(self) -> None:
         """Wait until all that was sent is in the file; raise if it cannot be."""
@@ -146,3 +151,18 @@ class Stream:
         if header.box is not None:
             identity["box"] = header.box
         return identity
+
+
+def _send_blueprint(stream: rr.RecordingStream, application: str, layout: rr.blueprint.Blueprint) -> None:
+    """Do as `rr.send_blueprint` does, and end the stream that it makes for the purpose.
+
+    Rerun 0.41 leaves that stream open for good: two threads and 4 MB for each recording of a sweep.
+    """
+    own = rr.RecordingStream._from_native(
+        rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
+    )
+    own.set_time("blueprint", sequence=0)
+    layout._log_to_stream(own)
+    stored = rr.memory_recording(own).storage
+    rerun_bindings.send_blueprint(stored, make_active=True, make_default=True, recording=stream.to_native())
+    own.disconnect()

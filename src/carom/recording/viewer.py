@@ -64,9 +64,13 @@ class Viewer:
         """End the process."""
         self._end()
 
+    def open(self, address: str) -> None:
+        """Open a file, or what a server offers."""
+        self._ask(lambda: self.client.open(address))
+
     def show(self, recording: Recording) -> None:
         """Load a recording, and wait until it is there."""
-        self._ask(lambda: self.client.open(str(recording.path.resolve())))
+        self.open(str(recording.path.resolve()))
         self.until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
 
     def go_to(self, recording: Recording, at: float) -> None:

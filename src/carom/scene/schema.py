@@ -11,6 +11,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
+from carom.scene.variation import Values, alike, flattened, values_of
+
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
@@ -302,6 +304,28 @@ class Expect(Section):
     impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
 
 
+def _values_by_key(given: Any) -> Any:
+    """Read what varies: lists as they are, text as `--vary` takes it."""
+    if not isinstance(given, dict):
+        return given
+    return {
+        key: values_of(value) if isinstance(value, str) else alike(value if isinstance(value, list) else [value])
+        for key, value in flattened(given).items()
+    }
+
+
+class Sweep(Section):
+    """[sweep]: what `carom sweep` varies, and what `carom run` leaves alone."""
+
+    vary: Annotated[dict[str, Values], BeforeValidator(_values_by_key)] = Field(
+        {}, description='values by key, a list or text such as "0.1:0.9:5" or "1e-3:1:4log"'
+    )
+    seeds: Count | None = Field(None, description="runs of each with seeds from the scene's own on; 1 or more")
+    zip: Annotated[bool, Field(strict=True)] = Field(
+        False, description="true: the values of all keys go side by side; false: each with each"
+    )
+
+
 class Scene(Section):
     """What to simulate: validated, complete, immutable.
 
@@ -324,6 +348,7 @@ class Scene(Section):
     body: tuple[Body, ...] = Field((), description="single bodies")
     plane: tuple[Plane, ...] = Field((), description="static half-spaces")
     expect: Expect = Field(Expect(), description="promises checked at the end")
+    sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
 
     _toml: str = PrivateAttr("")
 

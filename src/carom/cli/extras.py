@@ -1,0 +1,19 @@
+"""What a command needs that a plain `pip install carom` does not bring."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+from carom.experiment.error import ExperimentError
+
+
+@contextlib.contextmanager
+def needing(extra: str, command: str, *packages: str) -> Iterator[None]:
+    """Import what an extra brings within this context; ExperimentError that says what to install if it is not there."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in packages:
+            raise
+        raise ExperimentError(f'{command} needs {packages[0]}; install it with: pip install "carom[{extra}]"') from None

@@ -1,0 +1,168 @@
+"""`carom sweep`: many runs of one scene, and a look at them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import SetOption
+
+if TYPE_CHECKING:
+    from carom.experiment.sweep.sweep import Ending
+
+SWEEPS = Path("recordings")
+PlotOption = Annotated[
+    tuple[str, str] | None,
+    typer.Option("--plot", metavar="x=KEY y=KEY", help="Draw one column over another into the sweep's folder."),
+]
+
+
+def sweep(
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.")
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=VALUES",
+            help="a,b,c · first:last:count · first:last:countlog. May be given again; or [sweep] in the scene.",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option("--seeds", metavar="N", help="Runs of each, with seeds from the scene's on.", min=1)
+    ] = None,
+    zipped: Annotated[
+        bool | None, typer.Option("--zip/--cross", help="Values of all keys side by side, or each with each (default).")
+    ] = None,
+    overrides: SetOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder of the sweep. Default: recordings/SCENE-sweep."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option("--workers", metavar="N", help="Processes here. Default: one a core.", min=1)
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option("--cluster", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Remove the sweep in the folder and start anew.")] = False,
+    table: Annotated[
+        Path | None, typer.Option("--table", metavar="DIR", help="Show a sweep; run nothing.", rich_help_panel="Look")
+    ] = None,
+    sort: Annotated[
+        str | None,
+        typer.Option("--sort", metavar="KEY", help="Of the table; -KEY: largest first.", rich_help_panel="Look"),
+    ] = None,
+    conditions: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--filter", metavar="CONDITION", help='Such as "energy.final<0"; all given hold.', rich_help_panel="Look"
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option("--columns", metavar="KEY,KEY", help="Of the table, besides what varies.", rich_help_panel="Look"),
+    ] = None,
+    plot: PlotOption = None,
+    catalog: Annotated[
+        Path | None,
+        typer.Option("--catalog", metavar="DIR", help="Serve a sweep to the Rerun viewer.", rich_help_panel="Look"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+) -> None:
+    """Run a scene many times with what varies, on this machine or on a Dask cluster; a finished run is never lost."""
+    from carom.cli import sweep_look as look
+    from carom.experiment.error import ExperimentError
+
+    if (scene is not None) + (table is not None) + (catalog is not None) != 1:
+        raise ExperimentError("expected one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")
+    if catalog is not None:
+        look.serve(catalog)
+        return
+    folder = table
+    ending = None
+    if scene is not None:
+        if plot is not None:
+            look.refuse_plot(plot)
+        folder = output or SWEEPS / f"{Path(scene).stem}-sweep"
+        ending = _run(scene, folder, vary or [], overrides or [], seeds, zipped, workers, cluster, force, as_json)
+    assert folder is not None
+    figure = look.draw(folder, plot, conditions or []) if plot is not None else None
+    if ending is not None:
+        _tell(ending, folder, figure, as_json)
+        if not ending.ok:
+            raise typer.Exit(1)
+    elif as_json:
+        look.print_json(folder, conditions or [], sort)
+    elif figure is not None:
+        typer.echo(f"{figure} written.")
+    else:
+        look.show(folder, conditions or [], sort, columns)
+
+
+def _run(
+    scene: str,
+    folder: Path,
+    vary: list[str],
+    overrides: list[str],
+    seeds: int | None,
+    zipped: bool | None,
+    workers: int | None,
+    cluster: str | None,
+    force: bool,
+    quiet: bool,
+) -> Ending:
+    import sys
+
+    from carom.cli.extras import needing
+    from carom.cli.sweep_progress import SweepProgress
+    from carom.experiment.sweep.plan import plan
+
+    with needing("cluster", "carom sweep", "distributed", "dask"):
+        from carom.experiment.sweep.sweep import sweep as make
+    planned = plan(scene, overrides, vary, seeds, zipped)
+    command = " ".join(["carom", *sys.argv[1:]])
+    with SweepProgress(planned.title, len(planned.points), quiet) as progress:
+        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command)
+
+
+def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> None:
+    """Say how a sweep ended."""
+    import json
+
+    if as_json:
+        typer.echo(json.dumps(_document(ending, figure), indent=2, ensure_ascii=False))
+        return
+    runs = ending.manifest.asked
+    done = len(runs) - len(ending.failed) - ending.left
+    there = f", {ending.found} of them before" if ending.found else ""
+    typer.echo(f"{done} of {len(runs)} runs done{there}; {folder / 'manifest.json'}")
+    for what, count in (("failed", len(ending.failed)), ("missed a promise", len(ending.missed))):
+        if count:
+            typer.echo(f"{count} {what}")
+    if figure is not None:
+        typer.echo(f"{figure} written.")
+    if ending.left:
+        why = f"{ending.stopped}: " if ending.stopped else ""
+        typer.echo(f"carom: {why}{ending.left} runs are left; the same command goes on with them", err=True)
+    typer.echo(f"next: carom sweep --table {folder}")
+
+
+def _document(ending: Ending, figure: Path | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    return {
+        "ok": ending.ok,
+        "runs": len(ending.manifest.asked),
+        "found": ending.found,
+        "failed": [run.name for run in ending.failed],
+        "missed": [run.name for run in ending.missed],
+        "left": ending.left,
+        "stopped": ending.stopped,
+        "folder": str(ending.manifest.folder.root),
+        "figure": str(figure) if figure else None,
+        "entries": [asdict(run) for run in ending.manifest.asked],
+    }

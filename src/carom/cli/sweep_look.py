@@ -1,0 +1,115 @@
+"""Looking at a sweep: its table, a figure, and Rerun's catalogue."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from carom.cli.extras import needing
+
+if TYPE_CHECKING:
+    from carom.experiment.sweep.table import Row
+
+PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
+SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_overlap", "wall_time")
+
+
+def show(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
+    """Print the table of a sweep."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.experiment.sweep.table import chosen, known
+
+    rows, varied, title = _rows(folder)
+    wanted = [known(key, rows) for key in columns.split(",")] if columns else [key for key in SHOWN if key in rows[0]]
+    found = chosen(rows, conditions, sort)
+    named = [*varied, *wanted, *([known(sort.removeprefix("-"), rows)] if sort else []), "outcome"]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    keys = list(dict.fromkeys(named))
+    for key in keys:
+        table.add_column(key, justify="right" if _is_numeric(rows, key) else "left", overflow="fold")
+    for row in found:
+        table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(escape(title))
+    console.print(table)
+    counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
+    console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
+
+
+def print_json(folder: Path, conditions: list[str], sort: str | None) -> None:
+    """Print the rows of a sweep."""
+    import json
+
+    from carom.experiment.sweep.table import chosen
+
+    rows, varied, title = _rows(folder)
+    document = {"title": title, "varied": varied, "rows": chosen(rows, conditions, sort)}
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+
+
+def refuse_plot(plot: tuple[str, str]) -> None:
+    """Refuse a figure that cannot be drawn, before anything is computed for it."""
+    _axes(plot)
+    with needing("plot", "carom sweep --plot", "matplotlib"):
+        import matplotlib  # noqa: F401
+
+
+def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
+    """Draw a figure into the sweep's folder; return its path."""
+    from carom.experiment.sweep.table import chosen, known
+
+    x, y = _axes(plot)
+    with needing("plot", "carom sweep --plot", "matplotlib"):
+        from carom.experiment.sweep.figure import figure
+    rows, varied, title = _rows(folder)
+    path = folder / f"{y}-over-{x}.png"
+    figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), varied, title, path)
+    return path
+
+
+def serve(folder: Path) -> None:
+    """Serve a sweep's recordings to the viewer until the person closes it or interrupts."""
+    from carom.experiment.sweep.folder import Folder
+    from carom.experiment.sweep.manifest import stored_runs
+
+    with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
+        from carom.recording.catalog import serve_catalog
+    paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
+    serve_catalog(folder.resolve().name, paths, typer.echo)
+
+
+def _rows(folder: Path) -> tuple[list[Row], list[str], str]:
+    from carom.experiment.sweep.folder import Folder
+    from carom.experiment.sweep.manifest import read, stored_runs
+    from carom.experiment.sweep.table import rows_of
+
+    stored = read(Folder(folder))
+    return rows_of(stored_runs(Folder(folder))), stored["varied"], stored["title"]
+
+
+def _axes(plot: tuple[str, str]) -> tuple[str, str]:
+    from carom.experiment.error import ExperimentError
+
+    given = dict(part.partition("=")[::2] for part in plot)
+    if set(given) != {"x", "y"} or not all(given.values()):
+        raise ExperimentError(f"--plot {' '.join(plot)}: expected x=KEY y=KEY, as x=contact.restitution y=energy.final")
+    return given["x"], given["y"]
+
+
+def _is_numeric(rows: list[Row], key: str) -> bool:
+    return all(isinstance(row[key], (int, float)) for row in rows if row[key] is not None)
+
+
+def _cell(row: Row, key: str) -> str:
+    value: Any = row[key]
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

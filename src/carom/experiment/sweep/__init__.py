@@ -1,0 +1,1 @@
+"""Many runs of one scene: what varies, who computes them, and what became of each."""

@@ -1,0 +1,109 @@
+"""Who computes: worker processes of our own on this machine, or the user's Dask cluster. Needs `carom[cluster]`."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import re
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import dask
+from distributed import Client, LocalCluster
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.task import unfit
+
+_LOOPBACK = "127.0.0.1"
+_CONNECT = 20.0  # s
+_ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
+_PRELOAD = "carom.experiment.sweep.preload"
+_LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
+_SETTINGS = {
+    "distributed.worker.memory.target": False,  # a run's memory is not Dask's to manage
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": False,
+    "distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s",
+}
+
+
+@contextlib.contextmanager
+def connected(address: str | None, workers: int | None, runs: int) -> Iterator[Client]:
+    """Connect to the user's scheduler, or start workers here and end them afterwards.
+
+    Parameters
+    ----------
+    address
+        Such as ``tcp://10.0.0.1:8786``; None starts a cluster on this machine.
+    workers
+        Processes to start here, one run at a time in each; by default one a core.
+    runs
+        How many there are to make: no more processes are started.
+
+    Raises
+    ------
+    ExperimentError
+        If nobody answers at the address.
+    """
+    for logger in _LOGGERS:
+        logging.getLogger(logger).setLevel(logging.CRITICAL)  # what happens is told by the command itself
+    with dask.config.set(_SETTINGS), contextlib.ExitStack() as stack:
+        if address is None:
+            cluster: Any = stack.enter_context(_local_cluster(min(workers or _cores(), runs)))
+            yield stack.enter_context(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
+        else:
+            yield stack.enter_context(_client_of(address))
+
+
+def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
+    """Refuse a cluster some of whose workers see another folder or have another carom.
+
+    Raises
+    ------
+    ExperimentError
+        Naming the worker.
+    """
+    try:
+        answers = client.run(unfit, root, scene, version, on_error="return")
+    except Exception as error:
+        raise ExperimentError(f"the workers cannot be asked: {type(error).__name__}: {error}") from None
+    for worker, answer in answers.items():
+        if isinstance(answer, BaseException):
+            raise ExperimentError(
+                f"worker {worker}: {type(answer).__name__}: {answer}; it needs carom in its environment"
+            )
+        if answer:
+            raise ExperimentError(f"worker {worker} {answer}")
+
+
+def _local_cluster(workers: int) -> LocalCluster:
+    return LocalCluster(  # type: ignore[no-untyped-call]
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        host=_LOOPBACK,
+        dashboard_address=None,  # no web server: no port to clash with another sweep's
+        memory_limit=0,
+        silence_logs=logging.CRITICAL,
+        preload=[_PRELOAD],
+    )
+
+
+def _client_of(address: str) -> Client:
+    """Connect to a scheduler; knock first: a client that finds nobody takes 40 s to go away."""
+    matched = _ADDRESS.fullmatch(address)
+    if matched is None:
+        raise ExperimentError(f"--cluster {address}: expected the address of a Dask scheduler, as tcp://10.0.0.1:8786")
+    try:
+        socket.create_connection((matched[1], int(matched[2])), _CONNECT).close()
+        return Client(address, set_as_default=False, timeout=_CONNECT)  # type: ignore[no-untyped-call]
+    except (OSError, OverflowError) as error:
+        raise ExperimentError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

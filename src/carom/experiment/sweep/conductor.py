@@ -1,0 +1,147 @@
+"""Hands runs to a cluster and enters what comes back into the manifest. Needs `carom[cluster]`."""
+
+from __future__ import annotations
+
+import queue
+import uuid
+from typing import Any, Protocol
+
+from distributed import Client, Future, KilledWorker
+
+from carom.experiment.environment import versions
+from carom.experiment.sweep.interrupts import Interrupts
+from carom.experiment.sweep.manifest import FAILED, Manifest, Run
+from carom.experiment.sweep.plan import Point
+from carom.experiment.sweep.task import Report, Task, execute
+
+INTERRUPTED = "interrupted"
+GONE = "the scheduler is gone, or has dropped runs"
+_TICK = 0.2  # s between two looks at a sweep under way
+_RETRIES = 3  # of a run whose report does not arrive
+_ANSWER = 60.0  # s a scheduler may take
+
+
+class Watcher(Protocol):
+    """Who is told what happens."""
+
+    def say(self, text: str) -> None:
+        """Take note of something that concerns all runs."""
+
+    def begin(self, found: int) -> None:
+        """Take note of how many runs are there already."""
+
+    def ended(self, run: Run) -> None:
+        """Take note of a run that ended."""
+
+    def tick(self) -> None:
+        """Be called a few times a second."""
+
+
+class Conductor:
+    """Sees runs through on a cluster."""
+
+    def __init__(self, client: Client, manifest: Manifest, watch: Watcher) -> None:
+        self._client = client
+        self._manifest = manifest
+        self._watch = watch
+        self._waiting: dict[str, Future[Report]] = {}  # by key
+        self._names: dict[str, str] = {}  # of the runs, by key
+        self._ended: queue.SimpleQueue[Future[Report]] = queue.SimpleQueue()
+        self._dropped = 0  # runs that the scheduler will not make
+        self._unsaved = ""  # why the manifest could not be written
+
+    def conduct(self, points: list[Point], interrupts: Interrupts) -> str:
+        """Have runs made; return why that ended early, or nothing.
+
+        The first interrupt lets the runs under way finish, the second drops them.
+
+        Raises
+        ------
+        OSError
+            If in the end the manifest could not be written.
+        """
+        self._submit(points)
+        stopping = False
+        while self._waiting and interrupts.count < 2:
+            if self._take():
+                self._save()
+            self._watch.tick()
+            if self._client.status not in ("running", "connecting"):
+                break
+            if interrupts.count and not stopping:
+                stopping = True
+                self._let_finish()
+        stopped = INTERRUPTED if interrupts.count else GONE if self._waiting or self._dropped else ""
+        self._forget(list(self._waiting.values()))
+        if self._unsaved:
+            self._manifest.save()
+        return stopped
+
+    def _submit(self, points: list[Point]) -> None:
+        """Hand over all runs at once: a task is a page of text at most, and the scheduler keeps the order."""
+        plan, folder = self._manifest.plan, self._manifest.folder
+        version, sweep = versions()["carom"], uuid.uuid4().hex[:8]
+        tasks = [Task(str(folder.root), plan.digest, version, self._manifest.command, point) for point in points]
+        keys = [f"carom-{sweep}-{point.name}" for point in points]
+        self._names = dict(zip(keys, (point.name for point in points), strict=True))
+        futures: list[Any] = self._client.map(execute, tasks, key=keys, pure=False, retries=_RETRIES)
+        for future in futures:
+            self._waiting[future.key] = future
+            future.add_done_callback(self._ended.put)
+
+    def _take(self) -> bool:
+        """Enter all runs that ended by now; wait a tick for the first."""
+        try:
+            ended = [self._ended.get(timeout=_TICK)]
+            while not self._ended.empty():
+                ended.append(self._ended.get())
+        except queue.Empty:
+            return False
+        entered = [self._settle(future) for future in ended]
+        return any(entered)
+
+    def _settle(self, future: Future[Report]) -> bool:
+        """Enter one run; tell whether there was anything to enter."""
+        if self._waiting.pop(str(future.key), None) is None:
+            return False
+        if future.status in ("cancelled", "lost"):
+            self._dropped += 1
+            return False
+        self._watch.ended(self._manifest.settle(self._names[str(future.key)], _report(future)))
+        return True
+
+    def _save(self) -> None:
+        """Write the manifest; a disk that is full now may have room later, and the recordings are what counts."""
+        try:
+            self._manifest.save()
+            self._unsaved = ""
+        except OSError as error:
+            if not self._unsaved:
+                self._watch.say(f"{self._manifest.folder.manifest} cannot be written: {error.strerror}")
+            self._unsaved = str(error)
+
+    def _let_finish(self) -> None:
+        """Drop the runs that have not begun."""
+        executing: dict[str, Any] = self._client.call_stack()  # type: ignore[no-untyped-call]
+        under_way = {key for keys in executing.values() for key in keys}
+        idle = [future for key, future in self._waiting.items() if key not in under_way]
+        self._forget(idle)
+        for future in idle:
+            self._waiting.pop(str(future.key), None)
+        left = len(self._waiting)
+        self._watch.say(f"Interrupted. Waiting for {left} runs under way; interrupt again to drop them.")
+
+    def _forget(self, futures: list[Future[Report]]) -> None:
+        if futures and self._client.status == "running":
+            self._client.cancel(futures)  # type: ignore[no-untyped-call]
+
+
+def _report(future: Future[Report]) -> Report:
+    """Return what a worker says of its run, or what is known of a run whose worker says nothing."""
+    try:
+        return future.result(timeout=_ANSWER)
+    except KilledWorker as error:
+        reason = f"the workers that had it died, {error.last_worker.address} last; is there memory enough for it?"
+        return {"status": FAILED, "outcome": "lost", "reason": reason}
+    except Exception as error:
+        return {"status": FAILED, "outcome": "error", "reason": f"{type(error).__name__}: {error}"}

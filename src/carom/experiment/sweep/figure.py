@@ -1,0 +1,75 @@
+"""One column of a sweep over another. Needs `carom[plot]`."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.plan import SEED
+from carom.experiment.sweep.table import Row
+
+MOST_LINES = 12  # in the legend
+_DECADES = 50.0  # ratio of the ends of an axis from which it is logarithmic
+
+Points = dict[float, list[float]]  # all y of one x
+
+
+def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, path: Path) -> None:
+    """Draw ``y`` over ``x`` into a PNG: a line for each combination of what else varies.
+
+    A point is the mean of the runs that differ in their seeds only; the bar goes from the least to the greatest.
+
+    Raises
+    ------
+    ExperimentError
+        If a column is no number, or no run has both.
+    """
+    others = [key for key in varied if key not in (x, y, SEED)]
+    lines: dict[str, Points] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        if row[x] is not None and row[y] is not None:
+            label = ", ".join(f"{key} = {row[key]}" for key in others)
+            lines[label][_number(row, x)].append(_number(row, y))
+    if not lines:
+        raise ExperimentError(f"--plot: no run has both {x} and {y}")
+    drawing = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
+    axes = drawing.add_subplot()
+    for label, points in lines.items():
+        _line(axes, label, points)
+    axes.set(xlabel=x, ylabel=y, title=title)
+    axes.grid(visible=True, alpha=0.3)
+    for axis, values in (("x", _all_x(lines)), ("y", _all_y(lines))):
+        if min(values) > 0.0 and max(values) > _DECADES * min(values):
+            axes.set(**{f"{axis}scale": "log"})
+    if others and len(lines) <= MOST_LINES:
+        axes.legend(frameon=False)
+    drawing.savefig(path)
+
+
+def _line(axes: Any, label: str, points: Points) -> None:
+    at = sorted(points)
+    means = [math.fsum(points[value]) / len(points[value]) for value in at]
+    below = [mean - min(points[value]) for mean, value in zip(means, at, strict=True)]
+    above = [max(points[value]) - mean for mean, value in zip(means, at, strict=True)]
+    axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
+
+
+def _number(row: Row, key: str) -> float:
+    value = row[key]
+    if isinstance(value, (int, float)):
+        return float(value)
+    raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, and no number")
+
+
+def _all_x(lines: dict[str, Points]) -> list[float]:
+    return [value for points in lines.values() for value in points]
+
+
+def _all_y(lines: dict[str, Points]) -> list[float]:
+    return [value for points in lines.values() for values in points.values() for value in values]

@@ -1,0 +1,184 @@
+"""What became of each run of a sweep: a file that is right at every moment."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Self
+
+from carom.experiment.environment import versions
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.folder import NO_ROOM, Folder, put
+from carom.experiment.sweep.plan import Plan, Point
+from carom.recording.reserve import Reserve
+
+SCHEMA = 1
+PENDING, DONE, FAILED = "pending", "done", "failed"
+COMPLETED = "completed"
+_ENTRY = 4000  # bytes that a run's entry may have, for the reserve
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run, and what became of it."""
+
+    name: str
+    parameters: dict[str, Any]
+    seed: int
+    status: str = PENDING  # "done": it went to its end, and its recording is whole; "failed": it did not
+    outcome: str = ""  # as of `Outcome.status`; or "refused", "lost" with its workers, "error"
+    reason: str = ""  # a sentence; empty when completed
+    wall_time: float | None = None  # s
+    fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
+    file: str = ""  # in the sweep's folder
+    size: int = 0  # bytes
+    worker: str = ""  # the host that computed it
+    results: dict[str, Any] = field(default_factory=dict)  # what `carom inspect` measures, by dotted keys
+
+    @property
+    def ok(self) -> bool:
+        """Whether it went to its end and kept its promises."""
+        return self.outcome == COMPLETED
+
+
+class Manifest:
+    """The list of all runs, on disk in a sweep's folder."""
+
+    def __init__(self, folder: Folder, plan: Plan, runs: dict[str, Run], command: str) -> None:
+        self.folder = folder
+        self.plan = plan
+        self.runs = runs  # by name
+        self.command = command
+        self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
+        self._reserve: Reserve | None = None
+
+    @classmethod
+    def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
+        """Take up a sweep where it stands, or begin one; whatever is done stays so.
+
+        Raises
+        ------
+        ExperimentError
+            If the folder holds a sweep of another scene, of other keys, or of another version.
+        """
+        known: dict[str, Run] = {}
+        if folder.manifest.exists():
+            stored = read(folder)
+            _refuse_other(folder, stored, plan)
+            known = _runs(stored)
+        for point in plan.points:
+            known.setdefault(point.name, Run(point.name, point.parameters, point.seed))
+        folder.make()
+        put(folder.scene, plan.scene)
+        return cls(folder, plan, known, command)
+
+    @property
+    def todo(self) -> list[Point]:
+        """The runs of the plan that are missing or failed."""
+        return [point for point in self.plan.points if not self._is_there(self.runs[point.name])]
+
+    @property
+    def asked(self) -> list[Run]:
+        """The runs of the plan; the folder may hold more, of an earlier and wider one."""
+        return [self.runs[point.name] for point in self.plan.points]
+
+    def reset(self, points: list[Point]) -> None:
+        """Put runs back to the beginning."""
+        for point in points:
+            self._enter(Run(point.name, point.parameters, point.seed))
+
+    def settle(self, name: str, report: dict[str, Any]) -> Run:
+        """Enter what a worker reports of a run: fields of `Run`."""
+        run = replace(self.runs[name], **report)
+        self._enter(run)
+        return run
+
+    def hold_room(self) -> None:
+        """Keep room on the disk for the manifest as it will be, so that a full disk is told of, too."""
+        self._reserve = Reserve(self.folder.root)
+        try:
+            self._reserve.grow(_ENTRY * len(self.runs))
+        except OSError as error:
+            self._reserve.release()
+            raise ExperimentError(f"{self.folder.root}: no room for a sweep: {error.strerror}") from None
+
+    def save(self) -> None:
+        """Write the file; OSError if that fails, and then the one before is still there."""
+        head = json.dumps(self._head(), indent=1, ensure_ascii=False).removesuffix("\n}")
+        text = f'{head},\n "runs": [\n' + ",\n".join(self._lines.values()) + "\n]}\n"
+        try:
+            put(self.folder.manifest, text)
+        except OSError as error:
+            if error.errno not in NO_ROOM or self._reserve is None:
+                raise
+            self._reserve.release()
+            self._reserve = None
+            put(self.folder.manifest, text)
+
+    def _is_there(self, run: Run) -> bool:
+        path = self.folder.root / run.file
+        return run.status == DONE and path.is_file() and path.stat().st_size == run.size
+
+    def _enter(self, run: Run) -> None:
+        self.runs[run.name] = run
+        self._lines[run.name] = _line(run)
+
+    def _head(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "title": self.plan.title,
+            "scene": self.plan.digest,
+            "varied": list(self.plan.varied),
+            "versions": versions(),
+            "command": self.command,
+            "counts": dict(Counter(run.status for run in self.runs.values())),
+        }
+
+
+def read(folder: Folder) -> dict[str, Any]:
+    """Read a manifest as it is stored.
+
+    Raises
+    ------
+    ExperimentError
+        If there is none, or it is not one of carom's.
+    """
+    path = folder.manifest
+    if not path.is_file():
+        raise ExperimentError(f"{folder.root}: no sweep here (there is no {path.name})")
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored["schema"] != SCHEMA:
+            raise ExperimentError(f"{path}: of another version of carom (schema {stored['schema']})")
+        _runs(stored)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
+    return dict(stored)
+
+
+def stored_runs(folder: Folder) -> list[Run]:
+    """Return the runs of a sweep as its manifest has them."""
+    return list(_runs(read(folder)).values())
+
+
+def _line(run: Run) -> str:
+    """Write a run's entry once, not whenever another run ends."""
+    return json.dumps(asdict(run), ensure_ascii=False)
+
+
+def _runs(stored: dict[str, Any]) -> dict[str, Run]:
+    return {entry["name"]: Run(**entry) for entry in stored["runs"]}
+
+
+def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
+    """Refuse to mix two sweeps in a folder."""
+    remedy = "choose another folder with -o, or give --force to remove that sweep and start anew"
+    if stored["scene"] != plan.digest:
+        raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")
+    if tuple(stored["varied"]) != plan.varied:
+        keys = ", ".join(stored["varied"])
+        raise ExperimentError(f"{folder.root}: is of a sweep that varies {keys}, in this order; {remedy}")
+    theirs, ours = stored["versions"]["carom"], versions()["carom"]
+    if theirs != ours:
+        raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")

@@ -1,0 +1,109 @@
+"""A sweep from its plan to its table. Needs `carom[cluster]`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from carom.experiment.environment import versions
+from carom.experiment.output import output_folder
+from carom.experiment.sweep import table
+from carom.experiment.sweep.cluster import connected, refuse_unfit
+from carom.experiment.sweep.conductor import Conductor, Watcher
+from carom.experiment.sweep.folder import Folder
+from carom.experiment.sweep.interrupts import Interrupts
+from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest, Run
+from carom.experiment.sweep.plan import Plan, Point
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a sweep ended."""
+
+    manifest: Manifest
+    found: int  # runs that were there before
+    stopped: str  # why it ended early; empty if it did not
+
+    @property
+    def failed(self) -> list[Run]:
+        """The runs that did not go to their end."""
+        return [run for run in self.manifest.asked if run.status == FAILED]
+
+    @property
+    def missed(self) -> list[Run]:
+        """The runs that went to their end and missed a promise of their scene."""
+        return [run for run in self.manifest.asked if run.status not in (FAILED, PENDING) and not run.ok]
+
+    @property
+    def left(self) -> int:
+        """How many runs have not been made."""
+        return sum(run.status == PENDING for run in self.manifest.asked)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every run went to its end and kept its promises."""
+        return all(run.ok for run in self.manifest.asked)
+
+
+def sweep(
+    plan: Plan,
+    root: Path,
+    watch: Watcher,
+    *,
+    address: str | None = None,
+    workers: int | None = None,
+    force: bool = False,
+    command: str = "",
+) -> Ending:
+    """Make all runs of a plan that are not there yet.
+
+    Parameters
+    ----------
+    plan
+        From `carom.experiment.sweep.plan.plan`.
+    root
+        The folder of the sweep; the same on all machines that compute.
+    watch
+        Who is told what happens.
+    address
+        A Dask scheduler, such as ``tcp://10.0.0.1:8786``; None for processes on this machine.
+    workers
+        How many of those; by default one a core.
+    force
+        Whether to remove a sweep that lies in the folder, rather than to go on with it.
+    command
+        What was typed, for the recordings.
+
+    Raises
+    ------
+    ExperimentError
+        If the folder holds another sweep, or the cluster cannot be used.
+    OSError
+        If the manifest cannot be written.
+    """
+    folder = Folder(root.resolve())
+    output_folder(folder.root)
+    with folder.claimed():
+        if force:
+            folder.clear()
+        manifest = Manifest.begin(folder, plan, command)
+        todo = manifest.todo
+        folder.clear_partial()
+        manifest.reset(todo)
+        manifest.hold_room()
+        manifest.save()
+        found = len(plan.points) - len(todo)
+        watch.begin(found)
+        stopped = _make(manifest, todo, watch, address, workers) if todo else ""
+        folder.clear_partial()
+        manifest.save()
+        table.write(folder, list(manifest.runs.values()))
+    return Ending(manifest, found, stopped)
+
+
+def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | None, workers: int | None) -> str:
+    with connected(address, workers, len(todo)) as client:
+        if address:
+            refuse_unfit(client, str(manifest.folder.root), manifest.plan.digest, versions()["carom"])
+        with Interrupts() as interrupts:
+            return Conductor(client, manifest, watch).conduct(todo, interrupts)

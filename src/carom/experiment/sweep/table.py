@@ -1,0 +1,123 @@
+"""A sweep as a table: one row a run, with what varies, what became of it, and what was measured."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Sequence
+from operator import eq, ge, gt, le, lt, ne
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.folder import Folder, put
+from carom.experiment.sweep.manifest import Run
+from carom.experiment.sweep.plan import SEED, nearest
+
+Row = dict[str, Any]
+
+_FIRST = ("name",)
+_LAST = ("status", "outcome", "reason", "wall_time", "fingerprint", "file", "size", "worker")
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {"<=": le, ">=": ge, "!=": ne, "=": eq, "<": lt, ">": gt}
+_CONDITION = re.compile(r"\s*([^<>=!\s]+)\s*(<=|>=|!=|=|<|>)\s*(.*?)\s*")
+
+
+def rows_of(runs: Sequence[Run]) -> list[Row]:
+    """Return a row a run; what a run has not got is None in it."""
+    rows = [
+        {"name": run.name, **run.parameters, SEED: run.seed, **{key: getattr(run, key) for key in _LAST}, **run.results}
+        for run in runs
+    ]
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return [{key: row.get(key) for key in keys} for row in rows]
+
+
+def columns_of(rows: Sequence[Row]) -> list[str]:
+    """Return the names of the columns, in their order."""
+    return list(rows[0]) if rows else [*_FIRST, SEED, *_LAST]
+
+
+def write(folder: Folder, runs: Sequence[Run]) -> None:
+    """Write the table as Parquet and as CSV. OSError if the disk has no room."""
+    rows = rows_of(runs)
+    table = pa.table({key: _column([row[key] for row in rows]) for key in columns_of(rows)})
+    parquet, text = io.BytesIO(), io.BytesIO()
+    pa.parquet.write_table(table, parquet)
+    pa.csv.write_csv(table, text)
+    put(folder.table, parquet.getvalue())
+    put(folder.table.with_suffix(".csv"), text.getvalue())
+
+
+def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
+    """Return the rows that meet all conditions, in order.
+
+    Parameters
+    ----------
+    conditions
+        Such as ``contact.restitution>=0.5`` or ``outcome=completed``. What a run has not got meets no condition.
+    sort
+        A column; with a minus before it the largest comes first. Rows without a value come last.
+
+    Raises
+    ------
+    ExperimentError
+        If there is no such column, or a condition cannot be read.
+    """
+    found = list(rows)
+    for condition in conditions:
+        found = [row for row in found if _meets(row, *_parsed(condition, rows))]
+    if sort is None:
+        return found
+    key = known(sort.removeprefix("-"), rows)
+    there = [row for row in found if row[key] is not None]
+    there.sort(key=lambda row: _order(row[key]), reverse=sort.startswith("-"))
+    return there + [row for row in found if row[key] is None]
+
+
+def known(key: str, rows: Sequence[Row]) -> str:
+    """Return a column's name; ExperimentError if there is none of that name."""
+    columns = columns_of(rows)
+    if key in columns:
+        return key
+    raise ExperimentError(f"{key}: no such column; {nearest(key, columns)}There are {', '.join(columns)}")
+
+
+def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, Any], Any], str]:
+    matched = _CONDITION.fullmatch(condition)
+    if matched is None:
+        raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
+    return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
+
+
+def _meets(row: Row, key: str, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
+    value = row[key]
+    if value is None:
+        return False
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return bool(compare(_text(value), wanted))
+    try:
+        return bool(compare(value, float(wanted)))
+    except ValueError:
+        raise ExperimentError(f"--filter {key}: {wanted} is no number, and {key} is one") from None
+
+
+def _order(value: Any) -> tuple[bool, Any]:
+    """Sort numbers before text."""
+    is_number = isinstance(value, (int, float))
+    return (not is_number, value if is_number else _text(value))
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """Return a column of one type; what has no common type, or is a list, is written as JSON."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str}):
+        return pa.array([float(value) if kinds == {int, float} and value is not None else value for value in values])
+    return pa.array([None if value is None else _text(value) for value in values], pa.string())
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

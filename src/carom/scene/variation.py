@@ -1,0 +1,147 @@
+"""What varies from run to run of a sweep: the values of each key, and how they are combined."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import tomlkit
+import tomlkit.exceptions
+
+Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
+
+MOST_RUNS = 1_000_000
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*:\s*(\d+)\s*(log)?\s*")
+_EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
+_DIGITS = 12  # of a value in a range: 0.3 and not 0.30000000000000004
+
+
+def values_of(text: str) -> Values:
+    """Read the values that a person wrote for a key.
+
+    Parameters
+    ----------
+    text
+        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included.
+
+    Raises
+    ------
+    ValueError
+        Saying what would be right.
+    """
+    if matched := _RANGE.fullmatch(text):
+        return _range(text, *matched.groups())
+    parts = _split(text)
+    if not all(parts):
+        raise ValueError(f'"{text}": expected {_EXAMPLES}')
+    return alike(_value(part) for part in parts)
+
+
+def alike(values: Any) -> Values:
+    """Return the values as a tuple in which whole numbers beside others are floats, none twice.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or one is there twice.
+    """
+    found = tuple(values)
+    if not found:
+        raise ValueError(f"no values; expected {_EXAMPLES}")
+    if any(isinstance(value, float) for value in found) and all(_is_number(value) for value in found):
+        found = tuple(float(value) for value in found)
+    twice = next((value for index, value in enumerate(found) if value in found[:index]), None)
+    if twice is not None:
+        raise ValueError(f"{twice} is there twice; a run is made once")
+    return found
+
+
+def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any]]:
+    """Return the parameters of every run: each value of each key with each of the others, or side by side.
+
+    Raises
+    ------
+    ValueError
+        If lists to go side by side differ in length, or there are too many runs.
+    """
+    if zipped:
+        lengths = {key: len(values) for key, values in axes.items()}
+        if len(set(lengths.values())) > 1:
+            counts = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+            raise ValueError(f"values go side by side, so there must be as many of each: {counts}")
+        rows: Any = zip(*axes.values(), strict=True) if axes else [()]
+    else:
+        if math.prod(len(values) for values in axes.values()) > MOST_RUNS:
+            raise ValueError(f"more than {MOST_RUNS} runs; give fewer values")
+        rows = itertools.product(*axes.values())
+    return [dict(zip(axes, row, strict=True)) for row in rows]
+
+
+def flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
+    """Write nested tables under dotted keys: in TOML, an unquoted ``contact.restitution`` is a table of its own."""
+    found: dict[str, Any] = {}
+    for key, value in nested.items():
+        if isinstance(value, Mapping):
+            found |= {f"{key}.{below}": inner for below, inner in flattened(value).items()}
+        else:
+            found[key] = value
+    return found
+
+
+def override(key: str, value: Any) -> str:
+    """Write a parameter as ``--set`` takes it."""
+    return f"{key}={tomlkit.item(value).as_string()}"
+
+
+def _range(text: str, first: str, last: str, count: str, log: str | None) -> Values:
+    low, high, steps = float(first), float(last), int(count) - 1
+    if steps < 1:
+        raise ValueError(f'"{text}": a range has two values or more; expected {_EXAMPLES}')
+    if log and not (low > 0.0 and high > 0.0):
+        raise ValueError(f'"{text}": equal ratios need two ends above 0')
+    if log:
+        ratio = math.log(high / low)
+        inner = [low * math.exp(ratio * step / steps) for step in range(1, steps)]
+    else:
+        inner = [low + (high - low) * step / steps for step in range(1, steps)]
+    values = [low, *(float(f"{value:.{_DIGITS}g}") for value in inner), high]
+    if all(value.is_integer() for value in values) and _are_whole(first, last):
+        return alike(int(value) for value in values)
+    return alike(values)
+
+
+def _are_whole(*numbers: str) -> bool:
+    """Tell whether numbers were written without a point: a count must stay one."""
+    return all(number.lstrip("+-").isdigit() for number in numbers)
+
+
+def _value(text: str) -> Any:
+    """Read a TOML value; a bare word is a string."""
+    try:
+        return tomlkit.value(text).unwrap()
+    except (tomlkit.exceptions.TOMLKitError, ValueError):
+        return text
+
+
+def _split(text: str) -> Sequence[str]:
+    """Split at the commas that are not inside brackets, braces or quotes."""
+    parts, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        depth += (not quote) * ((character in "[{") - (character in "]}"))
+        if character == "," and not quote and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

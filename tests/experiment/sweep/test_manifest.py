@@ -1,0 +1,113 @@
+"""The manifest is right at every moment."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.folder import Folder, put
+from carom.experiment.sweep.manifest import DONE, Manifest, read, stored_runs
+from carom.experiment.sweep.plan import plan
+from sweeps import write_scene
+
+
+def begin(folder: Path, runs: int = 3) -> Manifest:
+    return Manifest.begin(Folder(folder / "out"), plan(write_scene(folder), seeds=runs), "carom sweep")
+
+
+def finish(manifest: Manifest, name: str) -> None:
+    path = manifest.folder.whole(name)
+    path.write_bytes(b"whole")
+    manifest.settle(name, {"status": DONE, "outcome": "completed", "file": f"runs/{path.name}", "size": 5})
+
+
+def test_what_is_saved_is_read_again(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    finish(manifest, "seed=6")
+    manifest.save()
+    assert stored_runs(manifest.folder) == list(manifest.runs.values())
+    assert read(manifest.folder)["counts"] == {"pending": 2, "done": 1}
+    assert [point.name for point in begin(tmp_path).todo] == ["seed=5", "seed=7"]
+
+
+@pytest.mark.parametrize("spoil", ["remove", "shorten"])
+def test_a_run_whose_file_is_gone_or_short_is_missing(tmp_path: Path, spoil: str) -> None:
+    manifest = begin(tmp_path)
+    finish(manifest, "seed=6")
+    path = manifest.folder.whole("seed=6")
+    path.unlink() if spoil == "remove" else path.write_bytes(b"who")
+    assert len(manifest.todo) == 3
+
+
+def test_a_disk_that_is_full_leaves_the_file_of_before_and_then_gets_the_reserve(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manifest = begin(tmp_path)
+    manifest.save()
+    before = manifest.folder.manifest.read_bytes()
+    finish(manifest, "seed=6")
+    full = {"left": 2}
+
+    def fsync(descriptor: int) -> None:
+        if full["left"]:
+            full["left"] -= 1
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    with pytest.raises(OSError, match="No space"):
+        manifest.save()
+    assert manifest.folder.manifest.read_bytes() == before
+    manifest.hold_room()
+    manifest.save()  # the second failure gives up the reserve
+    assert read(manifest.folder)["counts"] == {"pending": 2, "done": 1}
+    assert sorted(path.name for path in manifest.folder.root.iterdir() if path.name.endswith(".new")) == []
+
+
+def test_a_file_is_as_before_or_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "manifest.json"
+    put(path, "before")
+    seen = []
+    monkeypatch.setattr(os, "fsync", lambda descriptor: seen.append(path.read_text(encoding="utf-8")))
+    put(path, "after")
+    assert seen == ["before", "after"]  # the content is durable before it has the name, and then the name
+
+
+def test_a_manifest_of_something_else_is_refused(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    manifest.save()
+    stored = json.loads(manifest.folder.manifest.read_text(encoding="utf-8"))
+    for change, said in (
+        ({"schema": 99}, "another version"),
+        ({"runs": [{"name": 1, "unknown": 2}]}, "not a manifest"),
+        ({"runs": 3}, "not a manifest"),
+    ):
+        manifest.folder.manifest.write_text(json.dumps(stored | change), encoding="utf-8")
+        with pytest.raises(ExperimentError, match=said):
+            begin(tmp_path)
+    manifest.folder.manifest.write_text(json.dumps(stored | {"versions": {"carom": "0.0.1"}}), encoding="utf-8")
+    with pytest.raises(ExperimentError, match=r"begun with carom 0\.0\.1"):
+        begin(tmp_path)
+
+
+def test_two_sweeps_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
+    folder = begin(tmp_path).folder
+    with (
+        folder.claimed(),
+        pytest.raises(ExperimentError, match="another sweep runs here"),
+        Folder(folder.root).claimed(),
+    ):
+        pass
+
+
+def test_clearing_a_folder_leaves_what_others_put_there(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    finish(manifest, "seed=6")
+    manifest.save()
+    (manifest.folder.root / "notes.txt").write_text("mine", encoding="utf-8")
+    manifest.folder.clear()
+    assert [path.name for path in manifest.folder.root.iterdir()] == ["notes.txt"]

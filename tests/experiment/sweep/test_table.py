@@ -1,0 +1,46 @@
+"""The table of a sweep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.sweep.folder import Folder
+from carom.experiment.sweep.manifest import Run
+from carom.experiment.sweep.table import chosen, rows_of, write
+
+RUNS = [
+    Run("a", {"x": 1.0, "v": [0, 1]}, 1, "done", "completed", results={"e": 3.0, "met": True}),
+    Run("b", {"x": 2.0, "v": [0, 2]}, 1, "failed", "refused"),
+    Run("c", {"x": 2.0, "v": "none"}, 2, "done", "completed", results={"e": 1.0, "met": False}),
+]
+ROWS = rows_of(RUNS)
+
+
+def names(*conditions: str, sort: str | None = None) -> str:
+    return "".join(row["name"] for row in chosen(ROWS, conditions, sort))
+
+
+def test_rows_are_filtered_by_comparisons_that_all_hold() -> None:
+    assert names() == "abc"
+    assert names("x=2") == "bc" and names("x!=2") == "a" and names("x>=2", "seed<2") == "b"
+    assert names("outcome=completed") == "ac" and names("e>0") == "ac" and names("met=true") == "a"
+    assert names("v=[0, 1]") == "a"
+
+
+def test_rows_are_sorted_and_those_without_a_value_come_last() -> None:
+    assert names(sort="e") == "cab" and names(sort="-e") == "acb" and names(sort="-name") == "cba"
+    with pytest.raises(ExperimentError, match="no such column"):
+        names(sort="nothing")
+
+
+def test_columns_have_one_type(tmp_path: Path) -> None:
+    write(Folder(tmp_path), RUNS)
+    table = pq.read_table(tmp_path / "table.parquet")
+    assert table.schema.field("e").type == pa.float64() and table["e"].to_pylist() == [3.0, None, 1.0]
+    assert table["v"].to_pylist() == ["[0, 1]", "[0, 2]", "none"]
+    assert table.schema.field("met").type == pa.bool_() and table.schema.field("seed").type == pa.int64()

@@ -1,0 +1,58 @@
+"""Rerun's catalogue of many recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("datafusion")
+
+from rerun.catalog import CatalogClient
+
+from carom.experiment.run import simulate
+from carom.physics.space import Space
+from carom.recording.catalog import catalog
+from carom.recording.errors import RecordingError
+from carom.recording.header import SweepMember
+from carom.recording.viewer import Viewer
+from examples import pair
+
+
+def swept(folder: Path, restitution: float) -> Path:
+    path = folder / f"restitution={restitution}.rrd"
+    scene = pair(contact={"restitution": restitution}, time={"duration": 0.2})
+    member = SweepMember(path.stem, {"contact.restitution": restitution, "seed": 0}, "carom sweep")
+    simulate(Space(scene, threads=1), path, member=member)
+    return path
+
+
+def test_each_recording_is_a_row_with_what_varies_and_what_came_of_it(tmp_path: Path) -> None:
+    paths = [swept(tmp_path, restitution) for restitution in (0.2, 0.8)]
+    with catalog("bounces", paths) as address:
+        server, _, entry = address.rpartition("/dataset/")
+        assert server.startswith("rerun+http://127.0.0.1:")
+        dataset = CatalogClient(server).get_dataset("bounces")
+        assert str(dataset.id) == entry
+        rows = dataset.segment_table().to_arrow_table()
+    assert sorted(value for (value,) in rows["property:sweep:contact_restitution"].to_pylist()) == [0.2, 0.8]
+    assert rows["property:outcome:outcome"].to_pylist() == [["completed"]] * 2
+
+
+@pytest.mark.slow
+def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
+    with catalog("bounces", [swept(tmp_path, 0.5)]) as address:
+        dataset = CatalogClient(address.rpartition("/dataset/")[0]).get_dataset("bounces")
+        (row,) = dataset.segment_ids()
+        with Viewer("--headless") as viewer:
+            viewer.open(address)
+            viewer.open(dataset.segment_url(row))
+            viewer.until("open the row", 60.0, lambda: bool(viewer.client.get_state().views))
+            assert row in (viewer.client.get_state().active_recording or "")
+
+
+def test_what_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"no recording at .*gone"), catalog("bounces", [tmp_path / "gone.rrd"]):
+        pass
+    with pytest.raises(RecordingError, match="no recordings yet"), catalog("bounces", []):
+        pass
