@@ -17,9 +17,9 @@ RESTITUTION, FRICTION, STABILISATION = 0, 1, 2  # columns of a contact's ledger
 #       left alone);   λ_n, λ_t, and s, what the last sweep changed of them
 HOT, IMPULSE = 16, 8
 # cold: overlap or minus the gap, overlap as it was found, rest speed, approach, v_n and u before the impulses;
-#       its ledger, Σ δ n of the pushes
+#       its ledger, Σ δ n of the pushes, what part of an overlap a push undoes, 1 if it was found apart
 COLD = 16
-OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES = 0, 1, 2, 3, 4, 8, 11
+OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES, PART, APART = 0, 1, 2, 3, 4, 8, 11, 14, 15
 # motion, of a body or plane: v, ω, 1/m, 1/I;   what the last sweep changed of v and ω
 MOTION, CHANGED = 16, 8
 

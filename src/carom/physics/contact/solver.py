@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import (
+    APART,
     APPROACH,
     BIAS,
     CHANGE,
@@ -79,7 +80,9 @@ def strike(
         if first:
             cold[c, APPROACH] = max(0.0, -vn)
         rests = -vn <= cold[c, REST]
-        if impacts_only and (rests or cold[c, OVERLAP] < 0.0):  # where contacts last, one across a gap has time
+        if impacts_only and (
+            rests or (cold[c, OVERLAP] < 0.0 and cold[c, APART] > 0.0)
+        ):  # where contacts last, one across a gap has time
             continue
         material = max(0, j - bodies + 1)
         e = 0.0 if rests else law[material, 0]

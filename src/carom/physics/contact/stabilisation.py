@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import LEDGER, PUSHES, REST, STABILISATION
+from carom.physics.contact.load import LEDGER, PART, PUSHES, REST, STABILISATION
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import AHEAD, prefetch
 
@@ -30,7 +30,22 @@ IntArray = NDArray[np.int64]
 BAUMGARTE = 0.2  # part of the overlap that the bias undoes in a step
 LEAVING = 0.1  # of the rest speed; what separates faster clears itself. 1 raises a slow rebound out of its overlap for
 # nothing (10 times the energy in the worst step), 0 leaves a pile overlapping (a quarter of a radius while it forms)
+ROW = 2.0  # contacts of each body in a row
 ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another sweep
+
+
+@kernel
+def parts_undone(pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
+    """Find the part of an overlap that a sweep undoes: the less the more contacts both of its ends have.
+
+    A row or a ring is put right by whole overlaps. In a crowd these throw each body into the next, so that a pile that
+    has been pressed together never finds rest: no contact is the same in two steps, and no impulse is remembered.
+    """
+    for c in range(len(pairs)):
+        crowd[pairs[c, 0]] += 1
+        crowd[pairs[c, 1]] += 1
+    for c in range(len(pairs)):
+        cold[c, PART] = min(1.0, ROW / min(crowd[pairs[c, 0]], crowd[pairs[c, 1]]))
 
 
 @long_kernel
@@ -54,7 +69,7 @@ def push_apart(
     Parameters
     ----------
     pairs, cold, law
-        (m, 2), (m, 16) and (1 + p, 3), see `Load`; ledger and pushes are added to.
+        (m, 2), (m, 16) and (1 + p, 3), see `Load`; parts are read, ledger and pushes are added to.
     x
         (n, 3) m.
     v, inverse_mass, radius
@@ -87,15 +102,16 @@ def push_apart(
                     nx, ny, nz = dx / d, dy / d, dz / d
                 else:
                     nx, ny, nz = 1.0, 0.0, 0.0
-            push = reach - d
-            if push <= 0.0:
+            overlap = reach - d
+            if overlap <= 0.0:
                 continue
             vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
             vn = vx * nx + vy * ny + vz * nz
             if vn > LEAVING * cold[c, REST] or (-vn > cold[c, REST] and law[max(0, j - n + 1), 0] > 0.0):
                 continue
-            if push > ENOUGH * reach:
+            if overlap > ENOUGH * reach:
                 again = True
+            push = cold[c, PART] * overlap
             mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
             mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
             if mi > 0.0:

@@ -216,6 +216,8 @@ class ContactStage:
         normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
         self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
         _describe(place, bench.hot, bench.overlaps, self._rounding, normals, overlaps, self._apart)
+        # what touched when found is resolved though a push opens it, or it falls and is pushed back for ever
+        bench.apart[:] = self._apart
         self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
         self._dt = dt  # s, the step that they are for
         self.sweeps = 0

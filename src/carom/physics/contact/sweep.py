@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.load import (
     ALPHA,
+    APART,
     BEFORE,
     BIAS,
     BLOCK,
@@ -81,7 +82,7 @@ def begin(
             fastest = rest_speed * ((kick + 0.5 * drift) / dt)
         else:
             C[c, 7] = gap / dt if gap > 0.0 else bias_rate * gap
-            fastest = rest_speed if gap > 0.0 else np.inf  # what touches fast has been resolved
+            fastest = rest_speed if gap > 0.0 and cold[c, APART] > 0.0 else np.inf  # what touched has been resolved
         if -vn > fastest:
             C[c, 7] = np.inf
             for k in range(4):

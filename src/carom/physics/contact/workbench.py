@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.crew import HELP, HOLDING, IMPACTS, work
 from carom.physics.contact.load import (
+    APART,
     APPROACH,
     BIAS,
     BLOCK,
@@ -30,7 +31,7 @@ from carom.physics.contact.load import (
 from carom.physics.contact.meeting import meet
 from carom.physics.contact.motion import pack, those_that_touch, unpack
 from carom.physics.contact.solver import still_closing
-from carom.physics.contact.stabilisation import push_apart, work_of_pushes
+from carom.physics.contact.stabilisation import parts_undone, push_apart, work_of_pushes
 from carom.physics.contact.stages import Stages
 from carom.physics.team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
@@ -125,6 +126,11 @@ class Workbench:
         return self._load.cold[:, APPROACH]
 
     @property
+    def apart(self) -> FloatArray:
+        """(m,) 1 where a contact was only near when it was found, else 0."""
+        return self._load.cold[:, APART]
+
+    @property
     def ledger(self) -> FloatArray:
         """(m, 3) J: what left by restitution and by friction, what stabilisation put in."""
         return self._load.cold[:, LEDGER : LEDGER + 3]
@@ -153,6 +159,7 @@ class Workbench:
     def part(self, most_sweeps: int) -> None:
         """Push contacts at rest apart, in sweeps, so many at most."""
         bodies, ends, planes, load = self._bodies, self._bodies.ends, self._planes, self._load
+        parts_undone(load.pairs, np.zeros(len(ends.inverse_mass), dtype=np.int64), load.cold)
         push_apart(
             load.pairs,
             bodies.position,
