@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from boltzmann import rough_gas
 from gases import carnahan_starling, cooling, enskog_rate, measure_equilibrium, rough_ratio
+from packings import contacts_of_a_body, packing_fraction, pour
 from published.test_granular_gas import stick_ratio
 from published.test_oblique_impact import slip_after
 from published.test_two_body_bounce import APOCENTRES, AT_REST, BOUNCES, separations
@@ -32,6 +33,7 @@ def main() -> None:
     hard_sphere_gas()
     haff()
     rough_spheres()
+    packings()
 
 
 def figure(panels: int = 1) -> tuple[Figure, list[Axes]]:
@@ -145,6 +147,31 @@ def rough_spheres() -> None:
     ax.set_ylim(0, 1)
     ax.legend(frameon=False, ncols=2)
     save(made, "rough-spheres")
+
+
+def packings() -> None:
+    frictions = (0.0, 0.03, 0.1, 0.3, 1.0, 10.0)
+    filled, touching = [], []
+    for friction in frictions:
+        smooth = friction == 0.0  # slow to find its place: nothing holds it but the last contact that it needs
+        space = pour(
+            2000, 12.0, friction, settling=0.5 if smooth else 0.2, until=110.0, sweeps=30 if smooth else 8, seed=1
+        )
+        filled.append(packing_fraction(space))
+        touching.append(contacts_of_a_body(space, fewest=4 if smooth else 2))
+        print(f"packing, μ = {friction}: {filled[-1]:.4f}, {touching[-1]:.2f} contacts")
+    made, panels = figure(2)
+    shown = [max(friction, 0.01) for friction in frictions]
+    for ax, values, published, label in (
+        (panels[0], filled, (0.639, 0.55), "packing fraction"),
+        (panels[1], touching, (6.0, 4.0), "contacts of a sphere"),
+    ):
+        ax.semilogx(shown, values, "ko-", label="carom, 2000 spheres poured")
+        ax.axhline(published[0], color="C0", linestyle="--", linewidth=1, label="published, without friction")
+        ax.axhline(published[1], color="C1", linestyle="--", linewidth=1, label="published, with much friction")
+        ax.set(xlabel="friction μ (leftmost: 0)", ylabel=label)
+        ax.legend(frameon=False, fontsize=8)
+    save(made, "packings")
 
 
 if __name__ == "__main__":
