@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import explain, inspect, run, scenes, stress, view
+from carom.cli import explain, inspect, run, scenes, stress, view, warmup
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -49,6 +49,7 @@ app.command("inspect")(inspect.inspect)
 app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
+app.command("warmup")(warmup.warmup)
 
 
 def main() -> None:
