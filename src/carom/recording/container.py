@@ -233,6 +233,8 @@ def _record_batch(payload: memoryview, compression: int, size: int) -> pa.Record
         plain = pa.decompress(pa.py_buffer(payload), size, codec="lz4_raw") if compression == _LZ4 else payload
         batch = pa.ipc.open_stream(plain).read_next_batch()
         batch.validate(full=True)
+        for column in batch.schema:
+            _check_names(column)
     except (pa.ArrowException, OSError, ValueError, StopIteration, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0] if str(error) else "nothing in it"
         raise DamageError(f"a chunk that cannot be decoded ({reason})") from error
@@ -261,6 +263,14 @@ def _check(chunk: Chunk) -> None:
             raise DamageError(f"a component of /{chunk.entity_path} of type {column.type}")
     if len(set(batch.schema.names)) < len(batch.schema.names):
         raise DamageError(f"a component of /{chunk.entity_path} twice")
+
+
+def _check_names(column: pa.Field) -> None:
+    """Read every name in a type: UnicodeDecodeError if one is no text. Rerun would panic over it."""
+    for key, value in (column.metadata or {}).items():
+        key.decode(), value.decode()
+    for k in range(column.type.num_fields if column.name is not None else 0):
+        _check_names(column.type.field(k))
 
 
 def _kind(column: pa.Field) -> bytes:
