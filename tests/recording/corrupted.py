@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
+from carom.experiment.diff import diff
 from carom.recording.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
@@ -120,6 +121,7 @@ def main(source: Path, folder: Path, seed: int, count: int) -> None:
         attempt(lambda: clip(path, out, 1.0, 3.0))
         attempt(lambda: clip(path, out, 1.0, 3.0, bodies=[3, 17]))
         attempt(lambda: mended(path, out))
+        attempt(lambda: diff(Recording.open(source), Recording.open(path)))
     tell("end", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import clip, explain, inspect, repair, replay, report, resume, run, scenes, stress, view
+from carom.cli import clip, diff, explain, inspect, repair, replay, report, resume, run, scenes, stress, view
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -53,6 +53,7 @@ app.command("stress")(stress.stress)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
 app.command("clip")(clip.clip)
+app.command("diff")(diff.diff)
 app.command("repair")(repair.repair)
 
 

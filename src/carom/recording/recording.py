@@ -129,6 +129,12 @@ class Recording:
 
     @property
     @_named
+    def is_overlay(self) -> bool:
+        """Whether it shows two runs, one over the other: `carom diff -o` made it."""
+        return bool(self._property("diff"))
+
+    @property
+    @_named
     def title(self) -> str:
         """The scene's title."""
         return str(self.info["title"])

@@ -61,6 +61,14 @@ class Writer:
         for part in rerun_chunks(chunk.batch):
             rr.send_chunks(part, recording=self._stream)
 
+    def send_columns(self, path: str, index: list[rr.TimeColumn], columns: rr.ComponentColumnList) -> None:
+        """Send rows of an entity that are made anew."""
+        self._stream.send_columns(path, index, columns)
+
+    def log(self, path: str, archetype: rr.AsComponents) -> None:
+        """Send what holds for the whole recording."""
+        self._stream.log(path, archetype, static=True)
+
     def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
         """Send a recording property."""
         self._stream.send_property(name, rr.AnyValues(True, **values))

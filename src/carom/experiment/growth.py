@@ -1,0 +1,141 @@
+"""How a difference between two runs grows, and what that says of where it came from.
+
+Two runs that differ by round-off part exponentially if the system is chaotic: ln d = a + λ t. A fault in the program,
+or another scene, is not a matter of round-off: it shows as a difference that is there at once, larger than any
+round-off that had so much time to grow; or it grows like a power of time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_SATURATED = 0.1  # of the size of the system: from there on the difference cannot grow freely any more
+_POINTS, _FACTOR = 5, 10.0  # the least that a rate is fitted to: so many frames, and growth by so much
+_ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
+_GRAZING = 1000.0  # a grazing impact stretches a difference by mean free path over radius at once
+_SURE = 3.0  # standard errors that a rate must be away from 0
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """The difference frame by frame."""
+
+    step: NDArray[np.int64]  # (k,)
+    time: FloatArray  # (k,) s
+    rms: FloatArray  # (k,) m, of the distances between counterparts
+    floor: FloatArray  # (k,) m; a smaller difference cannot be told from the rounding of what was recorded
+    energy: FloatArray  # (k,) J, second minus first
+    differs: NDArray[np.bool_]  # (k,) the fingerprints do
+    size: float  # m, rms distance of the bodies from their middle
+    reach: float  # m, the largest coordinate: round-off is a fraction of it
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """A line through ln rms over the growing part of a curve."""
+
+    rate: float  # 1/s, λ
+    standard_error: float  # 1/s, as if the points were independent
+    doubling_time: float  # s
+    begin: float  # s
+    end: float  # s
+    points: int
+    factor: float  # by which the difference grew meanwhile
+    power: float  # p of the best t^p
+    is_exponential: bool  # the line fits better than any power of time
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What it is, in a word, a sentence, and the numbers behind them."""
+
+    kind: str  # "same", "start", "jump", "chaos", "drift" or "round-off"
+    text: str
+    first: int | None  # the frame (index) at which the bits differ first
+    jump: float  # m, difference at that frame; 0 if it cannot be seen
+    allowed: float  # m, what round-off could have become by then
+
+
+def growth(curve: Curve) -> Growth | None:
+    """Fit the growing part: from the first difference that can be seen to the largest one below saturation."""
+    seen = np.flatnonzero((curve.rms > curve.floor) & np.isfinite(curve.rms))
+    if len(seen) == 0:
+        return None
+    saturated = np.flatnonzero(curve.rms >= _SATURATED * curve.size)
+    after = saturated[saturated >= seen[0]]
+    seen = seen[seen <= (after[0] if len(after) else seen[-1])]
+    seen = seen[: int(np.argmax(curve.rms[seen])) + 1]
+    time, rms = curve.time[seen], curve.rms[seen]
+    if len(seen) < _POINTS or rms[-1] < _FACTOR * rms[0] or not time[-1] > time[0]:
+        return None
+    rate, error, misfit = _line(time, np.log(rms))
+    onset = curve.time[max(0, int(np.argmax(curve.differs)) - 1)]
+    since = time - min(onset, time[0] - (time[1] - time[0]))
+    power, _, misfit_of_power = _line(np.log(since), np.log(rms))
+    doubling = float(np.log(2.0) / rate) if rate > 0 else float("inf")
+    exponential = misfit <= misfit_of_power and rate > _SURE * error
+    return Growth(
+        rate, error, doubling, float(time[0]), float(time[-1]), len(seen), float(rms[-1] / rms[0]), power, exponential
+    )
+
+
+def verdict(curve: Curve, grown: Growth | None) -> Verdict:
+    """Tell round-off that grew from a fault."""
+    if not curve.differs.any():
+        return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
+    first = int(np.argmax(curve.differs))
+    when = f"step {curve.step[first]}, t = {curve.time[first]:.6g} s"
+    jump = float(curve.rms[first]) if curve.rms[first] > curve.floor[first] else 0.0
+    allowed = _allowed(curve, grown, first)
+    how = _grows(grown)
+    seen = f"{jump:.2e} m" if jump else f"less than the {curve.floor[first]:.0e} m that the recording resolves"
+    if first == 0:
+        return Verdict("start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed)
+    if jump > allowed:
+        return Verdict(
+            "jump",
+            f"a jump, not round-off: at {when}, one frame after the last with the same bits, bodies are {jump:.2e} m "
+            f"apart, {jump / allowed:.1e} times what round-off could have become; {how}",
+            first,
+            jump,
+            allowed,
+        )
+    if grown is None:
+        return Verdict("round-off", f"no more than round-off: {seen} from {when} on; {how}", first, jump, allowed)
+    kind = "chaos" if grown.is_exponential else "drift"
+    return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
+
+
+def _allowed(curve: Curve, grown: Growth | None, first: int) -> float:
+    """Bound what round-off since the last frame with the same bits can have become (m)."""
+    before = max(0, first - 1)
+    steps = max(1, int(curve.step[first] - curve.step[before]))
+    rate = grown.rate if grown is not None and grown.is_exponential else 0.0
+    stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
+    return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
+
+
+def _grows(grown: Growth | None) -> str:
+    if grown is None:
+        return "it does not grow tenfold"
+    if grown.is_exponential:
+        return (
+            f"it grows by e^(λt), λ = {grown.rate:.3g} ± {grown.standard_error:.1g} /s, "
+            f"twice as much every {grown.doubling_time:.3g} s"
+        )
+    return f"it grows like a power of time, t^{grown.power:.2g}, not exponentially"
+
+
+def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
+    """Fit a line by least squares: its slope, the slope's standard error, and the sum of squared residuals."""
+    middle = x - x.mean()
+    spread = float(middle @ middle)
+    slope = float(middle @ y) / spread
+    residual = y - y.mean() - slope * middle
+    misfit = float(residual @ residual)
+    return slope, float(np.sqrt(misfit / (len(x) - 2) / spread)), misfit

@@ -1,0 +1,73 @@
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from carom.recording.recorder import Recorder
+from command import carom
+from merry import Merry
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Path:
+    """The recording `run.rrd` once more, with other numbers behind its bits and in its scene."""
+    merry = Merry(20, scene_toml='title = "A merry-go-round"\nseed = 3\n')
+    with Recorder(tmp_path / "other.rrd", merry.header) as recorder:
+        for frame in merry.frames(100):
+            moved = frame.position + (1e-3 if frame.step >= 40 else 0.0)
+            recorder.put(replace(frame, position=moved, fingerprint=frame.fingerprint ^ (frame.step >= 40)))
+        recorder.finish("completed")
+    return tmp_path / "other.rrd"
+
+
+def test_the_same_bits_exit_0(run_file: Path, tmp_path: Path) -> None:
+    shutil.copy(run_file, tmp_path / "copy.rrd")
+    done = carom("diff", "run.rrd", "copy.rrd", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Same bits in all 100 frames that both have." in done.stdout
+
+
+def test_a_difference_exits_1_and_says_where_and_what_it_looks_like(
+    run_file: Path, other: Path, tmp_path: Path
+) -> None:
+    done = carom("diff", "run.rrd", "other.rrd", "-o", "both.rrd", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    for part in (
+        "seed: nothing in A, 3 in B",
+        "100 frames, matched by step",
+        "A jump, not round-off: at step 40, t = 2 s",
+    ):
+        assert part in done.stdout
+    assert (tmp_path / "both.rrd").exists()
+    shown = carom("inspect", "both.rrd", cwd=tmp_path)
+    assert shown.returncode == 2 and "shows two runs" in shown.stderr
+
+
+def test_diff_prints_json_that_a_script_can_use(run_file: Path, other: Path, tmp_path: Path) -> None:
+    done = carom("diff", "run.rrd", "other.rrd", "--json", cwd=tmp_path)
+    assert done.returncode == 1
+    document = json.loads(done.stdout, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert document["same_bits"] is False and document["verdict"]["kind"] == "jump"
+    assert document["first_difference"]["step"] == 40
+    assert document["scene"] == {"seed": [None, 3]}
+    assert len(document["curve"]) == 100 and document["curve"][99]["rms"] == pytest.approx(1e-3 * 3**0.5, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run.rrd", "nothing.rrd"], "no recording at nothing.rrd"),
+        (["taken.rrd", "run.rrd"], "taken.rrd is not a recording"),
+        (["run.rrd", "run.rrd", "-o", "taken.rrd"], "exists; give --force"),
+        (["run.rrd", "run.rrd", "-o", "run.rrd", "--force"], "is one of the recordings"),
+    ],
+)
+def test_a_mistake_is_one_message_and_exit_code_2(
+    arguments: list[str], said: str, run_file: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "taken.rrd").touch()
+    done = carom("diff", *arguments, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert said in done.stderr and "Traceback" not in done.stderr

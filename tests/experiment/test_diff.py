@@ -1,0 +1,181 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.experiment.diff import Diff, diff, differing, overlay
+from carom.experiment.run import run
+from carom.recording.clip import clip
+from carom.recording.errors import RecordingError
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
+from carom.scene.schema import Scene
+from merry import Merry
+
+Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)
+
+BODIES = 20
+PATTERN = np.sin(np.arange(3 * BODIES)).reshape(BODIES, 3)
+RMS = float(np.sqrt(np.mean(np.sum(PATTERN**2, axis=1))))
+
+
+def record(path: Path, change: Change = lambda t: 0.0, dt: float = 0.05, frames: int = 200, **header: Any) -> Recording:
+    merry = Merry(BODIES, **header)
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(frames, dt):
+            moved = change(frame.time)
+            if moved:
+                position = frame.position + moved * PATTERN
+                frame = replace(frame, position=position, fingerprint=frame.fingerprint ^ 1)  # noqa: PLW2901
+            recorder.put(frame)
+        recorder.finish("completed")
+    return Recording.open(path)
+
+
+def chaos(t: float) -> float:
+    return float(1e-14 * np.exp(3.0 * (t - 0.5))) if t >= 0.5 else 0.0
+
+
+def test_a_recording_is_the_same_as_itself_and_as_its_clip(tmp_path: Path) -> None:
+    whole = record(tmp_path / "a.rrd")
+    found = diff(whole, whole)
+    assert found.same and found.scene == {} and found.environment == {}
+    clip(whole.path, tmp_path / "clip.rrd", 2.0, 3.0)
+    piece = diff(whole, Recording.open(tmp_path / "clip.rrd"))
+    assert piece.same and len(piece.curve.step) == 21 and piece.frames == (200, 21)
+
+
+def test_exponential_growth_is_measured_through_exact_states_and_single_precision(tmp_path: Path) -> None:
+    found = diff(record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", chaos))
+    assert found.matched_by == "step"
+    assert found.verdict.kind == "chaos"
+    assert found.verdict.first == 10 and found.curve.time[10] == pytest.approx(0.5)
+    assert found.growth is not None
+    assert found.growth.rate == pytest.approx(3.0, rel=0.01), (
+        "single precision rounds the least of the points by 1 in 2"
+    )
+    exact = found.curve.floor == 0.0
+    assert 3 < exact.sum() < 100
+    expected = [RMS * chaos(t) for t in found.curve.time[exact]]
+    # positions of some 10 m are rounded to 2e-15 m when the pattern is added
+    assert found.curve.rms[exact] == pytest.approx(expected, rel=1e-9, abs=4e-15)
+    seen = found.curve.rms > found.curve.floor
+    assert found.curve.rms[~seen] == pytest.approx([RMS * chaos(t) for t in found.curve.time[~seen]], abs=2e-6)
+
+
+def test_a_fault_is_told_from_chaos(tmp_path: Path) -> None:
+    found = diff(record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", lambda t: 1e-3 if t >= 3.0 else 0.0))
+    assert found.verdict.kind == "jump"
+    assert found.verdict.first == 60
+    assert found.verdict.jump == pytest.approx(1e-3 * RMS, rel=1e-3)
+
+
+def test_where_dt_differs_frames_are_matched_by_time(tmp_path: Path) -> None:
+    found = diff(record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", dt=0.037, frames=270))
+    assert found.matched_by == "sim_time"
+    assert len(found.curve.step) == 200
+    assert found.verdict.kind != "jump", "bodies on the same circles: only the interpolation differs"
+    # Circles of at least 1 m at 3 m/s: a parabola is off by a dt²/8 = 9 · 0.037² / 8 m.
+    assert np.all(found.curve.rms < 9 * 0.037**2 / 8)
+
+
+def test_scenes_are_compared_key_by_key(tmp_path: Path) -> None:
+    one = 'title = "x"\n[time]\nmax_dt = 1.0\n[[body]]\nradius = 1.0\n[[body]]\n'
+    other = "[time]\nmax_dt = 2.0\n[[body]]\nradius = 1.0\n[[body]]\nradius = 3.0\n"
+    a = record(tmp_path / "a.rrd", frames=5, scene_toml=one)
+    b = record(tmp_path / "b.rrd", frames=5, scene_toml=other, properties={"version.carom": "0.2.0", "threads": 2})
+    found = diff(a, b)
+    assert found.same
+    assert found.scene == {"title": ("x", None), "time.max_dt": (1.0, 2.0), "body.1.radius": (None, 3.0)}
+    assert found.environment["version.carom"] == ("0.1.0", "0.2.0") and "threads" not in found.environment
+
+
+def test_a_missing_key_is_told_from_one_that_is_none() -> None:
+    assert differing({"a": 1}, {"a": 1}) == {}
+    assert differing({"a": 1}, {}) == {"a": (1, None)}
+
+
+@pytest.mark.parametrize("scene", ["[time", "a = " + "[" * 5000 + "]" * 5000])
+def test_a_scene_that_cannot_be_read_is_one_message(scene: str, tmp_path: Path) -> None:
+    broken = record(tmp_path / "a.rrd", frames=3, scene_toml=scene)
+    with pytest.raises(RecordingError, match=r"the scene in .*a\.rrd cannot be read"):
+        diff(broken, broken)
+
+
+def test_recordings_of_different_bodies_cannot_be_compared(tmp_path: Path) -> None:
+    whole = record(tmp_path / "a.rrd", frames=10)
+    clip(whole.path, tmp_path / "few.rrd", bodies=[3, 4])
+    with pytest.raises(RecordingError, match="do not show the same bodies"):
+        diff(whole, Recording.open(tmp_path / "few.rrd"))
+
+
+def test_recordings_without_a_frame_in_common_cannot_be_compared(tmp_path: Path) -> None:
+    whole = record(tmp_path / "a.rrd", frames=20)
+    clip(whole.path, tmp_path / "early.rrd", 0.0, 0.2)
+    clip(whole.path, tmp_path / "late.rrd", 0.5, 0.9)
+    with pytest.raises(RecordingError, match="no frame in common"):
+        diff(Recording.open(tmp_path / "early.rrd"), Recording.open(tmp_path / "late.rrd"))
+
+
+def test_a_position_that_is_no_number_is_as_far_away_as_can_be(tmp_path: Path) -> None:
+    a = record(tmp_path / "a.rrd", frames=10)
+    b = record(tmp_path / "b.rrd", lambda t: 1e300 if t > 0.2 else 0.0, frames=10)
+    found = diff(a, b)
+    assert found.verdict.kind == "jump" and found.verdict.jump == np.inf
+
+
+def test_across_a_periodic_boundary_bodies_are_near(tmp_path: Path) -> None:
+    box = np.full(3, 40.0)
+    a = record(tmp_path / "a.rrd", frames=10, box=box)
+    shifted = 40.0 / PATTERN[0, 1]  # moves the first body by one side of the box
+    b = record(tmp_path / "b.rrd", lambda t: shifted if t > 0.2 else 0.0, frames=10, box=box)
+    assert diff(a, b).curve.rms.max() <= np.sqrt(3) * 20.0
+
+
+def test_the_overlay_shows_both_and_a_line_where_they_part(tmp_path: Path) -> None:
+    a, b = record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", chaos)
+    overlay(a, b, diff(a, b), tmp_path / "both.rrd")
+    both = Recording.open(tmp_path / "both.rrd")
+    assert both.finished and both.is_overlay and both.frames == 200 and both.layout()
+    paths = {entry.entity_path for entry in both.store.entries}
+    assert paths >= {"world/a/bodies", "world/b/bodies", "world/apart", "difference/rms", "difference/energy"}
+    with pytest.raises(RecordingError, match="shows two runs"):
+        both.summary()
+    last = [e for e in both.store.entries if e.entity_path == "world/apart" and not e.is_static][-1]
+    (chunk,) = both.chunks([last])
+    lines = [len(row) for row in chunk.batch["LineStrips3D:strips"]]
+    assert lines[0] == 0 and lines[-1] > 0
+
+
+@pytest.fixture(scope="module")
+def gas(tmp_path_factory: pytest.TempPathFactory) -> Diff:
+    """Elastic gas, and the same with one body a picometre to the side."""
+    folder = tmp_path_factory.mktemp("gas")
+    scene = {
+        "time": {"duration": 12.0, "max_dt": 0.01},
+        "gravity": {"constant": 0.0},
+        "contact": {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0},
+        "domain": {"boundary": "periodic", "size": [8.0, 8.0, 8.0]},
+        "record": {"every": 0.05},
+        "body": [
+            {"position": [x, y, z], "velocity": [1.0 - 0.3 * y, 0.7 * x - z, 0.4 * z - x], "radius": 0.5}
+            for x in (-2.5, 0.0, 2.5)
+            for y in (-2.5, 0.0, 2.5)
+            for z in (-2.5, 0.0, 2.5)
+        ],
+    }
+    a = run(Scene.from_dict(scene), folder / "a.rrd")
+    scene["body"][13]["position"] = [1e-12, 0.0, 0.0]  # type: ignore[index]
+    return diff(a, run(Scene.from_dict(scene), folder / "b.rrd"))
+
+
+def test_a_gas_of_spheres_is_chaotic(gas: Diff) -> None:
+    assert list(gas.scene) == ["body.13.position"]
+    assert gas.verdict.kind == "start"
+    assert gas.verdict.jump == pytest.approx(1e-12 / np.sqrt(27), rel=1e-3)
+    assert gas.growth is not None and gas.growth.is_exponential
+    assert gas.growth.factor > 1e6
+    assert "e^(λt)" in gas.verdict.text
