@@ -82,10 +82,10 @@ def test_a_power_of_time_is_not_taken_for_chaos(power: float) -> None:
     assert verdict(found, grown).kind == "drift"
 
 
-def test_round_off_that_does_not_grow_is_called_that() -> None:
+def test_a_small_difference_that_does_not_grow_is_called_that() -> None:
     found = curve(np.where(np.arange(100) >= 7, 1e-15, 0.0), 7)
     assert growth(found) is None
-    assert verdict(found, None).kind == "round-off"
+    assert verdict(found, None).kind == "small"
 
 
 def test_what_cannot_be_seen_in_single_precision_is_not_fitted() -> None:

@@ -54,7 +54,7 @@ class Growth:
 class Verdict:
     """What it is, in a word, a sentence, and the numbers behind them."""
 
-    kind: str  # "same", "start", "jump", "chaos", "drift" or "round-off"
+    kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
     text: str
     first: int | None  # the frame (index) at which the bits differ first
     jump: float  # m, difference at that frame; 0 if it cannot be seen
@@ -106,7 +106,9 @@ def verdict(curve: Curve, grown: Growth | None) -> Verdict:
             allowed,
         )
     if grown is None:
-        return Verdict("round-off", f"no more than round-off: {seen} from {when} on; {how}", first, jump, allowed)
+        largest = float(np.max(curve.rms[first:]))
+        text = f"small: {seen} at {when}, at most {largest:.1e} m later; {how}, so where it comes from cannot be told"
+        return Verdict("small", text, first, jump, allowed)
     kind = "chaos" if grown.is_exponential else "drift"
     return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
 

@@ -62,7 +62,7 @@ class Matched:
         rounding = _SINGLE * min(_rms(one - self._a.origin), _rms(other - self._b.origin))
         if part < 1.0:
             earlier = self._near(other, self._b.track.drawn(self._b.step[j - 1]))
-            rounding += self._bend(j, earlier, other)
+            rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
             other = earlier + part * (other - earlier)
         return one, self._near(one, other), rounding
 
@@ -100,7 +100,7 @@ class Matched:
         return np.asarray(other - self._box * np.round((other - one) / self._box))
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
-        """Estimate the error of interpolating linearly: an eighth of the second difference."""
+        """Estimate the error of interpolating linearly half way: an eighth of the second difference."""
         third = j + 1 if j + 1 < len(self._b.step) else j - 2
         if third < 0:
             return float("inf")
