@@ -89,7 +89,8 @@ def _overview(summary: dict[str, Any]) -> Table:
 
 def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
     """Name each extreme, and the commands that look closer."""
-    window = AROUND * summary["sim_time"] / max(1, summary["frames"] - 1)
+    length = summary["sim_time"] - summary.get("clip", {}).get("from", 0.0)
+    window = AROUND * length / max(1, summary["frames"] - 1)
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
         if moment:
