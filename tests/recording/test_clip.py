@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carom.physics.frame import Frame
-from carom.recording import entities
+from carom.recording import paths
 from carom.recording.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.recorder import Recorder
@@ -53,7 +53,7 @@ def cut(recorded: Path, tmp_path: Path) -> Path:
 
 def test_a_clip_has_the_rows_of_its_frames_and_no_others(recorded: Path, cut: Path) -> None:
     assert temporal(cut) == temporal(recorded)
-    for entity in temporal(recorded) - {entities.PHASE, entities.DT_LIMIT}:
+    for entity in temporal(recorded) - {paths.PHASE, paths.DT_LIMIT}:
         inside = {step: row for step, row in rows(recorded, entity).items() if FIRST <= step <= LAST}
         assert repr(rows(cut, entity)) == repr(inside), entity  # NaN is NaN, here
     assert Recording.open(cut).fingerprints()["step"].to_pylist() == list(range(FIRST, LAST + 1))
@@ -64,23 +64,23 @@ def test_a_state_from_before_the_cut_holds_from_its_first_frame_on(recorded: Pat
     assert phases["step"].to_pylist()[0] == FIRST
     assert phases["sim_time"].to_pylist()[0] == Recording.open(cut).fingerprints()["sim_time"].to_pylist()[0]
     assert phases["state"].to_pylist() == ["colliding"]
-    limits = {row["StateChange:state"][0] for step, row in rows(recorded, entities.DT_LIMIT).items() if step <= FIRST}
-    assert rows(cut, entities.DT_LIMIT)[FIRST]["StateChange:state"][0] in limits
+    limits = {row["StateChange:state"][0] for step, row in rows(recorded, paths.DT_LIMIT).items() if step <= FIRST}
+    assert rows(cut, paths.DT_LIMIT)[FIRST]["StateChange:state"][0] in limits
 
 
 def test_the_exact_state_before_the_cut_comes_with_it_whole(recorded: Path, cut: Path) -> None:
-    before = max(step for step in rows(recorded, entities.CHECKPOINT) if step <= FIRST)
+    before = max(step for step in rows(recorded, paths.CHECKPOINT) if step <= FIRST)
     assert before < FIRST
-    start = static(cut, entities.START)
+    start = static(cut, paths.START)
     assert start.pop("step") == [before]
-    assert start == rows(recorded, entities.CHECKPOINT)[before]
+    assert start == rows(recorded, paths.CHECKPOINT)[before]
 
 
 def test_a_checkpoint_at_the_first_frame_is_the_start(recorded: Path, tmp_path: Path) -> None:
     step = next(step for step in Recording.open(recorded).checkpoint_steps if step)
     made = clip(recorded, tmp_path / "clip.rrd", step * 0.05 - 1e-9)
     assert made.first_step == made.replays_from == step
-    assert static(tmp_path / "clip.rrd", entities.START)["step"] == [step]
+    assert static(tmp_path / "clip.rrd", paths.START)["step"] == [step]
 
 
 def test_statics_properties_layout_and_name_are_kept(recorded: Path, cut: Path) -> None:
@@ -114,7 +114,7 @@ def test_a_clip_of_a_clip_is_a_clip_of_the_run(recorded: Path, cut: Path, tmp_pa
     assert Recording.open(again).clip["source"] == "clip.rrd"
     for entity in temporal(direct):
         assert repr(rows(again, entity)) == repr(rows(direct, entity)), entity
-    assert static(again, entities.START) == static(direct, entities.START)
+    assert static(again, paths.START) == static(direct, paths.START)
 
 
 def frames_of(merry: Merry) -> dict[int, Frame]:
@@ -132,18 +132,18 @@ def test_a_clip_of_a_few_bodies_shows_them_and_the_contacts_among_them(tmp_path:
     made = clip(tmp_path / "run.rrd", tmp_path / "few.rrd", START, END, bodies=kept)
     few = tmp_path / "few.rrd"
     assert made.bodies == kept == Recording.open(few).shown
-    whole = rows(tmp_path / "run.rrd", entities.BODIES)
-    for step, row in rows(few, entities.BODIES).items():
+    whole = rows(tmp_path / "run.rrd", paths.BODIES)
+    for step, row in rows(few, paths.BODIES).items():
         for name, values in row.items():
             assert values == [whole[step][name][body] for body in kept]
-    assert static(few, entities.BODIES)["Ellipsoids3D:labels"] == [merry.header.names[body] for body in kept]
-    assert len(static(few, entities.BODIES)["Ellipsoids3D:fill_mode"]) == 1
-    edges = rows(few, entities.CONTACTS)
+    assert static(few, paths.BODIES)["Ellipsoids3D:labels"] == [merry.header.names[body] for body in kept]
+    assert len(static(few, paths.BODIES)["Ellipsoids3D:fill_mode"]) == 1
+    edges = rows(few, paths.CONTACTS)
     for step in range(FIRST, LAST + 1):
         among = int(np.sum(np.all(np.isin(frames[step].contacts.pairs, kept), axis=1)))
         assert len(edges[step]["LineStrips3D:strips"]) == len(edges[step]["LineStrips3D:colors"]) == among
     assert any(row["LineStrips3D:strips"] for row in edges.values())
-    arrows = rows(few, entities.TORQUE)
+    arrows = rows(few, paths.TORQUE)
     for step in range(FIRST, LAST + 1):
         torque = frames[step].torque
         assert torque is not None
@@ -166,7 +166,7 @@ def test_contacts_with_planes_are_those_of_the_body(tmp_path: Path) -> None:
             recorder.put(touching_a_plane(frame))
         recorder.finish("completed")
     clip(tmp_path / "run.rrd", tmp_path / "few.rrd", bodies=[3, 7])
-    centres, lines = (rows(tmp_path / "few.rrd", path) for path in (entities.BODIES, entities.CONTACTS))
+    centres, lines = (rows(tmp_path / "few.rrd", path) for path in (paths.BODIES, paths.CONTACTS))
     for step in range(10):
         (line,) = lines[step]["LineStrips3D:strips"]
         assert line[0] == centres[step]["Ellipsoids3D:centers"][0]
@@ -174,7 +174,7 @@ def test_contacts_with_planes_are_those_of_the_body(tmp_path: Path) -> None:
 
 def test_the_exact_states_of_a_clip_of_a_few_bodies_are_those_of_all(recorded: Path, tmp_path: Path) -> None:
     clip(recorded, tmp_path / "few.rrd", START, END, bodies=[3, 17])
-    assert len(static(tmp_path / "few.rrd", entities.START)["position"]) == 3 * 60
+    assert len(static(tmp_path / "few.rrd", paths.START)["position"]) == 3 * 60
     assert len(Recording.open(tmp_path / "few.rrd").bodies.name) == 60
     few = Recording.open(tmp_path / "few.rrd")
     assert all(len(state.position) == 60 for state in few.checkpoints())
@@ -183,7 +183,7 @@ def test_the_exact_states_of_a_clip_of_a_few_bodies_are_those_of_all(recorded: P
 def test_fewer_bodies_can_be_cut_out_of_a_few_by_their_own_numbers(recorded: Path, tmp_path: Path) -> None:
     clip(recorded, tmp_path / "few.rrd", START, END, bodies=[3, 17, 20])
     clip(tmp_path / "few.rrd", tmp_path / "one.rrd", bodies=[17])
-    assert static(tmp_path / "one.rrd", entities.BODIES)["Ellipsoids3D:labels"] == ["body-17"]
+    assert static(tmp_path / "one.rrd", paths.BODIES)["Ellipsoids3D:labels"] == ["body-17"]
     with pytest.raises(RecordingError, match=r"no body 5: it shows bodies \[3, 17, 20\]"):
         clip(tmp_path / "few.rrd", tmp_path / "none.rrd", bodies=[5])
     assert not (tmp_path / "none.rrd").exists()

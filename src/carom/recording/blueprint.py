@@ -7,10 +7,10 @@ import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
 from rerun.encodings import EntityPathLike
 
-from carom.recording import entities, palette
-from carom.recording.clock import SIM_TIME
+from carom.recording import entities, palette, paths
 from carom.recording.extent import View
 from carom.recording.header import Header
+from carom.recording.timelines import SIM_TIME
 
 _GHOST = 0x8A93A630
 _WIRE = 0x8A93A6FF  # bodies in the second view: only a hint of where they are
@@ -43,9 +43,9 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
         name="Bodies and contacts",
         origin="/",
         contents=[
-            entities.BODIES,
+            paths.BODIES,
             *entities.surroundings(header),
-            *([entities.CONTACTS] if header.collides else []),
+            *([paths.CONTACTS] if header.collides else []),
         ],
         background=_background(),
         line_grid=False,
@@ -57,10 +57,10 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
         name="Collision graph, torques, angular accelerations",
         origin="/",
         contents=[
-            entities.BODIES,
+            paths.BODIES,
             *entities.surroundings(header),
-            *([entities.CONTACTS] if header.collides else []),
-            *([entities.TORQUE, entities.ANGULAR_ACCELERATION] if header.spins else []),
+            *([paths.CONTACTS] if header.collides else []),
+            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.spins else []),
         ],
         background=_background(),
         line_grid=False,
@@ -76,12 +76,12 @@ def _faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
         case "ellipsoids":
             thin = rr.Radius.ui_points(0.4)
             return {
-                entities.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
+                paths.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
             }
         case "points":
-            return {entities.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
+            return {paths.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
         case _:
-            return {entities.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}
+            return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}
 
 
 def _eye(view: View) -> rrb.EyeControls3D:
@@ -89,7 +89,7 @@ def _eye(view: View) -> rrb.EyeControls3D:
         position=view.eye,
         look_target=view.target,
         eye_up=[0.0, 0.0, 1.0],
-        tracking_entity=entities.BODIES if view.follows else None,
+        tracking_entity=paths.BODIES if view.follows else None,
     )
 
 
@@ -98,25 +98,25 @@ def _background() -> rrb.Background:
 
 
 def _plots(header: Header) -> list[rrb.View | rrb.Container]:
-    energy = [f"{entities.ENERGY}/{term}" for term in entities.energy_terms(header)]
-    ledger = [f"{entities.LEDGER}/{term}" for term in entities.ledger_terms(header)]
+    energy = [f"{paths.ENERGY}/{term}" for term in entities.energy_terms(header)]
+    ledger = [f"{paths.LEDGER}/{term}" for term in entities.ledger_terms(header)]
     plots: list[rrb.View | rrb.Container] = [
         _plot("Energy (J)", energy),
         rrb.Tabs(
             _plot(
                 "Ledger, integration error (J)" if ledger else "Integration error (J)",
-                [*ledger, entities.INTEGRATION_ERROR],
+                [*ledger, paths.INTEGRATION_ERROR],
             ),
-            _plot("Relative error", [entities.RELATIVE_ERROR]),
+            _plot("Relative error", [paths.RELATIVE_ERROR]),
         ),
     ]
     if header.collides:
-        contacts = _plot("Contacts", [entities.STEP_CONTACTS])
-        plots.append(rrb.Tabs(contacts, _plot("Colours, sweeps", [entities.COLOURS, entities.SWEEPS])))
-        dt = _plot("dt (s)", [entities.DT])
-        plots.append(rrb.Tabs(dt, _plot("Overlap / smaller radius", [entities.RELATIVE_OVERLAP])))
+        contacts = _plot("Contacts", [paths.STEP_CONTACTS])
+        plots.append(rrb.Tabs(contacts, _plot("Colours, sweeps", [paths.COLOURS, paths.SWEEPS])))
+        dt = _plot("dt (s)", [paths.DT])
+        plots.append(rrb.Tabs(dt, _plot("Overlap / smaller radius", [paths.RELATIVE_OVERLAP])))
     else:
-        plots.append(_plot("dt (s)", [entities.DT]))
+        plots.append(_plot("dt (s)", [paths.DT]))
     return plots
 
 
@@ -134,9 +134,9 @@ def _whole_time() -> rrb.TimeAxis:
 
 def _texts() -> rrb.Container:
     return rrb.Tabs(
-        rrb.TextLogView(name="Events", origin=entities.EVENTS, columns=_event_columns()),
-        rrb.TextDocumentView(name="Scene", origin=entities.SCENE, contents=[entities.SCENE]),
-        rrb.TextDocumentView(name="Scene file", origin=entities.SCENE_TOML),
+        rrb.TextLogView(name="Events", origin=paths.EVENTS, columns=_event_columns()),
+        rrb.TextDocumentView(name="Scene", origin=paths.SCENE, contents=[paths.SCENE]),
+        rrb.TextDocumentView(name="Scene file", origin=paths.SCENE_TOML),
     )
 
 
@@ -149,6 +149,6 @@ def _states() -> rrb.View:
     return rrb.StateTimelineView(
         name="Phase, and what limits dt",
         origin="/",
-        contents=[entities.PHASE, entities.DT_LIMIT],
+        contents=[paths.PHASE, paths.DT_LIMIT],
         time_view=_whole_time(),
     )

@@ -12,19 +12,19 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.recording import entities
-from carom.recording.clock import SIM_TIME, STEP
+from carom.recording import paths
 from carom.recording.container import Chunk, Entry
 from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.header import Scalar
 from carom.recording.recording import Recording
 from carom.recording.selection import Selection
+from carom.recording.timelines import SIM_TIME, STEP
 from carom.recording.writer import StoredLayout, Writer
 
 PROPERTY = "clip"
 
-_STATES = (entities.PHASE, entities.DT_LIMIT)  # rows only where they change: the last one before the cut still holds
+_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only where they change: the last one before the cut still holds
 _PATH, _KIND, _COMPONENT = b"rerun:entity_path", b"rerun:kind", b"rerun:component"
 
 
@@ -143,7 +143,7 @@ def _identity(recording: Recording, cut: _Cut, shown: Sequence[int]) -> dict[str
 
 
 def _static(recording: Recording) -> Iterator[Chunk]:
-    gone = (entities.START, f"__properties/{PROPERTY}")
+    gone = (paths.START, f"__properties/{PROPERTY}")
     return recording.chunks(e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
 
 
@@ -159,7 +159,7 @@ def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
 
 
 def _order(entry: Entry) -> tuple[int, bool]:
-    is_contacts = entry.entity_path == entities.CONTACTS
+    is_contacts = entry.entity_path == paths.CONTACTS
     return (entry.last_step if is_contacts else entry.first_step) or 0, is_contacts
 
 
@@ -195,9 +195,9 @@ def _moved(path: str, batch: pa.RecordBatch, cut: _Cut) -> Chunk:
 
 def _start(recording: Recording, cut: _Cut) -> Chunk | None:
     """Find the exact state at the first frame, or the last one before it, and make it hold for the whole clip."""
-    entry = _last_before(recording.store.entries, entities.CHECKPOINT, cut.first)
+    entry = _last_before(recording.store.entries, paths.CHECKPOINT, cut.first)
     if entry is None:
-        carried = [e for e in recording.store.entries if e.is_static and e.entity_path == entities.START]
+        carried = [e for e in recording.store.entries if e.is_static and e.entity_path == paths.START]
         return next(recording.chunks(carried[-1:]), None)
     (chunk,) = recording.chunks([entry])
     row = int(np.flatnonzero(chunk.batch[STEP].to_numpy() <= cut.first)[-1])
@@ -205,5 +205,5 @@ def _start(recording: Recording, cut: _Cut) -> Chunk | None:
     values = [chunk.batch[field.name].slice(row, 1) for field in kept]
     number = pa.field(STEP, pa.list_(pa.int64()), metadata={_KIND: b"data", _COMPONENT: STEP.encode()})
     step = pa.array([[chunk.batch[STEP][row].as_py()]], number.type)
-    metadata = dict(chunk.batch.schema.metadata) | {_PATH: f"/{entities.START}".encode()}
-    return Chunk(entities.START, pa.record_batch([*values, step], pa.schema([*kept, number], metadata)))
+    metadata = dict(chunk.batch.schema.metadata) | {_PATH: f"/{paths.START}".encode()}
+    return Chunk(paths.START, pa.record_batch([*values, step], pa.schema([*kept, number], metadata)))

@@ -11,9 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
-
-STEP = "step"
-SIM_TIME = "sim_time"
+from carom.recording.timelines import SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-7  # s; a step shorter than 100 ns would be rounded by more than half a per cent

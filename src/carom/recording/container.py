@@ -16,9 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from carom.recording import framing, protobuf
-from carom.recording.clock import SIM_TIME, STEP
 from carom.recording.errors import DamageError
 from carom.recording.framing import Message
+from carom.recording.timelines import SIM_TIME, STEP
 
 RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 

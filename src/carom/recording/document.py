@@ -6,8 +6,9 @@ import numpy as np
 
 from carom.recording import palette
 from carom.recording.clock import Clock
-from carom.recording.entities import ANGULAR_ACCELERATION, TORQUE, arrow_length, shape
+from carom.recording.entities import arrow_length, shape
 from carom.recording.header import Header
+from carom.recording.paths import ANGULAR_ACCELERATION, TORQUE
 
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

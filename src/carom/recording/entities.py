@@ -1,4 +1,4 @@
-"""Frames → Rerun's columns. The only list of entity paths.
+"""Frames → Rerun's columns.
 
 One :class:`Rows` is one entity's part of a batch: what `send_columns` takes, with the bytes of the arrays in it. A part
 of the model that the scene does not require has no entity here.
@@ -19,41 +19,31 @@ from rerun.components import LineStrip3DBatch
 from carom.physics.frame import Frame, FrameStore
 from carom.recording import arrows, checkpoint, encoding, palette
 from carom.recording.header import Header
-
-SCHEMA_VERSION = 2  # 2: a run can go on from a checkpoint; 1: checkpoints were there to be read
-
-SCENE = "scene"
-SCENE_TOML = "scene/toml"
-WORLD = "world"
-BODIES = "world/bodies"
-PLANES = "world/planes"
-WALLS = "world/walls"
-PERIODIC_BOX = "world/box"
-TORQUE = "world/torque"
-ANGULAR_ACCELERATION = "world/angular_acceleration"
-CONTACTS = "world/contacts"
-ENERGY = "energy"
-LEDGER = "energy/ledger"
-INTEGRATION_ERROR = "energy/integration_error"
-RELATIVE_ERROR = "energy/relative_error"
-STEP = "step"
-DT = "step/dt"
-DT_LIMIT = "step/limit"
-STEP_CONTACTS = "step/contacts"
-COLOURS = "step/colours"
-SWEEPS = "step/sweeps"
-OVERLAP = "step/overlap"
-RELATIVE_OVERLAP = "step/relative_overlap"
-PHASE = "phase"
-EVENTS = "events"
-FINGERPRINT = "state/fingerprint"
-MOMENTUM = "state/momentum"
-CHECKPOINT = "state/checkpoint"
-START = "state/start"  # in a clip: the exact state that its first frame follows from
-STATIC_STATE = "state/bodies"
-START = "state/start"  # a clip's: the nearest checkpoint at or before its first frame
-
-CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as
+from carom.recording.paths import (
+    ANGULAR_ACCELERATION,
+    BODIES,
+    CHECKPOINT,
+    COLOURS,
+    CONTACTS,
+    DT,
+    DT_LIMIT,
+    ENERGY,
+    EVENTS,
+    FINGERPRINT,
+    INTEGRATION_ERROR,
+    LEDGER,
+    MOMENTUM,
+    OVERLAP,
+    PERIODIC_BOX,
+    PHASE,
+    PLANES,
+    RELATIVE_ERROR,
+    RELATIVE_OVERLAP,
+    STEP_CONTACTS,
+    SWEEPS,
+    TORQUE,
+    WALLS,
+)
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)

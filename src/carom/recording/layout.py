@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import re
+from typing import TYPE_CHECKING
 
-from carom.recording.entities import SCHEMA_VERSION
-from carom.recording.header import Header
+from carom.recording.paths import SCHEMA_VERSION
+
+if TYPE_CHECKING:
+    from carom.recording.header import Header
 
 _PATTERN = re.compile(r"carom-(\d+)-[0-9a-f]+")
 

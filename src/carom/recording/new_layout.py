@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import rerun.blueprint as rrb
 
-from carom.recording import entities
+from carom.recording import paths
 from carom.recording.blueprint import blueprint
 from carom.recording.extent import Extent
 from carom.recording.header import Header
@@ -18,12 +18,12 @@ _LOOKS = 50  # frames that are looked at to find out how far away the eye has to
 def new_layout(recording: Recording) -> rrb.Blueprint:
     """Lay out a recording as the recorder would have done. RecordingError if too little of it is left."""
     header = _header(recording)
-    entries = [e for e in recording.store.entries if e.entity_path == entities.BODIES and e.first_step is not None]
+    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     entries = sorted(entries, key=lambda entry: entry.first_step or 0)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
     extent = None
     for chunk in recording.chunks(some):
-        centres = next(chunk.batch[name] for name in entities.CENTRES if name in chunk.components)
+        centres = next(chunk.batch[name] for name in paths.CENTRES if name in chunk.components)
         first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
         extent = extent or Extent(header.radius[recording.shown], first)
         extent.look(last)
@@ -55,6 +55,6 @@ def _header(recording: Recording) -> Header:
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         box=np.asarray(info["box"]) if "box" in info else None,
-        walls=np.ones(3) if entities.WALLS in static else None,  # the layout asks only whether there are any
-        planes=nowhere if entities.PLANES in static else None,
+        walls=np.ones(3) if paths.WALLS in static else None,  # the layout asks only whether there are any
+        planes=nowhere if paths.PLANES in static else None,
     )

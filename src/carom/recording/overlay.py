@@ -16,10 +16,11 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.components import FillMode
 
-from carom.recording import entities, palette
-from carom.recording.clock import SIM_TIME, Clock
+from carom.recording import palette, paths
+from carom.recording.clock import Clock
 from carom.recording.extent import Extent, View
 from carom.recording.recording import Recording
+from carom.recording.timelines import SIM_TIME
 from carom.recording.writer import Writer
 
 FloatArray = NDArray[np.float64]
@@ -72,8 +73,8 @@ def write_overlay(
     logarithms = {name: _logarithm(values)[::every] for name, values in series.items()}
     layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
     extent: Extent | None = None
-    with Writer(out, f"carom-{entities.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
-        writer.log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+    with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
         writer.log(_A, _spheres(radius, palette.SKY, a.bodies.name, FillMode.Solid))
         writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, a.bodies.name, FillMode.MajorWireframe))
@@ -114,7 +115,7 @@ def _send(
         writer.send_columns(_SERIES[name][0], index, rr.Scalars.columns(scalars=values))
     times = pa.array([pair.time for pair in batch])
     columns = rr.AnyValues.columns(True, time=times, fingerprint=pa.array([0] * len(batch), pa.uint64()))
-    writer.send_columns(entities.FINGERPRINT, index, columns)
+    writer.send_columns(paths.FINGERPRINT, index, columns)
 
 
 def _logarithm(values: FloatArray) -> FloatArray:

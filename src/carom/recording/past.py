@@ -9,10 +9,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.recording import entities
-from carom.recording.clock import STEP, Clock
+from carom.recording import paths
+from carom.recording.clock import Clock
 from carom.recording.container import Chunk
 from carom.recording.recording import Recording
+from carom.recording.timelines import STEP
 
 _CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
 
@@ -36,7 +37,7 @@ class Past:
         self.origin = np.asarray(recording.info["origin"], dtype=np.float64)  # (3,) m
         self.clock = Clock(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
-        states = {entities.PHASE: recording.phases(), entities.DT_LIMIT: recording.dt_limits()}
+        states = {paths.PHASE: recording.phases(), paths.DT_LIMIT: recording.dt_limits()}
         self.last_state = {path: _last(table, step) for path, table in states.items()}
 
     def first_position(self) -> NDArray[np.float64]:
@@ -48,7 +49,7 @@ class Past:
         for chunk in self.recording.temporal_chunks():
             batch = chunk.batch
             kept = pc.less_equal(batch[STEP], self.step)
-            if chunk.entity_path == entities.EVENTS:
+            if chunk.entity_path == paths.EVENTS:
                 texts = pc.list_element(batch["TextLog:text"], 0)
                 kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, _CLOSING)))
             if pc.all(kept).as_py():

@@ -6,22 +6,23 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, reduce, wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.physics.checkpoint import Checkpoint
-from carom.recording import entities
-from carom.recording.checkpoint import decode
-from carom.recording.clock import SIM_TIME, STEP
+from carom.recording import paths
 from carom.recording.container import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
 from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.layout import schema_version
 from carom.recording.summary import summary
+from carom.recording.timelines import SIM_TIME, STEP
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
@@ -78,9 +79,9 @@ class Recording:
         version = schema_version(store.application_id)
         if version is None:
             raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
-        if version > entities.SCHEMA_VERSION:
+        if version > paths.SCHEMA_VERSION:
             raise RecordingError(
-                f"{path} has schema version {version}; this carom reads up to {entities.SCHEMA_VERSION}: upgrade carom"
+                f"{path} has schema version {version}; this carom reads up to {paths.SCHEMA_VERSION}: upgrade carom"
             )
         return cls(container, store)
 
@@ -155,13 +156,13 @@ class Recording:
     @_named
     def scene_toml(self) -> str:
         """The scene, exactly as it was written."""
-        return str(self._static(entities.SCENE_TOML)["TextDocument:text"][0])
+        return str(self._static(paths.SCENE_TOML)["TextDocument:text"][0])
 
     @cached_property
     @_named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia."""
-        stored = self._static(entities.STATIC_STATE)
+        stored = self._static(paths.STATIC_STATE)
         return BodyTable(
             name=list(stored["name"]),
             group=np.asarray(stored["group"], dtype=np.int64),
@@ -184,47 +185,47 @@ class Recording:
     @_named
     def energy(self) -> pa.Table:
         """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error."""
-        return self._series(entities.ENERGY)
+        return self._series(paths.ENERGY)
 
     @_named
     def steps(self) -> pa.Table:
         """Return dt (s), contacts, colours, sweeps and overlaps of every frame."""
-        return self._series(entities.STEP)
+        return self._series(paths.STEP)
 
     @_named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
-        return self._table(entities.MOMENTUM)
+        return self._table(paths.MOMENTUM)
 
     @_named
     def events(self) -> pa.Table:
         """Columns step, sim_time, level, text."""
-        table = self._table(entities.EVENTS, ("TextLog:text", "TextLog:level"))
+        table = self._table(paths.EVENTS, ("TextLog:text", "TextLog:level"))
         return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
 
     @_named
     def phases(self) -> pa.Table:
         """Columns step, sim_time, state: a row where the phase changes."""
-        table = self._table(entities.PHASE, ("StateChange:state",))
+        table = self._table(paths.PHASE, ("StateChange:state",))
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def dt_limits(self) -> pa.Table:
         """Columns step, sim_time, state: a row where what limits dt changes."""
-        table = self._table(entities.DT_LIMIT, ("StateChange:state",))
+        table = self._table(paths.DT_LIMIT, ("StateChange:state",))
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     @cached_property
     @_named
     def checkpoint_steps(self) -> list[int]:
         """Steps that carry an exact checkpoint, rising; a clip's first one may lie before its first frame."""
-        steps = {int(step) for step in self._table(entities.CHECKPOINT, ("time",))[STEP].to_pylist()}
+        steps = {int(step) for step in self._table(paths.CHECKPOINT, ("time",))[STEP].to_pylist()}
         return sorted(steps | ({int(self._start[STEP][0])} if self._start else set()))
 
     @cached_property
     @_named
     def checkpoint_times(self) -> list[float]:
         """Simulated time in s of each of :attr:`checkpoint_steps`."""
-        table = self._table(entities.CHECKPOINT, ("time",))
+        table = self._table(paths.CHECKPOINT, ("time",))
         times = dict(zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True))
         if self._start:
             times.setdefault(int(self._start[STEP][0]), float(self._start["time"][0]))
@@ -239,8 +240,10 @@ class Recording:
         RecordingError
             If there is none at this step, or it is damaged.
         """
+        from carom.recording.checkpoint import decode  # noqa: PLC0415 - loads Numba, which looking at a file does not need
+
         bodies = len(self.bodies.mass)
-        for chunk in self._chunks(entities.CHECKPOINT):
+        for chunk in self._chunks(paths.CHECKPOINT):
             batch = chunk.batch
             rows = np.flatnonzero(batch[STEP].to_numpy() == step)
             if len(rows):
@@ -258,7 +261,7 @@ class Recording:
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
         names = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")
-        for chunk in self._chunks(entities.BODIES):
+        for chunk in self._chunks(paths.BODIES):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             for name in names:
                 if len(rows) and name in chunk.components:
@@ -296,11 +299,11 @@ class Recording:
 
     @cached_property
     def _start(self) -> dict[str, list[Any]]:
-        return self._static(entities.START, required=False)
+        return self._static(paths.START, required=False)
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        found = self._table(entities.FINGERPRINT)
+        found = self._table(paths.FINGERPRINT)
         if found.num_rows:
             return found
         return found.append_column("fingerprint", pa.array([], pa.uint64())).append_column(

@@ -6,7 +6,6 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from carom.recording.clock import STEP
 from carom.recording.container import BLUEPRINT, RECORDING, Container, Entry, Store
 from carom.recording.damage import reading
 from carom.recording.errors import DamageError, RecordingError
@@ -14,6 +13,7 @@ from carom.recording.layout import schema_version
 from carom.recording.new_layout import new_layout
 from carom.recording.recording import UNFINISHED, Recording
 from carom.recording.salvage import Salvage, salvage
+from carom.recording.timelines import STEP
 from carom.recording.writer import StoredLayout, Writer
 
 PROPERTY = "repair"

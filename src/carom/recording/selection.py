@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.recording import entities
-from carom.recording.clock import STEP
+from carom.recording import paths
 from carom.recording.container import Chunk
+from carom.recording.timelines import STEP
 
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
@@ -36,12 +36,12 @@ class Selection:
     def of(self, chunk: Chunk) -> Chunk:
         """Return what is left of a chunk."""
         match chunk.entity_path:
-            case entities.BODIES:
+            case paths.BODIES:
                 self._remember(chunk)
                 return self._bodies(chunk)
-            case entities.TORQUE | entities.ANGULAR_ACCELERATION if not chunk.is_static:
+            case paths.TORQUE | paths.ANGULAR_ACCELERATION if not chunk.is_static:
                 return _masked(chunk, [np.isin(row, self._numbers) for row in _rows(chunk, "body")])
-            case entities.CONTACTS if not chunk.is_static:
+            case paths.CONTACTS if not chunk.is_static:
                 strips = [
                     np.asarray(row, np.float32).reshape(-1, 2, 3) for row in _vectors(chunk, "LineStrips3D:strips")
                 ]
@@ -60,7 +60,7 @@ class Selection:
         return _replaced(chunk, columns)
 
     def _remember(self, chunk: Chunk) -> None:
-        for name in entities.CENTRES:
+        for name in paths.CENTRES:
             if name in chunk.components and not chunk.is_static:
                 rows = _vectors(chunk, name)
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))

@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.components import FillMode
 
-from carom.recording import entities, palette
+from carom.recording import entities, palette, paths
 from carom.recording.clock import Clock
 from carom.recording.document import scene_document
 from carom.recording.header import Header
@@ -26,15 +26,15 @@ _MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that 
 def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
     """Everything static, entity by entity; ``reach`` is how far from the origin the bodies begin, in m."""
     yield (
-        entities.SCENE,
+        paths.SCENE,
         rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
     )
-    yield entities.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
-    yield entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
+    yield paths.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
+    yield paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
     yield from _bodies(header)
     yield from _surroundings(header, origin, reach)
     yield (
-        entities.STATIC_STATE,
+        paths.STATIC_STATE,
         rr.AnyValues(
             name=header.names,
             group=header.group,
@@ -44,13 +44,13 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
         ),
     )
     if header.spins:
-        yield entities.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
-        yield entities.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
+        yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
+        yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
     if header.collides:
-        yield entities.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
+        yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
     yield from _series(header)
-    yield entities.PHASE, _states(palette.PHASES)
-    yield entities.DT_LIMIT, _states(palette.DT_LIMITS)
+    yield paths.PHASE, _states(palette.PHASES)
+    yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
 def _bodies(header: Header) -> Iterable[Static]:
@@ -61,7 +61,7 @@ def _bodies(header: Header) -> Iterable[Static]:
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)
             fill = FillMode.TransparentFillMajorWireframe if header.spins or header.collides else FillMode.Solid
             yield (
-                entities.BODIES,
+                paths.BODIES,
                 rr.Ellipsoids3D.from_fields(
                     half_sizes=half_sizes,
                     colors=colours,
@@ -72,14 +72,14 @@ def _bodies(header: Header) -> Iterable[Static]:
                 ),
             )
         case "points":
-            yield entities.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
+            yield paths.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
         case _:
-            yield entities.BODIES, _two_tone_sphere()
+            yield paths.BODIES, _two_tone_sphere()
 
 
 def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
     """Draw what stands still: the box, and planes as grids of squares."""
-    for path, size in ((entities.WALLS, header.walls), (entities.PERIODIC_BOX, header.box)):
+    for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.box)):
         if size is not None:
             yield (
                 path,
@@ -95,7 +95,7 @@ def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> 
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
         grids = [_grid(normal, offset - normal @ origin, reach) for normal, offset in planes]
         yield (
-            entities.PLANES,
+            paths.PLANES,
             rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),
         )
 
@@ -139,18 +139,18 @@ def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
 
 def _series(header: Header) -> Iterable[Static]:
     for term, (name, colour) in entities.energy_terms(header).items():
-        yield f"{entities.ENERGY}/{term}", _line(f"{name}", colour)
+        yield f"{paths.ENERGY}/{term}", _line(f"{name}", colour)
     for term, (name, colour) in entities.ledger_terms(header).items():
-        yield f"{entities.LEDGER}/{term}", _line(f"{name}", colour)
-    yield entities.INTEGRATION_ERROR, _line("integration error", palette.YELLOW)
-    yield entities.RELATIVE_ERROR, _line("integration error / energy scale", palette.YELLOW)
-    yield entities.DT, _line("dt (s)", palette.SKY)
+        yield f"{paths.LEDGER}/{term}", _line(f"{name}", colour)
+    yield paths.INTEGRATION_ERROR, _line("integration error", palette.YELLOW)
+    yield paths.RELATIVE_ERROR, _line("integration error / energy scale", palette.YELLOW)
+    yield paths.DT, _line("dt (s)", palette.SKY)
     if header.collides:
-        yield entities.STEP_CONTACTS, _line("contacts", palette.VERMILION)
-        yield entities.COLOURS, _line("colours (stages)", palette.YELLOW)
-        yield entities.SWEEPS, _line("sweeps", palette.GREEN)
-        yield entities.OVERLAP, _line("deepest overlap (m)", palette.PURPLE)
-        yield entities.RELATIVE_OVERLAP, _line("deepest overlap / smaller radius", palette.PURPLE)
+        yield paths.STEP_CONTACTS, _line("contacts", palette.VERMILION)
+        yield paths.COLOURS, _line("colours (stages)", palette.YELLOW)
+        yield paths.SWEEPS, _line("sweeps", palette.GREEN)
+        yield paths.OVERLAP, _line("deepest overlap (m)", palette.PURPLE)
+        yield paths.RELATIVE_OVERLAP, _line("deepest overlap / smaller radius", palette.PURPLE)
 
 
 def _line(name: str, colour: int) -> rr.SeriesLines:

@@ -12,7 +12,7 @@ import rerun_bindings
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
-from carom.recording import checkpoint, entities
+from carom.recording import checkpoint, entities, paths
 from carom.recording.clock import Clock
 from carom.recording.entities import Rows
 from carom.recording.errors import RecordingError
@@ -79,7 +79,7 @@ class Stream:
     def send_event(self, event: Event, clock: Clock) -> None:
         """Send one line of the log."""
         columns = rr.TextLog.columns(text=[event.text], level=[event.level])
-        self.send(Rows(entities.EVENTS, [event.step], [event.time], columns, len(event.text)), clock)
+        self.send(Rows(paths.EVENTS, [event.step], [event.time], columns, len(event.text)), clock)
 
     def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
         """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
@@ -132,7 +132,7 @@ class Stream:
     def _identity(self, clock: Clock, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
         header = self._header
         identity: dict[str, Scalar | NDArray[np.float64]] = {
-            "schema_version": entities.SCHEMA_VERSION,
+            "schema_version": paths.SCHEMA_VERSION,
             "title": header.title,
             "bodies": header.bodies,
             "seed": header.seed,
@@ -146,7 +146,7 @@ class Stream:
             "origin": origin,
         }
         if header.spins:
-            for path in (entities.TORQUE, entities.ANGULAR_ACCELERATION):
+            for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
                 identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
         if header.box is not None:
             identity["box"] = header.box

@@ -8,12 +8,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording import entities
-from carom.recording.clock import STEP
+from carom.recording import paths
 from carom.recording.container import Chunk, Entry
 from carom.recording.damage import reading
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
+from carom.recording.timelines import STEP
 
 FloatArray = NDArray[np.float64]
 
@@ -28,13 +28,13 @@ class Track:
         with reading(recording.path):
             self._origin = np.asarray(recording.info["origin"], dtype=np.float64)
         self._shown = recording.shown
-        self._drawn = _Rows(recording, entities.BODIES)
-        self._exact = _Rows(recording, entities.CHECKPOINT)
+        self._drawn = _Rows(recording, paths.BODIES)
+        self._exact = _Rows(recording, paths.CHECKPOINT)
 
     def drawn(self, step: int) -> FloatArray:
         """Return positions that were rounded to float32, of the bodies that the recording shows."""
         with reading(self._recording.path):
-            for name in entities.CENTRES:
+            for name in paths.CENTRES:
                 values = self._drawn.at(step, name)
                 if values is not None:
                     return values.reshape(len(self._shown), 3) + self._origin

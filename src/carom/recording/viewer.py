@@ -16,9 +16,10 @@ from typing import Self, TypeVar
 import numpy as np
 from rerun.experimental import ViewerClient
 
-from carom.recording.clock import SIM_TIME, Clock
+from carom.recording.clock import Clock
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
+from carom.recording.timelines import SIM_TIME
 
 _T = TypeVar("_T")
 

@@ -1,0 +1,35 @@
+"""The only list of entity paths, and the version of the schema: names, which take no time to import."""
+
+SCHEMA_VERSION = 2  # 2: a run can go on from a checkpoint; 1: checkpoints were there to be read
+
+SCENE = "scene"
+SCENE_TOML = "scene/toml"
+WORLD = "world"
+BODIES = "world/bodies"
+PLANES = "world/planes"
+WALLS = "world/walls"
+PERIODIC_BOX = "world/box"
+TORQUE = "world/torque"
+ANGULAR_ACCELERATION = "world/angular_acceleration"
+CONTACTS = "world/contacts"
+ENERGY = "energy"
+LEDGER = "energy/ledger"
+INTEGRATION_ERROR = "energy/integration_error"
+RELATIVE_ERROR = "energy/relative_error"
+STEP = "step"
+DT = "step/dt"
+DT_LIMIT = "step/limit"
+STEP_CONTACTS = "step/contacts"
+COLOURS = "step/colours"
+SWEEPS = "step/sweeps"
+OVERLAP = "step/overlap"
+RELATIVE_OVERLAP = "step/relative_overlap"
+PHASE = "phase"
+EVENTS = "events"
+FINGERPRINT = "state/fingerprint"
+MOMENTUM = "state/momentum"
+CHECKPOINT = "state/checkpoint"
+START = "state/start"  # in a clip: the exact state that its first frame follows from
+STATIC_STATE = "state/bodies"
+
+CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as
