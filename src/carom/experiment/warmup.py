@@ -31,6 +31,11 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"colouring": "bodies", "stabilisation": "baumgarte"},
         "time": {"duration": 0.2, "max_dt": 0.02, "velocity_limit": "fastest-body"},
     },
+    "gravity by a tree": {
+        "group": _CROWD,
+        "gravity": {"constant": 1.0, "method": "tree"},
+        "time": {"duration": 0.2, "max_dt": 0.02},
+    },
 }
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 
 from carom.scene.error import SceneError
+from carom.scene.requirements import gravity_method
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
+GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130}  # 16 slabs of sums; boxes and sorted bodies
 
 
 def memory_estimate(scene: Scene) -> int:
     """Estimate the memory of a run without its contacts, in bytes."""
-    return scene.count * BYTES_PER_BODY
+    return scene.count * (BYTES_PER_BODY + GRAVITY_BYTES_PER_BODY[gravity_method(scene)])
 
 
 def refuse_impossible(scene: Scene) -> None:

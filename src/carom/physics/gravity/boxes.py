@@ -8,9 +8,9 @@ away or thousands lie close to one point. Bodies at one point end as one leaf, o
 The boxes stand in preorder: a box, then all boxes in it. A walk goes on to the next one to look into a box, and to
 ``skip[box]`` to pass by it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest) need up to a third more
-time for the same error, since a box that is a little too large is split into eight; keys of 21 bits a coordinate, which
-have to be made anew wherever they do not tell bodies apart.
+Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest) need a tenth to a third
+more time for the same error, since a box that is a little too large is split into eight. And keys of 21 bits a
+coordinate, which have to be made anew wherever they do not tell bodies apart.
 """
 
 from __future__ import annotations

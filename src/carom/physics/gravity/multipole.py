@@ -2,8 +2,8 @@
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 
-They are summed over the bodies of each box, not over its halves: the sums cost a fiftieth of the walks, and only so b
-is exact.
+They are summed over the bodies of each box, not over its halves: that costs a twelfth of the whole, and
+only so b is exact.
 """
 
 from __future__ import annotations
