@@ -5,9 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("datafusion")
-
 from rerun.catalog import CatalogClient
 
 from carom.experiment.run import simulate
