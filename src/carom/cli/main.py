@@ -10,7 +10,22 @@ from typing import Annotated
 
 import typer
 
-from carom.cli import clip, diff, explain, inspect, repair, replay, report, resume, run, scenes, stress, sweep, view
+from carom.cli import (
+    clip,
+    diff,
+    explain,
+    inspect,
+    repair,
+    replay,
+    report,
+    resume,
+    run,
+    scenes,
+    stress,
+    sweep,
+    view,
+    warmup,
+)
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
@@ -56,6 +71,7 @@ app.command("picture")(view.picture)
 app.command("clip")(clip.clip)
 app.command("diff")(diff.diff)
 app.command("repair")(repair.repair)
+app.command("warmup")(warmup.warmup)
 
 
 def main() -> None:

@@ -55,6 +55,32 @@ def inline(function: Function) -> Function:
     return cast("Function", compiled)
 
 
+def cache_folder() -> str:
+    """Return the folder in which compiled kernels are kept, or under which, if each package has one of its own."""
+    return os.environ.get("NUMBA_CACHE_DIR") or str(numba.njit(cache=True)(cache_folder).stats.cache_path)
+
+
+class Compilations(event.Listener):
+    """Counts the kernels that are compiled while it is entered; those from the cache do not count."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __enter__(self) -> Compilations:
+        event.register("numba:compile", self)  # type: ignore[no-untyped-call]
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        event.unregister("numba:compile", self)  # type: ignore[no-untyped-call]
+
+    def on_start(self, event: object) -> None:
+        """Count one."""
+        self.count += 1
+
+    def on_end(self, event: object) -> None:
+        """Do nothing; Numba wants it."""
+
+
 class _FirstCompilation(event.Listener):
     """Calls back when a kernel is compiled that no cache has, the first time only."""
 

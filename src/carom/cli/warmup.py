@@ -1,0 +1,24 @@
+"""`carom warmup`: compile every kernel ahead."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+
+def warmup(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+    """Compile all kernels now, so that no run has to wait for it; say how long it took and where they are."""
+    import json
+    from dataclasses import asdict
+
+    from carom.cli.units import duration_text
+    from carom.experiment.warmup import warm_up
+
+    if not as_json:
+        typer.echo("Compiling what is not in the cache …", err=True)
+    warmth = warm_up()
+    if as_json:
+        typer.echo(json.dumps(asdict(warmth), indent=2, ensure_ascii=False))
+    else:
+        typer.echo(f"{warmth.compiled} kernels compiled in {duration_text(warmth.seconds)}; cache: {warmth.cache}")

@@ -1,0 +1,52 @@
+"""Compiling every kernel ahead, so that no run has to wait for it: a few tiny scenes that need all of them."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from carom.experiment.run import run
+from carom.physics.kernel import Compilations, cache_folder
+from carom.scene.schema import Scene
+
+# Together they need every kernel; a new one that none of them needs belongs here, too (a test looks).
+_PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
+_CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
+SCENES: dict[str, dict[str, Any]] = {
+    "a pile, recorded": {
+        "body": _PAIR,
+        "plane": [{"point": [0.0, 0.0, -1.0]}],
+        "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
+        "contact": {"allow_overlap": True, "sweeps": 1},
+        "time": {"duration": 0.2, "max_dt": 0.02},
+        "record": {"every": "step", "log_freq": 2},
+    },
+    "a periodic box, the seed's colours": {
+        "group": _CROWD,
+        "domain": {"boundary": "periodic", "size": [4.0, 4.0, 4.0]},
+        "gravity": {"constant": 0.0},
+        "contact": {"colouring": "bodies", "stabilisation": "baumgarte"},
+        "time": {"duration": 0.2, "max_dt": 0.02, "velocity_limit": "fastest-body"},
+    },
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Warmth:
+    """What a warm-up did."""
+
+    seconds: float
+    compiled: int  # kernels; the others were in the cache
+    cache: str  # the folder of compiled kernels
+
+
+def warm_up() -> Warmth:
+    """Run the scenes, which compiles all kernels that are not in the cache."""
+    began = time.perf_counter()
+    with Compilations() as compilations, tempfile.TemporaryDirectory() as folder:
+        for name, document in SCENES.items():
+            run(Scene.from_dict({"title": name, **document}), Path(folder) / "warm-up.rrd", force=True)
+    return Warmth(time.perf_counter() - began, compilations.count, cache_folder())

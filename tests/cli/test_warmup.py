@@ -1,0 +1,44 @@
+"""`carom warmup` compiles every kernel ahead."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import carom
+from command import carom as command
+
+
+def kernels() -> set[str]:
+    """All functions of carom that Numba compiles on their own, by module and name."""
+    found = set()
+    for module in pkgutil.walk_packages(carom.__path__, "carom."):
+        if not module.name.endswith("__main__"):
+            for value in vars(importlib.import_module(module.name)).values():
+                if isinstance(value, Dispatcher) and value.targetoptions.get("inline") != "always":
+                    found.add(f"{value.py_func.__module__}.{value.py_func.__name__}")
+    return found
+
+
+def test_warmup_says_where_the_kernels_are(tmp_path: Path) -> None:
+    warmth = json.loads(command("warmup", "--json", cwd=tmp_path).stdout)
+    assert warmth["seconds"] > 0.0 and warmth["compiled"] >= 0 and warmth["cache"]
+    again = command("warmup", cwd=tmp_path)
+    assert again.returncode == 0 and again.stdout.startswith("0 kernels compiled in ")
+
+
+@pytest.mark.slow
+def test_after_a_warmup_nothing_is_left_to_compile(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    subprocess.run([sys.executable, "-m", "carom", "warmup"], cwd=tmp_path, env=environment, check=True)
+    cached = {path.name.split("-")[0] for path in (tmp_path / "cache").rglob("*.nbi")}
+    missing = {name for name in kernels() if ".".join(name.split(".")[-2:]) not in cached}
+    assert not missing
