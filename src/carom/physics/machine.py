@@ -1,6 +1,6 @@
 """Instructions of the processor that Numba has no words for: atomic words in memory, and fetching ahead.
 
-A contact's two bodies lie anywhere in memory, and the processor cannot guess where the next ones do. Told eight
+A contact's two bodies lie anywhere in memory, and the processor cannot guess where the next ones do. Told sixteen
 contacts ahead it has them in time: 10⁵ bodies of random numbering cost 40 instead of 150 ns a contact and sweep, as
 little as bodies in the order of a lattice. To sort the bodies along a space-filling curve would gain nothing more.
 """
@@ -15,7 +15,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-AHEAD = 8  # contacts
+AHEAD = 16  # contacts; 8 are as good in the cache, and cost 45 instead of 38 ns where the bodies do not fit into it
 
 
 def instruction(define: Callable[..., Any]) -> Any:

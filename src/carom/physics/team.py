@@ -5,7 +5,8 @@ phase when all of them are done. The others help: they take pieces as long as th
 is left to chance, so a phase may only hold pieces that are independent, and then the bits do not depend on it.
 
 The leader waits for pieces that were taken, never for helpers: with a helper that another process keeps from running
-it does the work alone. That is what threads that meet at a barrier cannot do. Rejected: `prange`, whose threads meet
+it does the work alone. A helper offers its core to other processes between two pieces, so that it is seldom stopped in
+the middle of one. That is what threads that meet at a barrier cannot do. Rejected: `prange`, whose threads meet
 after each of hundreds of colours (2 µs in quiet, 7.8 ms beside two busy processes with libgomp as it comes, and a layer
 of threads that differs from machine to machine); a task of a thread pool for each colour (50 µs).
 """
@@ -30,6 +31,8 @@ IntArray = NDArray[np.int64]
 LEFT, BACK, DONE, OVER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
 WORDS = 32
 PATIENCE = 5000  # looks at the board, some 20 µs, before a helper without work gives its core away
+SHIFT = 32  # pieces, half a millisecond, after which it offers it to others
+END, YIELD, REST = range(3)  # what a helper does next
 DIVIDED_FROM = 20_000  # rows; below, a task costs what it saves
 NAP = 50e-6  # s, for how long
 
@@ -53,7 +56,7 @@ class Team:
         Parameters
         ----------
         help_out
-            Kernel called with the board and ``work``; it returns 1 to be called again after a nap, else 0.
+            Kernel called with the board and ``work`` until it returns `END`; after `REST` not at once.
         """
         if self._pool is None:
             return ALONE
@@ -78,8 +81,11 @@ ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without h
 
 
 def _help(help_out: Callable[..., int], *work: Any) -> None:
-    while help_out(*work):
-        time.sleep(NAP)
+    while (then := help_out(*work)) != END:
+        if then == REST:
+            time.sleep(NAP)
+        elif hasattr(os, "sched_yield"):
+            os.sched_yield()
 
 
 def cores() -> int:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.load import BEFORE, DRIFT, FRICTION, KICK, LEDGER, RESTITUTION, SPINS, STABILISATION
 from carom.physics.kernel import kernel
+from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -36,7 +37,11 @@ def book(
     """Write into the ledger what the impulses of a piece did."""
     spins = flags[SPINS] != 0
     kick = numbers[KICK] if numbers[DRIFT] > 0.0 else 0.0
+    last = len(pairs) - 1
     for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch(V, pairs[ahead, 0], 0)
+        prefetch(V, pairs[ahead, 1], 0)
         Jn = C[c, 8]
         if Jn == 0.0:
             continue

@@ -31,7 +31,20 @@ from carom.physics.contact.load import (
 from carom.physics.contact.solver import CONVERGED, strike
 from carom.physics.contact.sweep import HELD, aim, begin, go, press, relax
 from carom.physics.kernel import inline, kernel, long_kernel
-from carom.physics.team import PATIENCE, claim, dismiss, finish, is_over, last_piece, post, wait
+from carom.physics.team import (
+    END,
+    PATIENCE,
+    REST,
+    SHIFT,
+    YIELD,
+    claim,
+    dismiss,
+    finish,
+    is_over,
+    last_piece,
+    post,
+    wait,
+)
 
 IntArray = NDArray[np.int64]
 
@@ -45,7 +58,7 @@ def work(board: IntArray, job: int, edges: IntArray, independent: int, load: Loa
     Returns
     -------
     sweeps
-        How many there were; of `HELP`, whether to call again after a while.
+        How many there were; of `HELP`, when to call again: `END`, `YIELD` or `REST`.
     """
     if job == HELP:
         return _help_out(board, load)
@@ -59,15 +72,21 @@ def work(board: IntArray, job: int, edges: IntArray, independent: int, load: Loa
 
 @inline
 def _help_out(board: IntArray, load: Load) -> int:
-    """Do pieces until the leader is done; return early, and 1, if there are none for a while."""
-    idle = 0
-    while not is_over(board) and idle < PATIENCE:
-        idle += 1
+    """Do pieces until the leader is done; return early where there are none for a while, or after many."""
+    idle, done = 0, 0
+    while not is_over(board):
         if claim(board):
             _do(load, load.flags[FIRST] + last_piece(board))
             finish(board)
             idle = 0
-    return 1 if idle == PATIENCE else 0
+            done += 1
+            if done == SHIFT:
+                return YIELD
+        else:
+            idle += 1
+            if idle == PATIENCE:
+                return REST
+    return END
 
 
 @inline

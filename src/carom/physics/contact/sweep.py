@@ -62,7 +62,11 @@ def begin(
     spins = flags[SPINS] != 0
     dt, drift, kick, bias_rate = numbers[DT], numbers[DRIFT], numbers[KICK], numbers[BIAS]
     largest = 0.0  # m/s, the largest velocity that a contact undoes
+    last = len(pairs) - 1
     for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch(V, pairs[ahead, 0], 0)
+        prefetch(V, pairs[ahead, 1], 0)
         i, j = pairs[c, 0], pairs[c, 1]
         nx, ny, nz, ri, rj = C[c, 0], C[c, 1], C[c, 2], C[c, 3], C[c, 4]
         Kn = V[i, 6] + V[j, 6]
@@ -98,7 +102,11 @@ def begin(
 def press(lo: int, hi: int, pairs: IntArray, C: FloatArray, V: FloatArray, flags: IntArray) -> None:
     """Apply the impulses as they are: Δv = J/m, Δω = I⁻¹ (r × J), J on j and -J on i."""
     spins = flags[SPINS] != 0
+    last = len(pairs) - 1
     for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch(V, pairs[ahead, 0], 0)
+        prefetch(V, pairs[ahead, 1], 0)
         nx, ny, nz, Jn = C[c, 0], C[c, 1], C[c, 2], C[c, 8]
         Jx, Jy, Jz = C[c, 9] + Jn * nx, C[c, 10] + Jn * ny, C[c, 11] + Jn * nz
         tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
@@ -224,13 +232,13 @@ def aim(block: int, V: FloatArray, who: IntArray, sums: FloatArray) -> None:
     for k in range(block * BLOCK, min(len(who), (block + 1) * BLOCK)):
         b = who[k]
         if V[b, 6] > 0.0:
-            px, py, pz = V[b, 8], V[b, 9], V[b, 10]
-            slope += (px * V[b, 0] + py * V[b, 1] + pz * V[b, 2]) / V[b, 6]
-            curvature += (px * px + py * py + pz * pz) / V[b, 6]
+            px, py, pz, m = V[b, 8], V[b, 9], V[b, 10], 1.0 / V[b, 6]
+            slope += (px * V[b, 0] + py * V[b, 1] + pz * V[b, 2]) * m
+            curvature += (px * px + py * py + pz * pz) * m
         if V[b, 7] > 0.0:
-            tx, ty, tz = V[b, 11], V[b, 12], V[b, 13]
-            slope += (tx * V[b, 3] + ty * V[b, 4] + tz * V[b, 5]) / V[b, 7]
-            curvature += (tx * tx + ty * ty + tz * tz) / V[b, 7]
+            tx, ty, tz, I = V[b, 11], V[b, 12], V[b, 13], 1.0 / V[b, 7]  # noqa: E741 - the symbol of the equation
+            slope += (tx * V[b, 3] + ty * V[b, 4] + tz * V[b, 5]) * I
+            curvature += (tx * tx + ty * ty + tz * tz) * I
     sums[block, 0], sums[block, 1] = slope, curvature
 
 
