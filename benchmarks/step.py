@@ -24,6 +24,7 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
+from carom.scene.placement import Start
 from carom.scene.schema import Scene
 from measurement import medians, save
 
@@ -149,19 +150,28 @@ def measure_scaling(sizes: list[int], rounds: int) -> dict[str, Any]:
 
 
 def in_open_space(n: int, threads: int) -> Space:
-    """Place n bodies far apart, as a scene does in no time, and then in the crowd."""
+    """Build a crowd in open space, without the search for free places that a scene of groups begins with."""
     side = round(n ** (1 / 3)) + 1
     position, velocity, _ = crowd(side**3)
-    group = {"count": n, "radius": 1.0, "region": {"shape": "box", "size": [20.0 * side] * 3}}
+    start = Start(
+        name=[""] * n,
+        group=np.zeros(n, dtype=np.int64),
+        position=position[:n],
+        velocity=velocity[:n],
+        angular_velocity=np.zeros((n, 3)),
+        mass=np.ones(n),
+        radius=np.ones(n),
+        inertia=np.full(n, 0.4),
+        fixed=np.zeros(n, dtype=np.bool_),
+    )
     scene = {
-        "group": [{**group, "velocity": {"dispersion": 1.0}}],
+        "group": [{"count": n, "radius": 1.0, "velocity": {"dispersion": 1.0}}],
         "gravity": {"constant": 0.0},
         "contact": {"restitution": 1.0, "static_friction": 0.5, "kinetic_friction": 0.5},
         "time": {"duration": 1e6, "fixed_dt": DT},
         "record": {"every": 1e6, "log_freq": 10**6},
     }
-    space = Space(Scene.from_dict(scene), threads)
-    space.state.position[:], space.state.velocity[:] = position[:n], velocity[:n]
+    space = Space(Scene.from_dict(scene), threads, start)
     for _ in range(5):
         space.compute_dynamics(space.step + 1)
     space.profile.clear()
