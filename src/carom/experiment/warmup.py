@@ -24,17 +24,17 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.2, "max_dt": 0.02},
         "record": {"every": "step", "log_freq": 2},
     },
+    "a cloud, by the tree": {
+        "group": _CROWD,
+        "gravity": {"constant": 1.0, "method": "tree"},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
     "a periodic box, the seed's colours": {
         "group": _CROWD,
         "domain": {"boundary": "periodic", "size": [4.0, 4.0, 4.0]},
         "gravity": {"constant": 0.0},
         "contact": {"colouring": "bodies", "stabilisation": "baumgarte"},
         "time": {"duration": 0.2, "max_dt": 0.02, "velocity_limit": "fastest-body"},
-    },
-    "gravity by a tree": {
-        "group": _CROWD,
-        "gravity": {"constant": 1.0, "method": "tree"},
-        "time": {"duration": 0.2, "max_dt": 0.02},
     },
 }
 
