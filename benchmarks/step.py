@@ -1,13 +1,14 @@
 """A whole step of colliding spheres beside REBOUND's and MuJoCo's, and how carom's grows from 10⁴ to 10⁶ bodies.
 
-    python benchmarks/step.py [--only peers|scaling] [--bodies 1000 4000 ...] [--rounds 7]
+    python benchmarks/step.py [--only peers|scaling|gravity] [--bodies 1000 4000 ...] [--rounds 7]
 
 Elastic spheres of radius 1 m with 1 m/s, in a cube of disordered lattice sites filled to 0.3, steps of 0.02 s, no
 gravity. What differs: REBOUND ("hardsphere", search by tree or direct, leapfrog) has neither spin nor friction, is
 compared in open space, where the crowd expands slowly, and resolves each pair once a step; carom sweeps until nothing
 closes. MuJoCo has springs instead of impulses, so that a collision is a contact for some steps, is compared within
 walls and solves for all contacts at once (CG). carom has no friction beside REBOUND and friction 0.5 beside MuJoCo.
-Contacts are those of the last step.
+Contacts are those of the last step. `gravity` lets the crowd pull itself together, by the tree and with lasting
+contacts.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from measurement import medians, save
 FloatArray = NDArray[np.float64]
 
 SPACING, DT, STEPS = 2.4, 0.02, 20  # lattice sites a side apart: a filling of 0.30
+PULL = 1e-3  # m³ kg⁻¹ s⁻²: a free fall of the crowd takes a minute
 SOFT = 2.0e3  # N/m for each kg, MuJoCo's springs: a collision takes some four steps
 
 
@@ -89,9 +91,9 @@ def in_mujoco(n: int) -> tuple[Any, Any, Callable[[], object]]:
     return model, data, lambda: mujoco.mj_step(model, data, nstep=STEPS)
 
 
-def stepping(space: Space) -> Callable[[], object]:
+def stepping(space: Space, steps: int = STEPS) -> Callable[[], object]:
     def go() -> None:
-        for _ in range(STEPS):
+        for _ in range(steps):
             space.compute_dynamics(space.step + 1)
 
     return go
@@ -122,13 +124,16 @@ def compare_peers(n: int, rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_scaling(sizes: list[int], rounds: int) -> dict[str, Any]:
+def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dict[str, Any]:
     """Time steps of crowds in open space, which expand slowly, and fit the exponent of the time over their size."""
     rows: list[dict[str, Any]] = []
     for n in sizes:
-        spaces = {threads: in_open_space(n, threads) for threads in (1, 2)}
-        times = medians({f"{threads} threads": stepping(space) for threads, space in spaces.items()}, rounds, 20.0)
-        step = {name: float(f"{seconds / STEPS * 1e3:.4g}") for name, seconds in times.items()}
+        spaces = {threads: in_open_space(n, threads, constant) for threads in (1, 2)}
+        steps = max(4, min(STEPS, 2_000_000 // n))
+        times = medians(
+            {f"{threads} threads": stepping(space, steps) for threads, space in spaces.items()}, rounds, 20.0
+        )
+        step = {name: float(f"{seconds / steps * 1e3:.4g}") for name, seconds in times.items()}
         parts = spaces[1].profile.seconds()
         whole = sum(parts.values())
         rows.append(
@@ -149,7 +154,7 @@ def measure_scaling(sizes: list[int], rounds: int) -> dict[str, Any]:
     return {"rows": rows, "exponent": fitted}
 
 
-def in_open_space(n: int, threads: int) -> Space:
+def in_open_space(n: int, threads: int, constant: float) -> Space:
     """Build a crowd in open space, without the search for free places that a scene of groups begins with."""
     side = round(n ** (1 / 3)) + 1
     position, velocity, _ = crowd(side**3)
@@ -166,7 +171,7 @@ def in_open_space(n: int, threads: int) -> Space:
     )
     scene = {
         "group": [{"count": n, "radius": 1.0, "velocity": {"dispersion": 1.0}}],
-        "gravity": {"constant": 0.0},
+        "gravity": {"constant": constant},
         "contact": {"restitution": 1.0, "static_friction": 0.5, "kinetic_friction": 0.5},
         "time": {"duration": 1e6, "fixed_dt": DT},
         "record": {"every": 1e6, "log_freq": 10**6},
@@ -180,7 +185,7 @@ def in_open_space(n: int, threads: int) -> Space:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=("peers", "scaling"))
+    parser.add_argument("--only", choices=("peers", "scaling", "gravity"))
     parser.add_argument("--bodies", type=int, nargs="+", default=[1000, 4096])
     parser.add_argument("--sizes", type=int, nargs="+", default=[10_000, 100_000, 1_000_000])
     parser.add_argument("--rounds", type=int, default=7)
@@ -191,6 +196,8 @@ def main() -> None:
         save("step", {"rows": rows}, "rebound", "mujoco")
     if given.only in (None, "scaling"):
         save("scaling", measure_scaling(given.sizes, given.rounds))
+    if given.only in (None, "gravity"):
+        save("gravity-step", measure_scaling(given.sizes, given.rounds, PULL))
     print(f"{time.perf_counter() - began:.0f} s")
 
 
