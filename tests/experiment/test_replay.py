@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,11 @@ import pytest
 import carom
 from carom.experiment.replay import replay
 from carom.experiment.run import simulate
+from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
+from carom.recording import checkpoint
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
 from carom.scene.bundled import bundled_scenes
@@ -177,3 +179,24 @@ def test_every_bundled_scene_replays_and_resumes_with_the_same_bits_on_another_c
         resumed = Recording.open(path).fingerprints()["fingerprint"].to_pylist()
         overrides[1] = f"time.duration={until}"
         assert resumed == [frame.fingerprint for frame in Space(Scene.load(name, overrides)).run()]
+
+
+def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Version 1 kept the arrays of a checkpoint, and neither its contacts nor its books.
+    encode = checkpoint.encode
+
+    def as_it_was(checkpoints: Sequence[Checkpoint]) -> dict[str, checkpoint.Column]:
+        new = ("books", "contact_", "held_")
+        return {name: column for name, column in encode(checkpoints).items() if not name.startswith(new)}
+
+    with monkeypatch.context() as then:
+        then.setattr("carom.recording.layout.SCHEMA_VERSION", 1)
+        then.setattr(checkpoint, "encode", as_it_was)
+        carom.run(cloud(12), tmp_path / "old.rrd")
+    recording = Recording.open(tmp_path / "old.rrd")
+    assert recording.outcome == "completed" and recording.summary()["frames"] == recording.frames > 10
+    assert recording.energy().num_rows == recording.frames
+    with pytest.raises(RecordingError, match="recorded by a version of carom that could not go on from it"):
+        replay(recording)
