@@ -183,14 +183,17 @@ class Recording:
         return self._fingerprints
 
     @_named
-    def energy(self) -> pa.Table:
-        """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error."""
-        return self._series(paths.ENERGY)
+    def energy(self, *names: str) -> pa.Table:
+        """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
+
+        With names, only these are read.
+        """
+        return self._series(paths.ENERGY, names)
 
     @_named
-    def steps(self) -> pa.Table:
-        """Return dt (s), contacts, colours, sweeps and overlaps of every frame."""
-        return self._series(paths.STEP)
+    def steps(self, *names: str) -> pa.Table:
+        """Return dt (s), contacts, colours, sweeps and overlaps of every frame; with names, only these are read."""
+        return self._series(paths.STEP, names)
 
     @_named
     def momentum(self) -> pa.Table:
@@ -310,13 +313,13 @@ class Recording:
             "time", pa.array([], pa.float64())
         )
 
-    def _series(self, root: str) -> pa.Table:
+    def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         """All Scalars below an entity, side by side: the frames that have a value in each.
 
         A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
         """
         parts: dict[str, list[pa.RecordBatch]] = {}
-        for chunk in self._chunks(f"{root}/**", "Scalars:scalars"):
+        for chunk in self._chunks(f"{root}/**", "Scalars:scalars", names):
             parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.batch)
         frames = self._fingerprints
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
@@ -352,9 +355,11 @@ class Recording:
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
         return list(self.chunks(layouts[-1].entries)) if layouts else []
 
-    def _chunks(self, content: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it."""
+    def _chunks(self, content: str, component: str | None = None, names: tuple[str, ...] = ()) -> Iterator[Chunk]:
+        """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it, or some of them."""
         found = [entry for entry in self.store.entries if not entry.is_static and _within(entry, content)]
+        if names:
+            found = [entry for entry in found if entry.entity_path.rsplit("/", 1)[1] in names]
         for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:
                 yield chunk

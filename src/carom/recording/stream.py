@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import rerun_bindings
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
@@ -19,10 +18,10 @@ from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
 from carom.recording.layout import application_id
 from carom.recording.live import LiveView
+from carom.recording.outgoing import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.outlet import Outlet
 from carom.recording.past import Past
 from carom.recording.statics import statics
-from carom.recording.writer import rerun_chunks
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
@@ -44,8 +43,7 @@ class Stream:
         # what is under way when the disk is found full, and the last checkpoint, must still fit
         self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
         self._outlet = Outlet(path, self._reserve)
-        # the streams of earlier recordings keep two threads and megabytes each until someone asks, as `rr.init` does
-        rerun_bindings.flush_and_cleanup_orphaned_recordings()
+        end_earlier_streams()
         self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))
         self._outlet.opened()
@@ -103,7 +101,7 @@ class Stream:
     def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
         """Send a layout; the last one sent is the one that opens."""
         for stream in self._streams():
-            _send_blueprint(stream, self._application, layout)
+            send_layout(stream, self._application, layout)
 
     def flush(self) -> None:
         """Wait until all that was sent is in the file; raise if it cannot be."""
@@ -151,18 +149,3 @@ class Stream:
         if header.box is not None:
             identity["box"] = header.box
         return identity
-
-
-def _send_blueprint(stream: rr.RecordingStream, application: str, layout: rr.blueprint.Blueprint) -> None:
-    """Do as `rr.send_blueprint` does, and end the stream that it makes for the purpose.
-
-    Rerun 0.41 leaves that stream open for good: two threads and 4 MB for each recording of a sweep.
-    """
-    own = rr.RecordingStream._from_native(
-        rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
-    )
-    own.set_time("blueprint", sequence=0)
-    layout._log_to_stream(own)
-    stored = rr.memory_recording(own).storage
-    rerun_bindings.send_blueprint(stored, make_active=True, make_default=True, recording=stream.to_native())
-    own.disconnect()

@@ -24,7 +24,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     if recording.is_overlay:
         raise RecordingError(f"{recording.path} shows two runs, to look at; inspect the recordings that it was made of")
     frames = recording.fingerprints()
-    clip = _clip(recording)
+    clip, momenta = _clip(recording), recording.momentum()
     found: dict[str, Any] = {
         "scene": {"title": recording.title},
         "bodies": int(recording.info["bodies"]),
@@ -32,10 +32,10 @@ def summary(recording: Recording) -> dict[str, Any]:
         "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,
         "sim_time": float(frames["time"][-1].as_py()) if recording.frames else 0.0,
         "outcome": recording.outcome,
-        "energy": _energy(recording.energy()),
-        "momentum": {"max_error": _largest(recording.momentum(), "momentum_error")},
-        "angular_momentum": {"max_error": _largest(recording.momentum(), "angular_momentum_error")},
-        "contacts": _contacts(recording.steps()),
+        "energy": _energy(recording.energy("total", "relative_error")),
+        "momentum": {"max_error": _largest(momenta, "momentum_error")},
+        "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
+        "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
         "moments": _moments(recording.closing),
         "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": _below(recording.properties, "version"),

@@ -9,15 +9,14 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
-import rerun.chunk as rrc
 from numpy.typing import NDArray
 
 from carom.recording.container import Chunk, Container
-from carom.recording.errors import DamageError, RecordingError
+from carom.recording.errors import RecordingError
 from carom.recording.header import Scalar
+from carom.recording.outgoing import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.outlet import Outlet
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
@@ -32,8 +31,10 @@ class Writer:
     def __init__(self, path: Path, application_id: str, recording_id: str) -> None:
         rr.set_strict_mode(True)
         self.path = path
+        self._application = application_id
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
         self._outlet = Outlet(self._part, 0)
+        end_earlier_streams()
         # the name and the start of the recording are among the chunks to be copied
         self._stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
         self._stream.set_sinks(rr.FileSink(self._outlet.entry))
@@ -75,7 +76,7 @@ class Writer:
 
     def send_layout(self, layout: rrb.Blueprint) -> None:
         """Send the layout that the file opens with."""
-        self._stream.send_blueprint(layout)
+        send_layout(self._stream, self._application, layout)
 
     def flush(self) -> None:
         """Wait until all that was sent is in the file; raise if it cannot be."""
@@ -102,16 +103,3 @@ class StoredLayout(rrb.Blueprint):
     def _log_to_stream(self, stream: rr.RecordingStream) -> None:
         for chunk in self._chunks:
             rr.send_chunks(rerun_chunks(chunk.batch), recording=stream)
-
-
-def rerun_chunks(batch: pa.RecordBatch) -> list[rrc.Chunk]:
-    """Hand rows over to Rerun, as new ones: their ids are those of another file."""
-    kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
-    kept = [field for field in batch.schema if kinds[field.name] != b"control"]
-    timelines = [name for name, kind in kinds.items() if kind == b"index"]
-    known = {key: value for key, value in batch.schema.metadata.items() if key != b"rerun:id"}
-    fresh = pa.record_batch([batch[field.name] for field in kept], schema=pa.schema(kept, metadata=known))
-    try:
-        return rrc.Chunk.from_record_batch(fresh, index=timelines or None)
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise DamageError(str(error)) from error
