@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from carom.experiment import tradeoff, trajectory
+from carom.experiment.error import ExperimentError
 from carom.experiment.overlay import record
 from carom.experiment.setting import default_settings, vary
 from carom.experiment.tradeoff import Study
 from carom.physics.error import PhysicsError
-from carom.recording.errors import RecordingError
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from examples import cloud, pair
@@ -81,7 +81,7 @@ def test_a_study_that_was_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch
 def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) -> None:
     measured(eight(), tmp_path, "step=2")
     changed = Scene.load("figure-eight", ["time.duration=1.0"])
-    with pytest.raises(RecordingError, match="a study of another scene, or of this one before it was changed"):
+    with pytest.raises(ExperimentError, match="a study of another scene, or of this one before it was changed"):
         Study(changed, tmp_path)
     assert Study(changed, tmp_path, force=True).results == []
 
@@ -89,7 +89,7 @@ def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) ->
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"version": 1, "scene": {"toml": ""}}'])
 def test_a_document_that_is_not_one_is_a_message(tmp_path: Path, text: str) -> None:
     (tmp_path / "tradeoff.json").write_text(text, encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"tradeoff\.json: cannot be gone on with"):
+    with pytest.raises(ExperimentError, match=r"tradeoff\.json: cannot be gone on with"):
         Study(eight(), tmp_path)
 
 

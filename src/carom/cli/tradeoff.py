@@ -111,9 +111,9 @@ def measured(
 
 def _draw(study: Study, quiet: bool) -> None:
     """Leave the figure and the recording beside the document; say where they are, or why there is none."""
+    from carom.experiment.error import ExperimentError
     from carom.experiment.figure import draw
     from carom.experiment.overlay import record
-    from carom.recording.errors import RecordingError
 
     if not any(result.complete for result in study.results):
         return
@@ -122,7 +122,7 @@ def _draw(study: Study, quiet: bool) -> None:
     try:
         draw(study.document(), figure)
         said.append(str(figure))
-    except RecordingError as error:
+    except ExperimentError as error:
         said.append(f"no figure: {error}")
     record(study, recording)
     if not quiet:

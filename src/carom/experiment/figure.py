@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carom.recording.errors import RecordingError
+from carom.experiment.error import ExperimentError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -30,7 +30,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
 
     Raises
     ------
-    RecordingError
+    ExperimentError
         If matplotlib is not there, or nothing is measured.
     """
     try:
@@ -38,11 +38,11 @@ def draw(document: dict[str, Any], path: Path) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
         from matplotlib.figure import Figure  # noqa: PLC0415
     except ImportError:
-        raise RecordingError('a figure needs matplotlib: install carom with its extra "plot"') from None
+        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
     done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
-        raise RecordingError("nothing is measured yet that could be drawn")
+        raise ExperimentError("nothing is measured yet that could be drawn")
     with mpl.rc_context({"font.size": 8, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}):
         rows = (len(panels) + 1) // 2
         figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.9 * rows), layout="constrained", dpi=110)

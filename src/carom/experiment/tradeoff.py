@@ -21,6 +21,7 @@ import numpy as np
 
 from carom.experiment.comparison import NAMES, Errors
 from carom.experiment.environment import environment
+from carom.experiment.error import ExperimentError
 from carom.experiment.front import front, near
 from carom.experiment.output import output_folder
 from carom.experiment.reference import Reference, fineness, make_reference, scale_of
@@ -29,7 +30,6 @@ from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.error import PhysicsError
 from carom.physics.schedule import at
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.scene.schema import Scene
 
 DOCUMENT = "tradeoff.json"
@@ -85,7 +85,7 @@ class Study:
 
     Raises
     ------
-    RecordingError
+    ExperimentError
         If the folder holds a study of another scene and ``force`` is not given, or what it holds cannot be read.
     """
 
@@ -233,8 +233,8 @@ class Study:
                 self._reopen(known, kept["settings"])
                 return
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise RecordingError(f"{path}: cannot be gone on with ({error}); give --force to begin anew") from None
-        raise RecordingError(
+            raise ExperimentError(f"{path}: cannot be gone on with ({error}); give --force to begin anew") from None
+        raise ExperimentError(
             f"{self.folder}: holds a study of another scene, or of this one before it was changed; give --force to "
             "begin anew, or another folder with -o"
         )

@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 
 from carom.experiment.comparison import NAMES
+from carom.experiment.error import ExperimentError
 from carom.experiment.tradeoff import Result, Study
-from carom.recording.errors import RecordingError
 from carom.scene.error import SceneError
 
 
@@ -89,7 +89,7 @@ def write(study: Study, result: Result, asked: dict[str, float], path: Path) -> 
 
     Raises
     ------
-    RecordingError
+    ExperimentError
         If it cannot be written.
     """
     assert study.reference is not None, "what is measured has a reference"
@@ -104,4 +104,4 @@ def write(study: Study, result: Result, asked: dict[str, float], path: Path) -> 
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}") from None
+        raise ExperimentError(f"{path}: cannot be written: {error.strerror}") from None

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from carom.recording import palette
 from carom.recording.blueprint import whole_time
-from carom.recording.clock import SIM_TIME, Clock
+from carom.recording.clock import Clock
 from carom.recording.errors import RecordingError
+from carom.recording.timelines import SIM_TIME
 
 FloatArray = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
     names = [f"{number:02d}-{_entity(course.name)}" for number, course in enumerate(courses)]
     try:
         with rr.RecordingStream(identity) as stream:
-            stream.save(path, default_blueprint=_layout(names))
+            stream.save(path, default_blueprint=_layout())
             stream.send_recording_name(title)
             for name, course, colour in zip(names, courses, colours, strict=True):
                 _send(stream, name, course, colour, time, radius, origin, clock)
@@ -95,7 +96,7 @@ def _send(
         stream.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
-def _layout(names: list[str]) -> rrb.Blueprint:
+def _layout() -> rrb.Blueprint:
     background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
     return rrb.Blueprint(
         rrb.Vertical(
