@@ -23,6 +23,8 @@ from carom.cli import (
     scenes,
     stress,
     sweep,
+    tradeoff,
+    tune,
     view,
     warmup,
 )
@@ -66,6 +68,8 @@ app.command("report")(report.report)
 app.command("resume")(resume.resume)
 app.command("stress")(stress.stress)
 app.command("sweep")(sweep.sweep)
+app.command("tradeoff")(tradeoff.tradeoff)
+app.command("tune")(tune.tune)
 app.command("view")(view.view)
 app.command("picture")(view.picture)
 app.command("clip")(clip.clip)

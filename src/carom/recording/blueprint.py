@@ -122,10 +122,10 @@ def _plots(header: Header) -> list[rrb.View | rrb.Container]:
 
 def _plot(name: str, contents: list[str]) -> rrb.TimeSeriesView:
     legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    return rrb.TimeSeriesView(name=name, origin="/", contents=contents, plot_legend=legend, axis_x=_whole_time())
+    return rrb.TimeSeriesView(name=name, origin="/", contents=contents, plot_legend=legend, axis_x=whole_time())
 
 
-def _whole_time() -> rrb.TimeAxis:
+def whole_time() -> rrb.TimeAxis:
     """Show all of the time: by default a plot shows no more than a minute about the cursor."""
     return rrb.TimeAxis(
         view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
@@ -150,5 +150,5 @@ def _states() -> rrb.View:
         name="Phase, and what limits dt",
         origin="/",
         contents=[paths.PHASE, paths.DT_LIMIT],
-        time_view=_whole_time(),
+        time_view=whole_time(),
     )

@@ -1,0 +1,190 @@
+"""`carom tradeoff`: what accuracy costs on a scene, measured."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.experiment.tradeoff import Result, Study
+
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="KEY=A,B,C",
+        help="Values of a key of the scene, or of `step`, a factor on the step; every combination if given again. "
+        "Default: about a dozen settings of what the scene requires.",
+    ),
+]
+RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Runs that are timed of each.", min=1)]
+COLUMNS = {
+    "position": "position",
+    "velocity": "velocity",
+    "impact": "impacts / s",
+    "missed": "missed",
+    "energy": "energy",
+    "energy_gain": "gain",
+    "momentum": "momentum",
+    "overlap": "overlap",
+    "impacts": "count",
+    "size": "size",
+    "dispersion": "dispersion",
+}
+PIPE_WIDTH = 200  # characters of the table where the output is not a terminal
+
+
+def tradeoff(
+    scene: SceneArgument,
+    vary: VaryOption = None,
+    repeats: RepeatsOption = 3,
+    folder: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Default: recordings/tradeoff/ and the scene's name."),
+    ] = None,
+    overrides: SetOption = None,
+    threads: ThreadsOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the study of another scene.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+) -> None:
+    """Measure what accuracy costs on a scene: its settings' costs and errors, and which are worth having.
+
+    What is measured is kept: run again, it goes on where it was.
+    """
+    import json
+
+    study, finished = measured(scene, vary, repeats, folder, overrides, threads, force, quiet=as_json)
+    if as_json:
+        typer.echo(json.dumps(study.document(), indent=2, ensure_ascii=False))
+    else:
+        _show(study)
+    _draw(study, quiet=as_json)
+    if not finished:
+        typer.echo("carom: stopped; what is measured is kept, and the same command goes on with it", err=True)
+        raise typer.Exit(1)
+
+
+def measured(
+    source: str,
+    vary: list[str] | None,
+    repeats: int,
+    folder: Path | None,
+    overrides: list[str] | None,
+    threads: int | None,
+    force: bool,
+    *,
+    quiet: bool,
+) -> tuple[Study, bool]:
+    """Measure the settings of a scene; tell whether it was not stopped before the end."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from carom.cli.compiling import announce_compilation
+    from carom.experiment.setting import default_settings
+    from carom.experiment.setting import vary as grid
+    from carom.experiment.tradeoff import Study
+    from carom.scene.schema import Scene
+
+    scene = Scene.load(source, overrides)
+    settings = grid(scene, vary) if vary else default_settings(scene)
+    if not quiet:
+        announce_compilation()
+    study = Study(scene, folder or Path("recordings/tradeoff") / Path(source).stem, threads=threads, force=force)
+    console = Console(stderr=True, quiet=quiet, highlight=False)
+    try:
+        if console.is_terminal:
+            with console.status("") as status:
+                study.measure(settings, repeats, lambda text: status.update(escape(text)))
+        else:
+            study.measure(settings, repeats, lambda text: console.print(escape(text), soft_wrap=True))
+    except KeyboardInterrupt:
+        return study, False
+    return study, True
+
+
+def _draw(study: Study, quiet: bool) -> None:
+    """Leave the figure and the recording beside the document; say where they are, or why there is none."""
+    from carom.experiment.error import ExperimentError
+    from carom.experiment.figure import draw
+    from carom.experiment.overlay import record
+
+    if not any(result.complete for result in study.results):
+        return
+    said = [str(study.folder / "tradeoff.json")]
+    figure, recording = study.folder / "tradeoff.png", study.folder / "tradeoff.rrd"
+    try:
+        draw(study.document(), figure)
+        said.append(str(figure))
+    except ExperimentError as error:
+        said.append(f"no figure: {error}")
+    record(study, recording)
+    if not quiet:
+        typer.echo("  ".join([*said, f"rerun {recording}"]))
+
+
+def _show(study: Study) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table_of(study))
+    reference = study.reference
+    if reference is None:
+        return
+    console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
+    end, horizon = float(reference.trajectory.time[-1]), reference.horizon
+    sure = reference.uncertainty
+    console.print(
+        f"Positions are compared up to the horizon, {horizon:.6g} s of {end:.6g} s, where it is sure to "
+        f"{sure.position:.1e} of the size and {sure.velocity:.1e} of the speed.",
+        soft_wrap=True,
+    )
+    console.print(
+        f"[bold]●[/bold] no other setting is as good and cheaper; ○ within the noise of the costs, {study.noise:.0%}, "
+        "of being so; costs are medians."
+    )
+    for result in study.results:
+        if result.reason:
+            console.print(f"{escape(result.setting.name)}: {result.status}: {escape(result.reason)}", soft_wrap=True)
+
+
+def table_of(study: Study) -> Table:
+    """Make the table of a study, cheapest first."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.experiment.comparison import NAMES
+
+    done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
+    shown = [e for e in NAMES if e in COLUMNS and any(not math.isnan(getattr(r.errors, e)) for r in done)]
+    marks = {error: study.marks(error) for error in shown}
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("setting", "cost / s", "±", "steps", *(COLUMNS[error] for error in shown)):
+        table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
+    for result in done:
+        name = result.setting.name
+        cells = [_cell(result, error, marks[error].get(name, "")) for error in shown]
+        cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
+        table.add_row(escape(name), *cost, str(result.steps), *cells)
+    for result in study.results:
+        if result.errors is None:
+            table.add_row(escape(result.setting.name), result.status)
+    return table
+
+
+def _cell(result: Result, error: str, mark: str) -> str:
+    value = getattr(result.errors, error)
+    if math.isnan(value):
+        return ""
+    text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
+    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'○' if mark == 'near' else ' '}"

@@ -1,0 +1,303 @@
+"""A few bodies, exactly: an adaptive method of eighth order between contacts, and each contact an event.
+
+SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off. A step in which two bodies may
+come together is searched for the first moment at which they touch by conservative advancement: the gap, divided by a
+bound of the closing speed, is a time in which they cannot meet, so no contact is stepped over. The moment is then
+refined on steps from the same beginning, and the contact is resolved by the readable form of the impulse law,
+`physics/contact/impulse.py`.
+
+Where contacts follow each other without end, as before a body comes to rest on another, the solution ends: from there
+on bodies touch for a time, which an event cannot say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853, OdeSolution
+
+from carom.experiment.trajectory import Trajectory
+from carom.physics.bodies import Bodies, BodyProxy
+from carom.physics.contact.impulse import CollisionContext
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+MOST_BODIES = 20  # the pairs are looked at one by one, in Python
+MOST_CONTACTS = 10_000
+TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it takes
+SPEED_MARGIN = 1.5  # what the speed of approach within a step may be over the largest at its ends and middle
+TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact
+LOWEST_FLIGHT = 1e-11  # of the sum of radii: a bounce that is lower is none, the contact lasts
+NEWTON = 12  # iterations at most, each of them squares the error
+
+
+@dataclass
+class Exact:
+    """The exact course of a scene up to where it ends."""
+
+    trajectory: Trajectory
+    ended: str = ""  # why it does not go on to the end of the scene; empty if it does
+    time: list[float] = field(default_factory=list)  # s, of every contact
+
+
+def why_not(scene: Scene) -> str:
+    """Say why a scene cannot be solved exactly; empty if it can."""
+    if scene.count > MOST_BODIES:
+        return f"{scene.count} bodies are more than {MOST_BODIES}"
+    if scene.domain.boundary != "open" or scene.plane:
+        return "planes, walls and periodic boxes are not in it"
+    if any(body.fixed for body in scene.body):
+        return "fixed bodies are not in it"
+    if scene.contact.allow_overlap:
+        return "bodies may overlap at the start"
+    return ""
+
+
+def solve(space: Space, times: FloatArray, tolerance: float = TIGHTEST) -> Exact:
+    """Solve a scene from the start of its space.
+
+    Parameters
+    ----------
+    space
+        Before its first step; it stays there.
+    times
+        (K,) s, at which the solution is kept.
+    tolerance
+        Relative, of DOP853; absolute, of the largest coordinate and speed at the start.
+    """
+    return _Solver(space, tolerance).run(times)
+
+
+class _Solver:
+    def __init__(self, space: Space, tolerance: float) -> None:
+        scene, start = space.scene, space.state
+        self._scene, self._tolerance = scene, tolerance
+        self._bodies = _copy(start)
+        self._n = len(start)
+        self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
+        self._field = np.array(scene.gravity.uniform)
+        self._contacts = space.requirements.contact.modelled
+        self._i, self._j = np.triu_indices(self._n, 1)
+        self._reach = start.radius[self._i] + start.radius[self._j]
+        self._time = 0.0
+        self._met: dict[tuple[int, int], float] = {}
+        self._struck: list[float] = []
+        self._ended = ""
+        size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
+        length = max(float(np.abs(size).max()), float(start.radius.max()))
+        speed = max(float(np.abs(start.velocity).max()), length / scene.time.duration)
+        self._absolute = tolerance * np.repeat([length, speed], 3 * self._n)
+
+    def run(self, times: FloatArray) -> Exact:
+        position, velocity = [], []
+        for time in times:
+            for _ in self._events(float(time)):
+                if self._ended:
+                    break
+            if self._ended:
+                break
+            position.append(self._bodies.position.copy())
+            velocity.append(self._bodies.velocity.copy())
+        shape = (len(position), self._n, 3)
+        trajectory = Trajectory(
+            time=times[: len(position)],
+            position=np.array(position).reshape(shape),
+            velocity=np.array(velocity).reshape(shape),
+            pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
+            met=np.array(list(self._met.values())),
+            energy_error=np.nan,
+            energy_gain=np.nan,
+            momentum_error=np.nan,
+            angular_momentum_error=np.nan,
+            overlap=0.0,
+            impacts=len(self._struck),
+            steps=0,
+        )
+        return Exact(trajectory, self._ended, self._struck)
+
+    def _events(self, end: float) -> Iterator[None]:
+        """Advance to a time, stopping after each contact."""
+        longest = math.inf
+        while self._time < end:
+            touching = self._advance(end, longest)
+            longest = math.inf
+            if touching:
+                longest = self._resolve(touching)
+                yield
+
+    def _advance(self, end: float, longest: float) -> list[int]:
+        """Advance to a time or to the first contacts before it; return which pairs those are.
+
+        The first step is at most the longest: bodies that leave each other and fall back must first be apart.
+        """
+        x, v = self._bodies.position, self._bodies.velocity
+        state = np.concatenate((x.ravel(), v.ravel()))
+        solver = self._solver(self._time, state, min(end, self._time + longest))
+        while True:
+            if solver.status != "running":
+                if solver.t >= end:
+                    return []
+                solver = self._solver(solver.t, solver.y, end)
+            before, y = solver.t, solver.y.copy()
+            message = solver.step()
+            if solver.status == "failed":
+                self._end(f"DOP853 stopped at t = {solver.t:.6g} s: {message}")
+                return [-1]
+            found = self._first_contact(solver, before, y) if self._contacts else None
+            if found is not None:
+                self._accept(*found)
+                return self._touching()
+            self._accept(solver.t, solver.y)
+
+    def _solver(self, time: float, y: FloatArray, end: float) -> DOP853:
+        return DOP853(self._rates, time, y, end, rtol=self._tolerance, atol=self._absolute)
+
+    def _rates(self, time: float, y: FloatArray) -> FloatArray:
+        x = y[: 3 * self._n].reshape(-1, 3)
+        d = x[None, :, :] - x[:, None, :]
+        r2 = np.sum(d * d, axis=2) + self._scene.gravity.softening**2
+        np.fill_diagonal(r2, 1.0)
+        pull = self._constant * self._bodies.mass / (r2 * np.sqrt(r2)) if self._constant else np.zeros_like(r2)
+        acceleration = np.einsum("ij,ijk->ik", pull, d) + self._field
+        return np.concatenate((y[3 * self._n :], acceleration.ravel()))
+
+    def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
+        """Return time and state of the first contact in the step that was just made, if there is one."""
+        dense = OdeSolution([before, solver.t], [solver.dense_output()])
+        end = solver.t
+        looks = [dense(before), dense((before + end) / 2), dense(end)]
+        bound = SPEED_MARGIN * np.max([self._speeds(look) for look in looks], axis=0)
+        gap = self._gaps(y)
+        apart = gap > TOUCHING * self._reach
+        earliest, which = math.inf, -1
+        for pair in np.flatnonzero(apart & (gap < bound * (end - before))):
+            time = self._meeting(dense, int(pair), before, min(end, earliest), float(bound[pair]))
+            if time < earliest:
+                earliest, which = time, int(pair)
+        return None if which < 0 else self._refined(before, y, earliest, which)
+
+    def _meeting(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
+        """Return when a pair first touches, infinite if it does not before the end, by conservative advancement."""
+        near = TOUCHING * self._reach[pair]
+        while time < end:
+            gap = self._gap(dense(time), pair)
+            if gap <= near:
+                return time
+            later = time + gap / bound
+            if later == time:
+                return time
+            time = later
+        return time if self._gap(dense(end), pair) <= near else math.inf
+
+    def _refined(self, before: float, y: FloatArray, time: float, pair: int) -> tuple[float, FloatArray]:
+        """Refine the moment of a contact: Newton's iteration on steps that end there."""
+        at = y
+        for _ in range(NEWTON):
+            solver = self._solver(before, y, time)
+            while solver.status == "running":
+                solver.step()
+            at = solver.y
+            rate = self._closing(at, pair)
+            if rate >= 0.0:
+                break
+            change = self._gap(at, pair) / rate
+            if time - change <= before or abs(change) <= 2 * np.spacing(time):
+                break
+            time -= change
+        return time, at
+
+    def _resolve(self, touching: list[int]) -> float:
+        """Resolve contacts; return how long the next step may be at most, in s."""
+        rounds = 0
+        while touching and not self._ended:
+            for pair in touching:
+                self._strike(pair)
+            rounds += 1
+            if len(self._struck) > MOST_CONTACTS or rounds > MOST_CONTACTS:
+                self._end(f"contacts follow each other without end from t = {self._time:.9g} s on")
+            touching = self._touching()
+        return self._flight()
+
+    def _strike(self, pair: int) -> None:
+        if pair < 0:
+            return
+        i, j = int(self._i[pair]), int(self._j[pair])
+        if self._closing(self._state(), pair) >= 0.0:
+            return
+        b1, b2 = BodyProxy(self._bodies, i), BodyProxy(self._bodies, j)
+        normal = (b2.position - b1.position) / np.linalg.norm(b2.position - b1.position)
+        r1_vec, r2_vec = normal * b1.radius, -normal * b2.radius
+        v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
+        v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
+        contact = self._scene.contact
+        CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0).resolve(
+            contact.restitution, contact.static_friction, contact.kinetic_friction
+        )
+        self._met.setdefault((i, j), self._time)
+        self._struck.append(self._time)
+
+    def _flight(self) -> float:
+        """Return the time in s after which the first of the bodies that touch are farthest apart again."""
+        state = self._state()
+        acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
+        longest = math.inf
+        for pair in np.flatnonzero(np.abs(self._gaps(state)) <= TOUCHING * self._reach):
+            i, j = self._i[pair], self._j[pair]
+            normal = (self._bodies.position[j] - self._bodies.position[i]) / self._reach[pair]
+            rate, pull = self._closing(state, int(pair)), float((acceleration[j] - acceleration[i]) @ normal)
+            if pull >= 0.0 < rate:
+                continue
+            flight = rate / -pull if pull < 0.0 else 0.0
+            if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
+                self._end(f"bodies {i} and {j} stay in contact from t = {self._time:.9g} s on")
+            longest = min(longest, flight)
+        return longest
+
+    def _touching(self) -> list[int]:
+        """Return the pairs that touch and close."""
+        state = self._state()
+        near = np.flatnonzero(self._gaps(state) <= TOUCHING * self._reach)
+        return [int(pair) for pair in near if self._closing(state, int(pair)) < 0.0]
+
+    def _end(self, why: str) -> None:
+        self._ended = self._ended or why
+
+    def _accept(self, time: float, y: FloatArray) -> None:
+        self._time = time
+        self._bodies.position[:] = y[: 3 * self._n].reshape(-1, 3)
+        self._bodies.velocity[:] = y[3 * self._n :].reshape(-1, 3)
+
+    def _state(self) -> FloatArray:
+        return np.concatenate((self._bodies.position.ravel(), self._bodies.velocity.ravel()))
+
+    def _gaps(self, y: FloatArray) -> FloatArray:
+        x = y[: 3 * self._n].reshape(-1, 3)
+        return np.asarray(np.linalg.norm(x[self._j] - x[self._i], axis=1) - self._reach)
+
+    def _gap(self, y: FloatArray, pair: int) -> float:
+        i, j = 3 * self._i[pair], 3 * self._j[pair]
+        return math.dist(y[i : i + 3], y[j : j + 3]) - float(self._reach[pair])
+
+    def _speeds(self, y: FloatArray) -> FloatArray:
+        v = y[3 * self._n :].reshape(-1, 3)
+        return np.asarray(np.linalg.norm(v[self._j] - v[self._i], axis=1))
+
+    def _closing(self, y: FloatArray, pair: int) -> float:
+        """Return the rate of the gap of a pair, negative while it closes."""
+        x, v = y.reshape(2, -1, 3)
+        i, j = self._i[pair], self._j[pair]
+        normal = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
+        return float((v[j] - v[i]) @ normal)
+
+
+def _copy(bodies: Bodies) -> Bodies:
+    """Copy the state that contacts change."""
+    velocity, spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
+    ends = replace(bodies.ends, velocity=velocity, angular_velocity=spin)
+    return replace(bodies, position=bodies.position.copy(), velocity=velocity, angular_velocity=spin, ends=ends)

@@ -1,0 +1,173 @@
+"""What the settings of a scene are held against: the exact course of a few bodies, or the scene itself, refined.
+
+A few bodies in open space are solved exactly (`exact.py`), twice, with tolerances a factor of ten apart. Other scenes
+are run with ever smaller steps, each half of the one before. In both cases the last two tell how far the reference is
+to be trusted: up to the *horizon*, where they are first apart by more than a thousandth of the size of the system, and
+there to within what they are apart. Beyond it every trajectory is as good as another, and only statistics mean
+anything.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.comparison import Errors, Scale, compare
+from carom.experiment.exact import TIGHTEST, solve, why_not
+from carom.experiment.trajectory import Trajectory, follow, sample_times
+from carom.physics.space import Space
+from carom.scene.load import scene_from_text
+from carom.scene.requirements import target_dx
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+AGREEMENT = 1e-3  # of the size of the system: two refinements that are farther apart no longer agree
+LOOSER = 10.0  # the tolerance of the second exact solution over that of the first
+GAIN = 1.1  # a refinement whose horizon is not longer by so much is the last
+BUDGET = 120.0  # s, beyond which no further refinement is begun; two are made in any case
+
+Teller = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """A reference, and how far it is to be trusted."""
+
+    trajectory: Trajectory
+    scale: Scale
+    kind: str  # "exact" or "refined"
+    fineness: float  # how many times smaller its steps are than those of the scene; infinite where it is exact
+    samples: int  # at which positions are compared: up to the horizon
+    whole: bool  # whether it goes to the end of the scene
+    uncertainty: Errors  # what the last two solutions are apart, by the same measures as any setting
+    text: str  # what it is, for people
+
+    @property
+    def horizon(self) -> float:
+        """Up to when trajectories are compared, in s."""
+        return float(self.trajectory.time[self.samples - 1]) if self.samples else 0.0
+
+    def errors(self, run: Trajectory) -> Errors:
+        """Hold a run against it."""
+        return compare(run, self.trajectory, self.scale, self.samples, self.whole)
+
+
+def make_reference(
+    scene: Scene, finest: float = 1.0, *, threads: int | None = None, budget: float = BUDGET, tell: Teller | None = None
+) -> Reference:
+    """Make the reference of a scene.
+
+    Parameters
+    ----------
+    finest
+        How many times smaller than the scene's the smallest steps are that will be compared; a refined reference begins
+        at half of those.
+    threads
+        For the kernels.
+    budget
+        s, beyond which no refinement is begun but the second.
+    tell
+        Called with a sentence before each solution.
+
+    Raises
+    ------
+    SceneError, PhysicsError
+        If the scene cannot run, or a run stops being finite.
+    """
+    tell = tell or (lambda text: None)
+    reason = why_not(scene)
+    if not reason:
+        reference = _exact(scene, threads, tell)
+        if reference.samples:
+            return reference
+        reason = "the exact course ends before the first sample"
+    return _refined(scene, finest, threads, budget, tell, reason)
+
+
+def refined(scene: Scene, factor: float) -> list[str]:
+    """Return the overrides that make a scene's steps that many times smaller, whatever rule sets them."""
+    rule = scene.time
+    if rule.fixed_dt is not None:
+        return [f"time.fixed_dt={rule.fixed_dt / factor!r}"]
+    return [
+        f"time.max_dt={rule.max_dt / factor!r}",
+        f"time.cfl={rule.cfl / factor!r}",
+        f"time.target_dx={target_dx(scene) / factor**2!r}",
+    ]
+
+
+def fineness(scene: Scene, setting: Scene) -> float:
+    """Return how many times smaller a setting's steps are than those of the scene, by the limit that shrank most."""
+    base, rule = scene.time, setting.time
+    if base.fixed_dt is not None or rule.fixed_dt is not None:
+        return (base.fixed_dt or base.max_dt) / (rule.fixed_dt or rule.max_dt)
+    return max(base.max_dt / rule.max_dt, base.cfl / rule.cfl, math.sqrt(target_dx(scene) / target_dx(setting)))
+
+
+def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:
+    """Take the scale of a reference of a scene."""
+    box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
+    return Scale.of(trajectory, box)
+
+
+def _exact(scene: Scene, threads: int | None, tell: Teller) -> Reference:
+    times = sample_times(scene)
+    tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
+    best = solve(Space(scene, threads), times)
+    check = solve(Space(scene, threads), times, LOOSER * TIGHTEST)
+    return _reference(
+        scene,
+        best.trajectory,
+        check.trajectory,
+        kind="exact",
+        fineness=math.inf,
+        whole=not best.ended,
+        text=f"exact: DOP853, tolerance {TIGHTEST:g}, {len(best.time)} contacts located"
+        + (f"; it ends early: {best.ended}" if best.ended else ""),
+    )
+
+
+def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
+    times, factor, began = sample_times(scene), 2.0 * finest, time.perf_counter()
+    tell(f"reference: steps {factor:g} times smaller")
+    coarse = follow(_space(scene, factor, threads), times)
+    reference: Reference | None = None
+    while True:
+        factor, started = 2.0 * factor, time.perf_counter()
+        tell(f"reference: steps {factor:g} times smaller")
+        fine = follow(_space(scene, factor, threads), times)
+        found = _reference(
+            scene,
+            fine,
+            coarse,
+            kind="refined",
+            fineness=factor,
+            whole=True,
+            text=f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller ({reason})",
+        )
+        gained = reference is None or found.samples > GAIN * reference.samples
+        reference, coarse = found, fine
+        now = time.perf_counter()
+        if found.samples == len(times) or not gained or now - began + 2.0 * (now - started) > budget:
+            return reference
+
+
+def _space(scene: Scene, factor: float, threads: int | None) -> Space:
+    return Space(scene_from_text(scene.toml, scene.title, refined(scene, factor)), threads)
+
+
+def _reference(
+    scene: Scene, best: Trajectory, check: Trajectory, *, kind: str, fineness: float, whole: bool, text: str
+) -> Reference:
+    scale = scale_of(scene, best)
+    apart, _ = scale.apart(best, check)
+    parted = np.flatnonzero(~(apart <= AGREEMENT))
+    samples = int(parted[0]) if len(parted) else len(apart)
+    uncertainty = compare(check, best, scale, samples, whole)
+    return Reference(best, scale, kind, fineness, samples, whole, uncertainty, text)

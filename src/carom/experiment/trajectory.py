@@ -1,0 +1,177 @@
+"""What is kept of a run to compare it with another: the state at agreed times, first contacts and extremes.
+
+The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
+after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, or,
+for a body that a contact struck at the end of the step, the flight from its beginning.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.error import PhysicsError
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SAMPLES = 200  # times at which trajectories are compared
+FEW, SAMPLES_OF_FEW = 20, 600  # so few bodies cost nothing, and their paths can be drawn
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A run as far as it is compared; what was not measured is NaN."""
+
+    time: FloatArray  # (K,) s
+    position: FloatArray  # (K, n, 3) m
+    velocity: FloatArray  # (K, n, 3) m/s
+    pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
+    met: FloatArray  # (m,) s, when they first did
+    energy_error: float  # largest |integration error| over the energy scale
+    energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
+    momentum_error: float  # largest error of the momentum over its scale
+    angular_momentum_error: float  # likewise
+    overlap: float  # deepest overlap over the smaller radius; NaN where no contact is possible
+    impacts: int  # contacts that closed faster than at rest, summed over the steps
+    steps: int
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def until(self, count: int) -> Trajectory:
+        """Return the first so many samples, with everything else as it is."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
+
+    def save(self, path: Path) -> None:
+        """Write a ``.npz``, whole or not at all."""
+        unfinished = path.with_suffix(".part.npz")
+        np.savez(unfinished, **{field.name: getattr(self, field.name) for field in fields(self)})
+        unfinished.replace(path)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read what `save` wrote; ValueError or OSError if it is no such file."""
+        with np.load(path, allow_pickle=False) as kept:
+            missing = [field.name for field in fields(cls) if field.name not in kept]
+            if missing:
+                raise ValueError(f"{path}: no {missing[0]} in it")
+            values = {field.name: kept[field.name] for field in fields(cls)}
+        return cls(**{name: value if value.ndim else value.item() for name, value in values.items()})
+
+
+def sample_times(scene: Scene) -> FloatArray:
+    """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration."""
+    count = SAMPLES_OF_FEW if scene.count <= FEW else SAMPLES
+    return scene.time.duration * np.arange(1, count + 1) / count
+
+
+def follow(space: Space, times: FloatArray) -> Trajectory:
+    """Run a space to its end and keep what is compared; its steps are those of any other run.
+
+    Raises
+    ------
+    PhysicsError
+        If the state stops being finite.
+    """
+    watch = _Watch(space, times)
+    frames = space.run(schedule=watch)
+    next(frames)  # the start
+    for frame in frames:
+        watch.sample(frame)
+    watch.see_contacts(space.time)
+    if len(watch.position) < len(times):
+        raise PhysicsError(f"the run stopped at t = {space.time:.6g} s")
+    moments, n = space.moments, len(space.state) + len(space.planes)
+    collides = space.requirements.contact.modelled
+    met = np.array(list(watch.met), dtype=np.int64)
+    return Trajectory(
+        time=times,
+        position=np.array(watch.position),
+        velocity=np.array(watch.velocity),
+        pair=np.stack((met // n, met % n), axis=1),
+        met=np.array(list(watch.met.values())),
+        energy_error=moments.energy_error.value if moments.energy_error else 0.0,
+        energy_gain=moments.energy_gain.value,
+        momentum_error=moments.momentum_error.value if moments.momentum_error else np.nan,
+        angular_momentum_error=moments.angular_momentum_error.value if moments.angular_momentum_error else np.nan,
+        overlap=(moments.overlap.value if moments.overlap else 0.0) if collides else np.nan,
+        impacts=moments.impacts,
+        steps=space.step,
+    )
+
+
+class _Watch:
+    """A schedule that asks for a frame after each step that passes a time, and keeps the state before it."""
+
+    def __init__(self, space: Space, times: FloatArray) -> None:
+        self.position: list[FloatArray] = []
+        self.velocity: list[FloatArray] = []
+        self.met: dict[int, float] = {}  # s, by i (n + p) + j
+        self._space, self._times = space, times
+        self._ends = len(space.state) + len(space.planes)
+        self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
+        self._before: tuple[float, FloatArray, FloatArray, FloatArray]
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Look at the state before a step: this is called when its length is known and nothing has moved yet."""
+        self.see_contacts(before)
+        done = len(self.position)
+        passes = done < len(self._times) and time >= self._times[done]
+        if passes:
+            state = self._space.state
+            self._before = (before, state.position.copy(), state.velocity.copy(), state.acceleration.copy())
+        return passes
+
+    def see_contacts(self, time: float) -> None:
+        """Note which pairs touch for the first time in the step that ended at a time in s."""
+        pairs = self._space.contacts.pairs
+        touching = pairs[:, 0] * self._ends + pairs[:, 1]
+        if not np.array_equal(touching, self._touching):
+            for pair in np.setdiff1d(touching, self._touching, assume_unique=True).tolist():
+                self.met.setdefault(pair, time)
+            self._touching = touching
+
+    def sample(self, frame: Frame) -> None:
+        """Take the samples that the step of a frame has passed."""
+        n = len(frame.position)
+        struck = np.zeros(self._ends, dtype=bool)
+        struck[frame.contacts.pairs.ravel()] = True
+        begin, x, v, a = self._before
+        dt = frame.time - begin
+        way = frame.position - x
+        if self._space.box is not None:
+            way -= self._space.box * np.floor(way / self._space.box + 0.5)
+        while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
+            h = self._times[len(self.position)] - begin
+            smooth = _between(h / dt, dt, way, v, a, frame.velocity, frame.acceleration)
+            jerk = (frame.acceleration - a) / dt
+            flight = (h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk)
+            moved, velocity = (
+                np.where(struck[:n, None], flown, smoothly) for flown, smoothly in zip(flight, smooth, strict=True)
+            )
+            if h == dt:
+                moved, velocity = way, frame.velocity
+            self.position.append(x + moved)
+            self.velocity.append(velocity)
+
+
+def _between(
+    s: float, dt: float, way: FloatArray, v0: FloatArray, a0: FloatArray, v1: FloatArray, a1: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return way and velocity at s in [0, 1] of the polynomial of fifth degree with these ends (Hermite)."""
+    u0, u1, b0, b1 = v0 * dt, v1 * dt, a0 * dt * dt / 2, a1 * dt * dt / 2
+    c3 = 10 * way - 6 * u0 - 4 * u1 - 3 * b0 + b1
+    c4 = -15 * way + 8 * u0 + 7 * u1 + 3 * b0 - 2 * b1
+    c5 = 6 * way - 3 * u0 - 3 * u1 - b0 + b1
+    moved = s * (u0 + s * (b0 + s * (c3 + s * (c4 + s * c5))))
+    velocity = (u0 + s * (2 * b0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / dt
+    return moved, velocity

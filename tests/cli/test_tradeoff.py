@@ -1,0 +1,72 @@
+"""`carom tradeoff`, run as a person runs it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from command import carom
+
+QUICK = ("--set", "time.duration=1.0", "--set", "time.fixed_dt=0.01", "--vary", "step=2,1", "--repeats", "1")
+
+
+def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path: Path) -> None:
+    done = carom("tradeoff", "figure-eight", *QUICK, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for part in (
+        "step × 2",
+        "as written",
+        "position",
+        "energy",
+        "●",
+        "Reference, exact: DOP853",
+        "horizon, 1 s of 1 s",
+    ):
+        assert part in done.stdout
+    folder = tmp_path / "recordings" / "tradeoff" / "figure-eight"
+    assert json.loads((folder / "tradeoff.json").read_text(encoding="utf-8"))["reference"]["horizon"] == 1.0
+    assert (folder / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "tradeoff.rrd").exists()
+    again = carom("tradeoff", "figure-eight", *QUICK, "--json", cwd=tmp_path)
+    document = json.loads(again.stdout)
+    assert again.stderr == "" and [len(entry["costs"]) for entry in document["settings"]] == [1, 1]
+    changed = carom("tradeoff", "figure-eight", "--set", "time.duration=0.5", *QUICK[2:], cwd=tmp_path)
+    assert changed.returncode == 2 and "a study of another scene" in changed.stderr and "--force" in changed.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("figure-eigth",), 'did you mean the bundled scene "figure-eight"?'),
+        (("figure-eight", "--vary", "step"), "expected key=a,b,c"),
+        (("figure-eight", "--vary", "time.integrator=rk4"), "must be 'euler', 'leapfrog' or 'yoshida4'"),
+        (("figure-eight", "--repeats", "0"), "--repeats"),
+    ],
+)
+def test_a_mistake_is_one_message_and_nothing_is_run(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    done = carom("tradeoff", *arguments, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_interrupt_key_keeps_what_is_done_and_the_command_goes_on_with_it(tmp_path: Path) -> None:
+    arguments = ("tradeoff", "figure-eight", "--vary", "step=4,2,1,0.5", "--repeats", "40", "-o", "study")
+    command = [sys.executable, "-m", "carom", *arguments]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stderr
+    for line in process.stderr:
+        if "cost, 1 of 40" in line and line.startswith("2/4"):
+            process.send_signal(signal.SIGINT)
+            break
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 1 and "Traceback" not in err
+    assert "what is measured is kept" in err and "step × 4" in out
+    kept = json.loads((tmp_path / "study" / "tradeoff.json").read_text(encoding="utf-8"))
+    assert len(kept["settings"][0]["costs"]) == 1
+    again = carom(*arguments[:5], "1", "-o", "study", cwd=tmp_path)
+    assert again.returncode == 0 and "errors" not in again.stderr

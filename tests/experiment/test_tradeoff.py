@@ -1,0 +1,158 @@
+"""A study: measured once, gone on with, and honest about what is not there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carom.experiment import tradeoff, trajectory
+from carom.experiment.error import ExperimentError
+from carom.experiment.overlay import record
+from carom.experiment.setting import default_settings, vary
+from carom.experiment.tradeoff import Study
+from carom.physics.error import PhysicsError
+from carom.scene.error import SceneError
+from carom.scene.schema import Scene
+from examples import cloud, pair
+
+
+def eight() -> Scene:
+    return Scene.load("figure-eight", ["time.duration=2.0", "time.fixed_dt=0.01"])
+
+
+def measured(scene: Scene, folder: Path, *choices: str, repeats: int = 1) -> tuple[Study, list[str]]:
+    said: list[str] = []
+    study = Study(scene, folder, threads=1)
+    study.measure(vary(scene, list(choices)), repeats, said.append)
+    return study, said
+
+
+def test_every_setting_gets_its_errors_and_as_many_costs_as_asked_for(tmp_path: Path) -> None:
+    study, _ = measured(eight(), tmp_path, "time.integrator=leapfrog,yoshida4", "step=2,1", repeats=2)
+    assert [result.setting.name for result in study.results] == [
+        "integrator = leapfrog, step × 2",
+        "integrator = leapfrog",
+        "integrator = yoshida4, step × 2",
+        "integrator = yoshida4",
+    ]
+    assert all(len(result.costs) == 2 and result.complete for result in study.results)
+    errors = [result.errors.position for result in study.results if result.errors]
+    assert errors == sorted(errors, reverse=True)
+    document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
+    assert document["reference"]["kind"] == "exact" and len(document["settings"]) == 4
+    assert document["settings"][0]["errors"]["overlap"] is None, "no contact is possible"
+    assert set(study.marks("position").values()) <= {"front", "near", ""}
+    assert "front" in study.marks("position").values()
+
+
+def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
+    first, _ = measured(eight(), tmp_path, "step=2,1")
+    again, said = measured(eight(), tmp_path, "step=2,1")
+    assert said == []
+    assert [r.costs for r in again.results] == [r.costs for r in first.results]
+    assert repr([r.errors for r in again.results]) == repr([r.errors for r in first.results]), "NaN is not NaN"
+    more, said = measured(eight(), tmp_path, "step=2,1,0.5", repeats=2)
+    assert said[0] == "3/3  step × 0.5: errors" and sum("errors" in text for text in said) == 1
+    assert [len(r.costs) for r in more.results] == [2, 2, 2]
+    assert more.results[0].costs[0] == first.results[0].costs[0]
+
+
+def test_a_study_that_was_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    follow = trajectory.follow
+    followed = []
+
+    def stopped(*arguments: object) -> object:
+        followed.append(1)
+        if len(followed) == 3:
+            raise KeyboardInterrupt
+        return follow(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tradeoff, "follow", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        measured(eight(), tmp_path, "step=8,4,2,1")
+    monkeypatch.undo()
+    _, said = measured(eight(), tmp_path, "step=8,4,2,1")
+    assert [text for text in said if text.endswith("errors")] == ["3/4  step × 2: errors", "4/4  as written: errors"]
+    assert not any("reference" in text for text in said)
+
+
+def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) -> None:
+    measured(eight(), tmp_path, "step=2")
+    changed = Scene.load("figure-eight", ["time.duration=1.0"])
+    with pytest.raises(ExperimentError, match="a study of another scene, or of this one before it was changed"):
+        Study(changed, tmp_path)
+    assert Study(changed, tmp_path, force=True).results == []
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"version": 1, "scene": {"toml": ""}}'])
+def test_a_document_that_is_not_one_is_a_message(tmp_path: Path, text: str) -> None:
+    (tmp_path / "tradeoff.json").write_text(text, encoding="utf-8")
+    with pytest.raises(ExperimentError, match=r"tradeoff\.json: cannot be gone on with"):
+        Study(eight(), tmp_path)
+
+
+def test_a_refused_setting_is_kept_with_the_reason_and_tried_again_next_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(tradeoff, "refusal", lambda scene: "not in this version")
+        study, _ = measured(eight(), tmp_path, "step=2")
+    assert (study.results[0].status, study.results[0].reason) == ("refused", "not in this version")
+    study, _ = measured(eight(), tmp_path, "step=2")
+    assert study.results[0].complete
+
+
+def test_a_run_that_fails_is_kept_with_the_reason(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object) -> None:
+        raise PhysicsError("the state is no longer finite")
+
+    monkeypatch.setattr(tradeoff, "follow", fail)
+    study, _ = measured(eight(), tmp_path, "step=2")
+    assert (study.results[0].status, study.results[0].reason) == ("failed", "the state is no longer finite")
+    assert not study.results[0].costs
+
+
+def test_a_refined_reference_is_finer_than_the_finest_setting(tmp_path: Path) -> None:
+    scene = cloud(time={"duration": 0.2})
+    study, _ = measured(scene, tmp_path, "step=1")
+    assert study.reference and study.reference.fineness >= 4.0
+    study, said = measured(scene, tmp_path, "step=1,0.125")
+    assert study.reference and study.reference.fineness >= 16.0 and said[0].startswith("reference")
+    assert repr(study.results[0].errors) == repr(study.reference.errors(study.trajectory(study.results[0])))
+
+
+def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None:
+    study, _ = measured(eight(), tmp_path, "step=4,1")
+    record(study, tmp_path / "tradeoff.rrd")
+    assert (tmp_path / "tradeoff.rrd").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ("time.integrator", "expected key=a,b,c"),
+        ("time.integrator=", "expected key=a,b,c"),
+        ("step=0", "no number above 0"),
+        ("step=two", "no number above 0"),
+        ("time.integrator=rk4", "--vary time.integrator=rk4: .* must be 'euler', 'leapfrog' or 'yoshida4'"),
+        ("contact.bounce=1", "--vary contact.bounce=1: unknown key"),
+    ],
+)
+def test_a_choice_that_is_none_is_one_message(choice: str, message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        vary(eight(), [choice])
+
+
+def test_a_vector_is_one_value() -> None:
+    settings = vary(pair(), ["gravity.uniform=[0, 0, -1],[0, 0, -2]"])
+    assert [setting.apply(pair()).gravity.uniform[2] for setting in settings] == [-1.0, -2.0]
+
+
+@pytest.mark.parametrize("name", ["kepler-orbits", "newtons-cradle", "elastic-gas", "cloud-collapse"])
+def test_the_default_settings_are_about_a_dozen_and_all_different(name: str) -> None:
+    scene = Scene.load(name)
+    settings = default_settings(scene)
+    assert 10 <= len(settings) <= 14
+    assert len({setting.overrides for setting in settings}) == len(settings)

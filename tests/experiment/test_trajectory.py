@@ -1,0 +1,102 @@
+"""What is kept of a run to compare it: it must not change the run, and must not be what is measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carom.experiment.comparison import Scale, compare
+from carom.experiment.reference import make_reference, refined
+from carom.experiment.setting import vary
+from carom.experiment.trajectory import Trajectory, follow, sample_times
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+from examples import cloud, pair
+
+
+def test_following_a_run_changes_no_bit() -> None:
+    scene = cloud(time={"duration": 1.0})
+    plain, followed = Space(scene), Space(scene)
+    for _ in plain.run():
+        pass
+    follow(followed, sample_times(scene))
+    assert plain.fingerprint() == followed.fingerprint() and plain.step == followed.step
+
+
+def test_a_flight_between_steps_is_exact() -> None:
+    # no forces, so the polynomial is the flight itself; the impact at t = 1 is found at a step's end
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.0371}, contact={"restitution": 1.0, "static_friction": 0.0})
+    run = follow(Space(scene), sample_times(scene))
+    steps = np.arange(100) * 0.0371
+    struck = steps[steps >= 1.0][0]
+    before = run.time < struck
+    assert np.allclose(run.position[before, 0, 0], -2.0 + run.time[before], rtol=0, atol=1e-14)
+    late = run.time[~before]
+    assert np.allclose(run.position[~before, 0, 0], -2.0 + struck - (late - struck), rtol=0, atol=1e-14)
+    assert run.pair.tolist() == [[0, 1]] and run.met == pytest.approx([struck], abs=1e-12)
+
+
+def test_a_body_that_leaves_a_periodic_box_is_followed_through_its_side() -> None:
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 4.0, "fixed_dt": 0.3},
+            "gravity": {"constant": 0.0},
+            "domain": {"boundary": "periodic", "size": [4.0, 4.0, 4.0]},
+            "body": [{"velocity": [1.0, 0, 0], "radius": 0.1}, {"position": [0, 1, 0], "radius": 0.1}],
+        }
+    )
+    run = follow(Space(scene), sample_times(scene))
+    x = run.position[:, 0, 0] - run.time
+    assert np.allclose(x - 4.0 * np.round(x / 4.0), 0.0, rtol=0, atol=1e-13)
+    box = np.array([4.0, 4.0, 4.0])
+    apart, _ = Scale.of(run, box).apart(run, run)
+    assert not apart.any()
+
+
+def test_a_trajectory_is_read_as_it_was_written(tmp_path: Path) -> None:
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.05})
+    run = follow(Space(scene), sample_times(scene))
+    run.save(tmp_path / "run.npz")
+    read = Trajectory.load(tmp_path / "run.npz")
+    assert np.array_equal(read.position, run.position) and np.array_equal(read.pair, run.pair)
+    assert (read.impacts, read.steps, read.overlap) == (run.impacts, run.steps, run.overlap)
+    np.savez(tmp_path / "other.npz", time=np.zeros(3))
+    with pytest.raises(ValueError, match="no position in it"):
+        Trajectory.load(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("leapfrog", 2), ("yoshida4", 4)])
+def test_errors_against_the_reference_fall_with_the_order_of_the_integrator(integrator: str, order: int) -> None:
+    scene = Scene.load("figure-eight")
+    reference = make_reference(scene)
+    factors = np.array([8.0, 4.0, 2.0, 1.0])
+    errors = []
+    for setting in vary(scene, [f"time.integrator={integrator}", "step=8,4,2,1"]):
+        errors.append(reference.errors(follow(Space(setting.apply(scene)), sample_times(scene))).position)
+    slope = np.polyfit(np.log(factors), np.log(errors), 1)[0]
+    assert slope == pytest.approx(order, abs=0.1)
+
+
+def test_impacts_at_the_end_of_a_step_are_late_by_half_a_step_on_average() -> None:
+    # gaps of 0.5 mm take a quarter of a step: the chain's contacts are late by anything up to dt each, and add up
+    scene = Scene.load("newtons-cradle")
+    reference = make_reference(scene)
+    errors = []
+    for factor in (4.0, 0.25):
+        setting = Scene.load("newtons-cradle", refined(scene, 1 / factor))
+        errors.append(reference.errors(follow(Space(setting), sample_times(scene))))
+    assert all(error.missed == 0.0 for error in errors)
+    assert errors[0].impact <= 6 * 0.008 and errors[1].impact <= 6 * 0.0005
+    assert errors[1].impact < errors[0].impact / 8, "first order"
+
+
+def test_a_pair_that_never_meets_counts_as_met_at_the_horizon() -> None:
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.05})
+    reference = make_reference(scene)
+    missing = follow(
+        Space(pair(time={"duration": 2.0, "fixed_dt": 0.05}, contact={"enabled": False})), sample_times(scene)
+    )
+    errors = compare(missing, reference.trajectory, reference.scale, reference.samples, True)
+    assert errors.missed == 1.0 and errors.impact == pytest.approx(reference.horizon - 1.0, abs=1e-9)
