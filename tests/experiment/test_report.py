@@ -12,7 +12,7 @@ import pytest
 import carom
 from carom.experiment import report as reports
 from carom.experiment.replay import replay
-from carom.experiment.report import report, worst_moment
+from carom.experiment.report import Report, report, worst_moment
 from carom.recording import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
@@ -25,9 +25,13 @@ def rubble(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return carom.run(Scene.load("rubble-collision"), tmp_path_factory.mktemp("rubble") / "rubble.rrd")
 
 
-def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, tmp_path: Path) -> None:
-    made = report(rubble, tmp_path / "rubble.zip")
-    assert made.size == (tmp_path / "rubble.zip").stat().st_size < 10_000_000
+@pytest.fixture(scope="module")
+def made(rubble: Recording) -> Report:
+    return report(rubble, rubble.path.with_name("rubble.zip"))
+
+
+def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, made: Report) -> None:
+    assert made.size == made.path.stat().st_size < 10_000_000
     assert "same bits" in made.replayed and made.picture == ""
     with zipfile.ZipFile(made.path) as packed:
         assert sorted(packed.namelist()) == ["README.md", "clip.rrd", "environment.json", "picture.png", "scene.toml"]
@@ -40,8 +44,7 @@ def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, tmp_path: 
         assert said in text, said
 
 
-def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, tmp_path: Path) -> None:
-    made = report(rubble, tmp_path / "rubble.zip")
+def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, made: Report) -> None:
     with bundle.opened(made.path) as path:
         clip = Recording.open(path)
         assert clip.frames == made.frames < rubble.frames
@@ -49,7 +52,10 @@ def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, tmp
     assert not path.exists(), "nothing is left behind"
 
 
-def test_a_report_on_a_moment_has_that_moment_in_it(rubble: Recording, tmp_path: Path) -> None:
+def test_a_report_on_a_moment_has_that_moment_in_it(
+    rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
     end = float(rubble.fingerprints()["time"][-1].as_py())
     made = report(rubble, tmp_path / "end.zip", at=end)
     with bundle.opened(made.path) as path:
