@@ -168,7 +168,8 @@ def test_every_bundled_scene_replays_and_resumes_with_the_same_bits_on_another_c
     for name in bundled_scenes():
         scene, path = Scene.load(name), tmp_path / f"{name}.rrd"
         interval = frame_interval(scene) / 5
-        overrides = [f"record.every={interval}", f"time.duration={0.05 * scene.time.duration}"]
+        every = f"record.every={interval or 'step'}"
+        overrides = [every, f"time.duration={0.05 * scene.time.duration}"]
         carom.run(Scene.load(name, overrides), path)
         until = 0.1 * scene.time.duration
         for command in (["replay", str(path), "--yes"], ["resume", str(path), "--until", str(until)]):

@@ -5,9 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from carom.recording import paths
 from carom.recording.container import Container
 from carom.recording.errors import RecordingError
 from carom.recording.framing import END, MESSAGE_HEADER, messages
+from carom.recording.new_layout import new_layout
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 from carom.recording.repair import repair
@@ -156,3 +158,10 @@ except Exception as error:
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "nothing of" in done.stdout
+
+
+def test_a_layout_is_made_where_a_wrong_byte_has_renamed_the_centres(
+    run_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paths, "CENTRES", ("Ellipsoids3D:cent_rs",))
+    assert new_layout(Recording.open(run_file)) is not None

@@ -23,7 +23,9 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
     extent = None
     for chunk in recording.chunks(some):
-        centres = next(chunk.batch[name] for name in paths.CENTRES if name in chunk.components)
+        centres = next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
+        if centres is None:  # a wrong byte in the component's name
+            continue
         first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
         extent = extent or Extent(header.radius[recording.shown], first)
         extent.look(last)
