@@ -34,9 +34,11 @@ def test_every_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={SHORT.get(name, 0.5) * scene.time.duration}"])
     recording = carom.run(scene, tmp_path / "run.rrd", threads=2)
-    for threads in (1, 4):
-        result = replay(recording, threads=threads)
+    for threads, dense in ((1, None), (4, tmp_path / "dense.rrd")):
+        result = replay(recording, threads=threads, dense=dense)
         assert result.same and result.compared == recording.frames and result.begin == 0
+    steps = recording.fingerprints()["step"].to_pylist()[-1]
+    assert Recording.open(tmp_path / "dense.rrd").frames == steps + 1, "every step, and frame 0"
 
 
 def test_a_window_is_replayed_from_the_checkpoint_before_it(tmp_path: Path) -> None:

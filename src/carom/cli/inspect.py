@@ -97,7 +97,7 @@ def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
             who, time = " and ".join(map(str, moment["bodies"])), moment["time"]
             begin, end = max(0.0, time - window / 2), time + window / 2
             what = wording.format(value=moment["value"]) + (f", bodies {who}" if who else "")
-            yield f"{what}, at step {moment['step']}"
+            yield f"{what}, at step {moment['step']}, t = {time:.6g} s"
             yield f"    carom view {file} --at {time:.9g}"
             yield f"    carom clip {file} --around {time:.9g} --window {window:.3g}"
             yield f"    carom replay {file} --from {begin:.6g} --to {end:.6g} --every step"
