@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import typer
 
 
-def announce_compilation() -> None:
-    """Say so on stderr when kernels are compiled, once."""
+def announce_compilation(say: Callable[[str], None] | None = None) -> None:
+    """Say so, on stderr unless told how, when kernels are compiled, once."""
     from carom.physics.kernel import on_compilation
 
-    on_compilation(lambda: typer.echo("Compiling kernels, once on this machine (about 15 s) …", err=True))
+    text = "Compiling kernels, once on this machine (about 15 s) …"
+    on_compilation(lambda: say(text) if say else typer.echo(text, err=True))

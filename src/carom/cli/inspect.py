@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from carom.cli.options import RecordingArgument
+from carom.cli.options import JsonOption, RecordingArgument
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,7 +25,7 @@ AROUND = 20  # frames, of a clip of a moment
 
 def inspect(
     file: RecordingArgument,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Say what is in a recording: outcome, energies, worst moments, where the time went, versions."""
     import json

@@ -24,3 +24,4 @@ OutputOption = Annotated[
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
+LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")]

@@ -3,71 +3,42 @@
 from __future__ import annotations
 
 import sys
-import time
-from types import TracebackType
 from typing import Self
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
-from rich.text import Text
 
+from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import bytes_text, duration_text
 from carom.experiment.run import Outcome
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 
-LINE_EVERY = 5.0  # s between lines where the output is not a terminal
-BAR = 24  # characters
 
-
-class Progress:
-    """A line that is rewritten on a terminal, and a plain line now and then elsewhere; all on stderr."""
+class Progress(LiveLine):
+    """Time simulated, pace, and time left of one run; then how it ended."""
 
     def __init__(self, scene: Scene, quiet: bool = False, heading: str = "") -> None:
+        super().__init__(quiet)
         self._scene = scene
         self._heading = heading  # before the title
-        self._console = Console(stderr=True, quiet=quiet)
-        self._live: Live | None = None
-        self._began = time.perf_counter()
-        self._last_line = self._began
 
     def __enter__(self) -> Self:
-        self._began = self._last_line = time.perf_counter()
+        self._restart()
         scene = self._scene
         self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {duration_text(scene.time.duration)}")
-        if self._console.is_terminal and not self._console.quiet:
-            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._live:
-            self._live.stop()
-            self._live = None
-
-    def say(self, text: str) -> None:
-        """Print a line that stays."""
-        self._console.print(text, highlight=False, soft_wrap=True)
+        return super().__enter__()
 
     def update(self, space: Space) -> None:
         """Show where the run is."""
-        now = time.perf_counter()
-        if self._live:
-            self._live.update(Text(self._line(space, now)))
-        elif now - self._last_line >= LINE_EVERY:
-            self._last_line = now
-            self.say(self._line(space, now))
+        self._show(lambda now: self._line(space, now))
 
     def _line(self, space: Space, now: float) -> str:
         done = min(1.0, space.time / self._scene.time.duration)
         spent = max(now - self._began, 1e-9)
         left = duration_text(spent * (1 - done) / done) if done > 0 else "?"
-        full = int(done * BAR)
         return (
-            f"{'━' * full}{'╌' * (BAR - full)} {done:4.0%}  t = {space.time:.5g} s  step {space.step} "
+            f"{bar(done)} {done:4.0%}  t = {space.time:.5g} s  step {space.step} "
             f"({space.step / spent:.0f}/s)  dt = {space.dt:.3g} s ({space.dt_limit})  {len(space.contacts)} contacts  "
             f"energy error {space.checked_energy.relative_error:.1e}  {left} left"
         )

@@ -12,7 +12,7 @@ from carom.cli.options import ForceOption, JsonOption, RecordingArgument, Thread
 from carom.cli.units import duration_text
 
 if TYPE_CHECKING:
-    from carom.experiment.replay import Difference, Replay
+    from carom.experiment.replay import Replay
 
 ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
 
@@ -92,7 +92,7 @@ def _print(result: Replay) -> None:
         f"{frames}{', same bits' if result.same else ''}, from step {result.begin} on, in {result.seconds:.3g} s"
     )
     if result.difference:
-        typer.echo(_sentence(result.difference))
+        typer.echo(f"The first difference is at {result.difference}.")
     if result.ended:
         typer.echo(f"It ended early: {result.ended}.")
     if not result.same or result.recorded_with != result.replayed_with:
@@ -100,14 +100,6 @@ def _print(result: Replay) -> None:
             typer.echo(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
     if result.dense:
         typer.echo(f"Every step: {result.dense}")
-
-
-def _sentence(difference: Difference) -> str:
-    what = difference.quantity + ("" if difference.body is None else f" of body {difference.body}")
-    return (
-        f"The first difference is at step {difference.step}, t = {difference.time:.9g} s: {what}, "
-        f"recorded {difference.recorded!r}, replayed {difference.replayed!r}, off by {difference.by:.3g}."
-    )
 
 
 def _document(result: Replay) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption
+from carom.cli.options import ForceOption, JsonOption, LiveOption, RecordingArgument, ThreadsOption
 from carom.cli.run import live_viewer, report
 
 
@@ -21,17 +21,17 @@ def resume(
         Path | None,
         typer.Option("-o", "--output", metavar="FILE", help="Default: FILE, replaced once the new one has more in it."),
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")] = False,
+    live: LiveOption = False,
     threads: ThreadsOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Go on with a run that was stopped, was killed or has ended: the bits are those of one uninterrupted run."""
+    from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
     from carom.experiment.output import refuse_output
     from carom.experiment.resume import continuation
     from carom.experiment.resume import resume as go_on
-    from carom.physics.kernel import on_compilation
     from carom.recording.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
@@ -40,7 +40,7 @@ def resume(
         refuse_output(output, force)
     run = continuation(Recording.open(file), until)
     progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")
-    on_compilation(lambda: progress.say("Compiling kernels, once on this machine (about 15 s) …"))
+    announce_compilation(progress.say)
     space = run.space(threads)
     address = live_viewer() if live else None
     with progress:

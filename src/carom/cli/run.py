@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption, ThreadsOption
+from carom.cli.options import ForceOption, JsonOption, LiveOption, SceneArgument, SetOption, ThreadsOption
 
 if TYPE_CHECKING:
     from carom.cli.progress import Progress
@@ -25,7 +25,7 @@ def run(
     log_freq: Annotated[
         int | None, typer.Option("--log-freq", metavar="N", help="Steps between energy checks.", min=1)
     ] = None,
-    live: Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")] = False,
+    live: LiveOption = False,
     threads: ThreadsOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -43,13 +43,13 @@ def run(
 
     refuse_output(path, force)
 
+    from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
     from carom.experiment.run import simulate
-    from carom.physics.kernel import on_compilation
     from carom.physics.space import Space
 
     progress = Progress(loaded, quiet=as_json)
-    on_compilation(lambda: progress.say("Compiling kernels, once on this machine (about 15 s) …"))
+    announce_compilation(progress.say)
     space = Space(loaded, threads)
     address = live_viewer() if live else None
     with progress:

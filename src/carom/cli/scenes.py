@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from carom.cli.options import ForceOption
+
 
 def scenes(
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a scene, for editors.")] = False,
@@ -43,7 +45,7 @@ def scenes(
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added where it is missing.")],
     source: Annotated[str, typer.Option("--from", help="A bundled scene to copy, in place of the starter.")] = "",
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a commented scene to start from."""
     from carom.scene.bundled import bundled_scenes, extreme_scenes, starter

@@ -28,16 +28,16 @@ def stress(
     """Run the numerical extremes and hold each against its criteria."""
     import json
 
+    from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
     from carom.experiment.output import output_folder
     from carom.experiment.stress import attempt, extremes
-    from carom.physics.kernel import on_compilation
     from carom.scene.schema import Scene
 
     scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
     output_folder(folder)
     if not as_json:
-        on_compilation(lambda: typer.echo("Compiling kernels, once on this machine (about 15 s) …", err=True))
+        announce_compilation()
     trials: list[Trial] = []
     try:
         for number, (short, scene) in enumerate(scenes.items(), start=1):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
+from carom.cli.options import JsonOption
 
-def warmup(as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False) -> None:
+
+def warmup(as_json: JsonOption = False) -> None:
     """Compile all kernels now, so that no run has to wait for it; say how long it took and where they are."""
     import json
     from dataclasses import asdict

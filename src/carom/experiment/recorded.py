@@ -61,11 +61,11 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
     RecordingError
         If there is none.
     """
-    steps = recording.checkpoint_steps
-    if not steps:
+    times = recording.checkpoint_times
+    if not times:
         raise RecordingError(f"{recording.path} has no checkpoint to go on from: {recording.outcome}")
-    earlier = [step for step, at in zip(steps, recording.checkpoint_times, strict=True) if at <= time]
-    return recording.checkpoint(earlier[-1] if earlier else steps[0])
+    earlier = [step for step, at in times.items() if at <= time]
+    return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
 
 
 def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:

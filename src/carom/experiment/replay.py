@@ -42,6 +42,13 @@ class Difference:
         """How much it is off."""
         return self.replayed - self.recorded
 
+    def __str__(self) -> str:
+        what = self.quantity + ("" if self.body is None else f" of body {self.body}")
+        return (
+            f"step {self.step}, t = {self.time:.9g} s: {what}, recorded {self.recorded!r}, replayed {self.replayed!r}, "
+            f"off by {self.by:.3g}"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Replay:

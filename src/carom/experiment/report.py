@@ -138,12 +138,7 @@ def _in_words(result: Replay) -> str:
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
-    found = result.difference
-    whose = "" if found.body is None else f" of body {found.body}"
-    return (
-        f"Replayed from step {result.begin}, **it differs** at step {found.step}, t = {found.time:.9g} s: "
-        f"{found.quantity}{whose}, recorded {found.recorded!r}, replayed {found.replayed!r}."
-    )
+    return f"Replayed from step {result.begin}, **it differs** at {result.difference}."
 
 
 def _picture(recording: Path, moment: float, path: Path) -> tuple[Path | None, str]:

@@ -51,21 +51,19 @@ def continuation(recording: Recording, until: float | None = None) -> Continuati
         If there is nothing to do, or nothing to go on from.
     """
     scene, path = recorded_scene(recording), recording.path
+    cut = scene.time.duration
     if recording.frames == 0 or recording.fingerprints()["step"][0].as_py() != 0:
         raise RecordingError(f"{path} does not begin at step 0: go on with the recording that it was cut from")
-    done, end = float(recording.fingerprints()["time"][-1].as_py()), until or scene.time.duration
+    done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")
-    if end != scene.time.duration:
+    if end != cut:
         interval = frame_interval(scene)
         every = '"step"' if interval == 0.0 else repr(interval)
         scene = recorded_scene(recording, [f"time.duration={end!r}", f"record.every={every}"])
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
-    cut = recorded_scene(recording).time.duration
-    steps = [
-        step for step, time in zip(recording.checkpoint_steps, recording.checkpoint_times, strict=True) if time < cut
-    ]
+    steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to go on from")
     return Continuation(recording, scene, recording.checkpoint(steps[-1]))

@@ -60,6 +60,10 @@ class Entry:
     offset: int
     length: int
 
+    def holds(self, step: int) -> bool:
+        """Tell whether a step may be in it."""
+        return self.first_step is not None and self.last_step is not None and self.first_step <= step <= self.last_step
+
 
 @dataclass(frozen=True, slots=True)
 class Store:

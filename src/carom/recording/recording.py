@@ -209,30 +209,27 @@ class Recording:
     @_named
     def phases(self) -> pa.Table:
         """Columns step, sim_time, state: a row where the phase changes."""
-        table = self._table(paths.PHASE, ("StateChange:state",))
-        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
+        return self._states(paths.PHASE)
 
+    @_named
     def dt_limits(self) -> pa.Table:
         """Columns step, sim_time, state: a row where what limits dt changes."""
-        table = self._table(paths.DT_LIMIT, ("StateChange:state",))
-        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
+        return self._states(paths.DT_LIMIT)
 
     @cached_property
     @_named
-    def checkpoint_steps(self) -> list[int]:
-        """Steps that carry an exact checkpoint, rising; a clip's first one may lie before its first frame."""
-        steps = {int(step) for step in self._table(paths.CHECKPOINT, ("time",))[STEP].to_pylist()}
-        return sorted(steps | ({int(self._start[STEP][0])} if self._start else set()))
-
-    @cached_property
-    @_named
-    def checkpoint_times(self) -> list[float]:
-        """Simulated time in s of each of :attr:`checkpoint_steps`."""
+    def checkpoint_times(self) -> dict[int, float]:
+        """Simulated time in s by step of the exact checkpoints, rising; a clip's first may lie before its frames."""
         table = self._table(paths.CHECKPOINT, ("time",))
-        times = dict(zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True))
-        if self._start:
-            times.setdefault(int(self._start[STEP][0]), float(self._start["time"][0]))
-        return [float(times[step]) for step in self.checkpoint_steps]
+        times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
+        rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
+        times |= {int(step): float(time) for step, time in rows}
+        return dict(sorted(times.items()))
+
+    @property
+    def checkpoint_steps(self) -> list[int]:
+        """Steps that carry an exact checkpoint, rising."""
+        return list(self.checkpoint_times)
 
     @_named
     def checkpoint(self, step: int) -> Checkpoint:
@@ -246,7 +243,7 @@ class Recording:
         from carom.recording.checkpoint import decode  # noqa: PLC0415 - loads Numba, which looking at a file does not need
 
         bodies = len(self.bodies.mass)
-        for chunk in self._chunks(paths.CHECKPOINT):
+        for chunk in self._chunks_at(step, paths.CHECKPOINT):
             batch = chunk.batch
             rows = np.flatnonzero(batch[STEP].to_numpy() == step)
             if len(rows):
@@ -263,10 +260,9 @@ class Recording:
     @_named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
-        names = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")
-        for chunk in self._chunks(paths.BODIES):
+        for chunk in self._chunks_at(step, paths.BODIES):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-            for name in names:
+            for name in paths.CENTRES:
                 if len(rows) and name in chunk.components:
                     return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
         return None
@@ -312,6 +308,10 @@ class Recording:
         return found.append_column("fingerprint", pa.array([], pa.uint64())).append_column(
             "time", pa.array([], pa.float64())
         )
+
+    def _states(self, path: str) -> pa.Table:
+        table = self._table(path, ("StateChange:state",))
+        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         """All Scalars below an entity, side by side: the frames that have a value in each.
@@ -363,6 +363,11 @@ class Recording:
         for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:
                 yield chunk
+
+    def _chunks_at(self, step: int, path: str) -> Iterator[Chunk]:
+        """Read those chunks of an entity that a step may be in."""
+        found = [entry for entry in self.store.entries if entry.entity_path == path and entry.holds(step)]
+        return self.chunks(found)
 
     def _static(self, path: str, required: bool = True) -> dict[str, list[Any]]:
         """Read the components of a static entity."""

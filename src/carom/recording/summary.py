@@ -38,7 +38,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
         "moments": _moments(recording.closing),
         "profile": {} if clip else _below(recording.closing, "profile"),
-        "versions": _below(recording.properties, "version"),
+        "versions": recording.versions,
         "expect": _below(recording.closing, "expect"),
     }
     if clip:

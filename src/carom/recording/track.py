@@ -59,7 +59,7 @@ class _Rows:
     def at(self, step: int, component: str) -> FloatArray | None:
         """Return the numbers in a component, flat; None if there is no such row."""
         for entry in self._entries:
-            if (entry.first_step or 0) <= step <= (entry.last_step or 0):
+            if entry.holds(step):
                 chunk = self._chunk(entry)
                 rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
                 if len(rows) and component in chunk.components:

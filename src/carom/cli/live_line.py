@@ -1,0 +1,60 @@
+"""A line that says where long work is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+LINE_EVERY = 5.0  # s between lines where the output is not a terminal
+BAR = 24  # characters
+
+
+class LiveLine:
+    """A line that is rewritten on a terminal, and a plain line now and then elsewhere; all on stderr."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._console = Console(stderr=True, quiet=quiet)
+        self._live: Live | None = None
+        self._began = self._last_line = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._console.quiet:
+            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._live.stop()
+            self._live = None
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+
+    def _restart(self) -> None:
+        """Count time from now on."""
+        self._began = self._last_line = time.perf_counter()
+
+    def _show(self, line: Callable[[float], str]) -> None:
+        """Show the line of this moment; it is given the clock, in s."""
+        now = time.perf_counter()
+        if self._live:
+            self._live.update(Text(line(now)))
+        elif now - self._last_line >= LINE_EVERY:
+            self._last_line = now
+            self.say(line(now))
+
+
+def bar(done: float) -> str:
+    """Draw a fraction from 0 to 1."""
+    full = int(done * BAR)
+    return f"{'━' * full}{'╌' * (BAR - full)}"
