@@ -1,28 +1,25 @@
 """How much a second worker gives, and what a run of a sweep costs besides itself.
 
-python benchmarks/sweep.py [--runs 201] [-o benchmarks/results/sweep.json]
+python benchmarks/sweep.py [--runs 201]
 
-Needs `carom[cluster]`. The runs are made in rounds, by one worker and by two in turn, so that whatever else the machine
-does falls on both; what counts is the median. The time of a sweep is from the first run of each worker to the end of
-the last run: starting the workers is told on its own. What a run costs besides itself is its share of that time less
-its own wall time.
+Writes benchmarks/results/sweep.json. Needs `carom[cluster]`. The runs are made in rounds, by one worker and by two in
+turn, so that whatever else the machine does falls on both; what counts is the median. The time of a sweep is from the
+first run of each worker to the end of the last run: starting the workers is told on its own. What a run costs besides
+itself is its share of that time less its own wall time.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import statistics
 import tempfile
 import time
 from pathlib import Path
 
-from carom.experiment.environment import versions
 from carom.experiment.sweep.manifest import Run
 from carom.experiment.sweep.plan import plan
 from carom.experiment.sweep.sweep import sweep
+from measurement import save
 
 ROUNDS = 3
 SCENE = """
@@ -94,7 +91,6 @@ def median(rounds: list[dict[str, float]]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=201)
-    parser.add_argument("-o", "--output", type=Path)
     asked = parser.parse_args()
     rounds: dict[int, list[dict[str, float]]] = {1: [], 2: []}
     for _ in range(ROUNDS):
@@ -107,9 +103,6 @@ def main() -> None:
         assert prints[0] == prints[1]
     one, two = median(rounds[1]), median(rounds[2])
     document = {
-        "cpu": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "versions": versions(),
         "runs": asked.runs,
         "rounds": ROUNDS,
         "one_worker": one,
@@ -117,11 +110,8 @@ def main() -> None:
         "speedup": two["runs_per_s"] / one["runs_per_s"],
         "runs_per_s_of_rounds": {workers: [found["runs_per_s"] for found in rounds[workers]] for workers in rounds},
     }
-    text = json.dumps(document, indent=2)
-    print(text)
-    if asked.output:
-        asked.output.parent.mkdir(parents=True, exist_ok=True)
-        asked.output.write_text(text + "\n", encoding="utf-8")
+    path = save("sweep", document, "distributed")
+    print(path.read_text(encoding="utf-8"))
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -105,6 +107,16 @@ def test_a_sweep_is_widened_by_more_values_and_needs_no_workers_when_nothing_is_
     assert done.returncode == 0, done.stderr
     assert "2 of 2 runs done, 2 of them before" in done.stdout
     assert len(manifest(swept / "out")["runs"]) == 6  # nothing is lost of the wider one
+
+
+def test_another_sweep_on_the_machine_is_not_in_the_way(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    with socket.socket() as other:
+        with contextlib.suppress(OSError):  # then it is taken as well
+            other.bind(("127.0.0.1", 8787))  # where Dask shows what it does
+            other.listen()
+        done = carom("sweep", "spheres.toml", "--vary", "contact.restitution=0.2", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 0 and "8787" not in done.stderr
 
 
 @pytest.mark.parametrize(

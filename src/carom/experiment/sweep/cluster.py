@@ -27,6 +27,11 @@ _SETTINGS = {
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
     "distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s",
+    # what Dask does besides took a sixth of two cores: profiles of what runs, and looks at itself 50 times a second
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.active-memory-manager.start": False,
 }
 
 
@@ -85,7 +90,7 @@ def _local_cluster(workers: int) -> LocalCluster:
         threads_per_worker=1,
         processes=True,
         host=_LOOPBACK,
-        dashboard_address=None,  # no web server: no port to clash with another sweep's
+        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0"},  # its port may be another sweep's
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         preload=[_PRELOAD],
