@@ -1,0 +1,55 @@
+"""How still a pile lies, and what it costs: contacts that last beside the seed's stages.
+
+python benchmarks/pile.py
+
+Writes benchmarks/results/pile.json: the table of docs/physics.md, section 9. The scene is extremes/pile-1000 with a
+coarser step. One thread; every contender runs once, a minute or two in all: what counts are the digits, the times are
+good for a ratio.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from carom.physics.space import Space
+from carom.scene.bundled import extreme_scenes
+from carom.scene.schema import Scene
+from measurement import save
+
+CONTENDERS = (("staged", 8), ("staged", 100), ("lasting", 2), ("lasting", 8), ("lasting", 32))
+
+
+def settle(solver: str, sweeps: int) -> dict[str, Any]:
+    """Let the pile fall and lie; say how still it is at the end."""
+    changes = ["time.cfl=0.05", "record.every=1000", f'contact.solver="{solver}"', f"contact.sweeps={sweeps}"]
+    scene = Scene.load(extreme_scenes()["extremes/pile-1000"], changes)
+    space = Space(scene, threads=1)
+    began = time.perf_counter()
+    for _ in space.run():
+        pass
+    seconds = time.perf_counter() - began
+    energy, contacts = space.energy(), space.contacts
+    smaller = space.state.radius[contacts.pairs].min(axis=1)
+    return {
+        "solver": solver,
+        "sweeps": sweeps,
+        "kinetic": (energy.translational + energy.rotational) / abs(energy.gravitational),
+        "overlap": float((contacts.overlaps / smaller).max()),
+        "deepest": space.moments.overlap.value if space.moments.overlap else 0.0,
+        "ms_per_simulated_second": 1e3 * seconds / space.time,
+        "steps": space.step,
+    }
+
+
+def main() -> None:
+    """Measure and write."""
+    settle("lasting", 8)  # loads the kernels
+    rows = [settle(solver, sweeps) for solver, sweeps in CONTENDERS]
+    for row in rows:
+        print({name: f"{value:.2g}" if isinstance(value, float) else value for name, value in row.items()})
+    print(save("pile", {"rows": rows}))
+
+
+if __name__ == "__main__":
+    main()
