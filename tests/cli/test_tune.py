@@ -38,7 +38,7 @@ def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Pa
     ("limit", "said"),
     [
         ("energie=1", 'did you mean "energy"?'),
-        ("energy", "expected a number, such as energy=1e-4"),
+        ("energy", "expected a number of 0 or more, such as energy=1e-4"),
         ("energy=small", "expected a number"),
         ("energy=-1", "expected a number"),
     ],

@@ -7,17 +7,23 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
+from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds
 
 Seconds = float | None
 
 
 def clip(
     file: RecordingArgument,
-    start: Annotated[Seconds, typer.Option("--from", metavar="T", help="First simulated time (s) to keep.")] = None,
-    end: Annotated[Seconds, typer.Option("--to", metavar="T", help="Last simulated time (s) to keep.")] = None,
-    around: Annotated[Seconds, typer.Option("--around", metavar="T", help="Middle of what to keep (s).")] = None,
-    window: Annotated[Seconds, typer.Option("--window", metavar="W", help="Its length (s).")] = None,
+    start: Annotated[
+        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First simulated time (s) to keep.")
+    ] = None,
+    end: Annotated[
+        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last simulated time (s) to keep.")
+    ] = None,
+    around: Annotated[
+        Seconds, typer.Option("--around", parser=seconds, metavar="T", help="Middle of what to keep (s).")
+    ] = None,
+    window: Annotated[Seconds, typer.Option("--window", parser=seconds, metavar="W", help="Its length (s).")] = None,
     bodies: Annotated[
         str | None,
         typer.Option("--bodies", metavar="3,17", help="Show these bodies only, with the contacts among them."),

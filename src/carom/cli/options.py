@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from math import isnan
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+
+def seconds(text: str) -> float:
+    """Read a time; anything but NaN, of which no question has an answer."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if isnan(value):
+        raise typer.BadParameter(f"{text}: expected a time in seconds, such as 12.5")
+    return value
+
 
 SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds
 from carom.cli.units import duration_text
 
 if TYPE_CHECKING:
@@ -20,9 +20,14 @@ ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
 def replay(
     file: RecordingArgument,
     begin: Annotated[
-        float, typer.Option("--from", metavar="T", help="Begin at the last checkpoint before this time, in s.")
+        float,
+        typer.Option(
+            "--from", parser=seconds, metavar="T", help="Begin at the last checkpoint before this time, in s."
+        ),
     ] = 0.0,
-    end: Annotated[float, typer.Option("--to", metavar="T", help="End at this time, in s.")] = float("inf"),
+    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="End at this time, in s.")] = float(
+        "inf"
+    ),
     every: Annotated[
         str | None, typer.Option("--every", metavar="step", help="Record every step of the window to a new file.")
     ] = None,

@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
 
 
 def report(
     file: RecordingArgument,
     at: Annotated[
-        float | None, typer.Option("--at", metavar="T", help="The moment, in s. Default: the worst of the run.")
+        float | None,
+        typer.Option("--at", parser=seconds, metavar="T", help="The moment, in s. Default: the worst of the run."),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Default: FILE-report.zip.")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, LiveOption, RecordingArgument, ThreadsOption
+from carom.cli.options import ForceOption, JsonOption, LiveOption, RecordingArgument, ThreadsOption, seconds
 from carom.cli.run import live_viewer, report
 
 
@@ -15,7 +15,12 @@ def resume(
     file: RecordingArgument,
     until: Annotated[
         float | None,
-        typer.Option("--until", metavar="T", help="Simulated time to go on to, in s. Default: the scene's duration."),
+        typer.Option(
+            "--until",
+            parser=seconds,
+            metavar="T",
+            help="Simulated time to go on to, in s. Default: the scene's duration.",
+        ),
     ] = None,
     output: Annotated[
         Path | None,

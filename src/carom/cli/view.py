@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import RecordingArgument
+from carom.cli.options import RecordingArgument, seconds
 
-AtOption = Annotated[float | None, typer.Option("--at", metavar="T", help="Simulated time in seconds.")]
+AtOption = Annotated[float | None, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time in seconds.")]
 
 
 def view(file: RecordingArgument, at: AtOption = None) -> None:

@@ -59,7 +59,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     RecordingError
         If the recording has no frame, one frame alone is too large, or the bundle cannot be written.
     """
-    moment, why = (at, "the moment asked for") if at is not None else worst_moment(recording)
+    moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         cut = Path(folder) / bundle.CLIP
         _cut(recording, moment, cut)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from carom.physics.moments import Moment
 from carom.physics.space import Space
 from carom.scene.bundled import EXTREMES, extreme_scenes
 from carom.scene.error import SceneError
+from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
 
 
@@ -67,9 +67,7 @@ def extremes(name: str | None = None) -> dict[str, Path]:
     short = name.removeprefix(f"{EXTREMES}/")
     if short in known:
         return {short: known[short]}
-    near = difflib.get_close_matches(short, known, n=1)
-    hint = f'did you mean "{near[0]}"? ' if near else ""
-    raise SceneError(f"{name}: no extreme of that name; {hint}There are {', '.join(known)}")
+    raise SceneError(f"{name}: no extreme of that name; {suggestion(short, known)}")
 
 
 def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = None) -> Trial:

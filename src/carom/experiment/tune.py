@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from carom.experiment.comparison import NAMES
 from carom.experiment.error import ExperimentError
 from carom.experiment.tradeoff import Result, Study
 from carom.scene.error import SceneError
+from carom.scene.nearest import suggestion
 
 
 def limits(asked: list[str]) -> dict[str, float]:
@@ -29,15 +29,13 @@ def limits(asked: list[str]) -> dict[str, float]:
     for text in asked:
         name, separator, value = (part.strip() for part in text.partition("="))
         if name not in NAMES:
-            near = difflib.get_close_matches(name, NAMES, n=1)
-            hint = f'did you mean "{near[0]}"? ' if near else ""
-            raise SceneError(f"--error {text}: no error of that name; {hint}There are {', '.join(NAMES)}")
+            raise SceneError(f"--error {text}: no error of that name; {suggestion(name, NAMES)}")
         try:
             found[name] = float(value)
         except ValueError:
             found[name] = math.nan
         if not separator or not 0.0 <= found[name] < math.inf:
-            raise SceneError(f"--error {text}: expected a number, such as {name}=1e-4")
+            raise SceneError(f"--error {text}: expected a number of 0 or more, such as {name}=1e-4")
     return found
 
 

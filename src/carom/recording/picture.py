@@ -21,7 +21,7 @@ def render(path: str | Path, at: float | None, out_png: str | Path, size: tuple[
     the recording cannot be read, there is no Vulkan driver, or a view cannot show what it should.
     """
     recording = Recording.open(path)
-    moment = recording.moment() if at is None else at
+    moment = recording.moment(at)
     with Viewer("--headless", "--window-size", f"{size[0]}x{size[1]}") as viewer:
         viewer.show(recording)
         viewer.go_to(recording, moment)

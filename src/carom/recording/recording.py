@@ -268,14 +268,28 @@ class Recording:
         return None
 
     @_named
-    def moment(self) -> float:
-        """Find the time (s) to look at: the hardest impact, else the most contacts, else the end.
+    def moment(self, at: float | None = None) -> float:
+        """Find the time (s) to look at: a given one, else the hardest impact, else the most contacts, else the end.
 
         A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
+
+        Raises
+        ------
+        RecordingError
+            If there is no frame, or the given time is not in the recording.
         """
         if self.frames == 0:
             raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
         times = _column(self._fingerprints, "time")
+        if at is not None:
+            between = (
+                np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)
+            )  # a step may have no frame
+            if not times[0] - between <= at <= times[-1] + between:
+                raise RecordingError(
+                    f"{self.path} goes from {times[0]:.9g} to {times[-1]:.9g} s, {at:.9g} s is not in it"
+                )
+            return at
         impact = float(self.closing.get("moments.impact.time", np.nan))
         if times[0] <= impact <= times[-1]:
             return impact

@@ -141,10 +141,11 @@ def start_live_viewer() -> str:
 def open_viewer(path: str | Path, at: float | None = None) -> None:
     """Open a recording in a window, paused at a simulated time (s) if one is given; return when it is closed."""
     recording = Recording.open(path)
+    moment = None if at is None else recording.moment(at)
     with Viewer() as viewer:
         viewer.show(recording)
-        if at is not None:
-            viewer.go_to(recording, at)
+        if moment is not None:
+            viewer.go_to(recording, moment)
         viewer.wait()
 
 

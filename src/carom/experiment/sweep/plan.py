@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import re
@@ -159,9 +158,3 @@ def _refuse_hopeless(text: str, points: Sequence[Point]) -> None:
         except SceneError as error:
             first = first or error
     raise first or ExperimentError("no runs")
-
-
-def nearest(key: str, known: Sequence[str]) -> str:
-    """Say which known key a misspelt one may mean."""
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
-    return f'did you mean "{near[0]}"? ' if near else ""

@@ -16,7 +16,8 @@ import pyarrow.parquet
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.manifest import Run
-from carom.experiment.sweep.plan import SEED, nearest
+from carom.experiment.sweep.plan import SEED
+from carom.scene.nearest import suggestion
 
 Row = dict[str, Any]
 
@@ -83,7 +84,7 @@ def known(key: str, rows: Sequence[Row]) -> str:
     columns = columns_of(rows)
     if key in columns:
         return key
-    raise ExperimentError(f"{key}: no such column; {nearest(key, columns)}There are {', '.join(columns)}")
+    raise ExperimentError(f"{key}: no such column; {suggestion(key, columns)}")
 
 
 def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, Any], Any], str]:

@@ -1,0 +1,14 @@
+"""What a misspelt name may mean."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Say which known name is the nearest, and which there are."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    there = f"here are {', '.join(known)}"
+    return f'did you mean "{near[0]}"? T{there}' if near else f"t{there}"
