@@ -44,7 +44,10 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
     [
         (("figure-eigth",), 'did you mean the bundled scene "figure-eight"?'),
         (("figure-eight", "--vary", "step"), "expected key=a,b,c"),
-        (("figure-eight", "--vary", "time.integrator=rk4"), "must be 'euler', 'leapfrog' or 'yoshida4'"),
+        (
+            ("figure-eight", "--vary", "time.integrator=rk4"),
+            "must be 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
+        ),
         (("figure-eight", "--repeats", "0"), "--repeats"),
     ],
 )

@@ -136,7 +136,10 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
         ("time.integrator=", "expected key=a,b,c"),
         ("step=0", "no number above 0"),
         ("step=two", "no number above 0"),
-        ("time.integrator=rk4", "--vary time.integrator=rk4: .* must be 'euler', 'leapfrog' or 'yoshida4'"),
+        (
+            "time.integrator=rk4",
+            "--vary time.integrator=rk4: .* must be 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
+        ),
         ("contact.bounce=1", "--vary contact.bounce=1: unknown key"),
     ],
 )

@@ -67,16 +67,17 @@ def test_a_trajectory_is_read_as_it_was_written(tmp_path: Path) -> None:
         Trajectory.load(tmp_path / "other.npz")
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("leapfrog", 2), ("yoshida4", 4)])
+@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("leapfrog", 2), ("leapfrog-dkd", 2), ("yoshida4", 4)])
 def test_errors_against_the_reference_fall_with_the_order_of_the_integrator(integrator: str, order: int) -> None:
     scene = Scene.load("figure-eight")
     reference = make_reference(scene)
     factors = np.array([8.0, 4.0, 2.0, 1.0])
     errors = []
     for setting in vary(scene, [f"time.integrator={integrator}", "step=8,4,2,1"]):
-        errors.append(reference.errors(follow(Space(setting.apply(scene)), sample_times(scene))).position)
-    slope = np.polyfit(np.log(factors), np.log(errors), 1)[0]
-    assert slope == pytest.approx(order, abs=0.1)
+        found = reference.errors(follow(Space(setting.apply(scene)), sample_times(scene)))
+        errors.append((found.position, found.velocity))
+    for kind in np.array(errors).T:
+        assert np.polyfit(np.log(factors), np.log(kind), 1)[0] == pytest.approx(order, abs=0.1)
 
 
 def test_impacts_at_the_end_of_a_step_are_late_by_half_a_step_on_average() -> None:

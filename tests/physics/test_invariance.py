@@ -26,7 +26,8 @@ from scenes import EPS, Document, directions, documents, impact_documents, scene
 FloatArray = NDArray[np.float64]
 
 STEPS = 20
-ALL, REVERSIBLE = ("euler", "leapfrog", "yoshida4"), ("leapfrog", "yoshida4")
+REVERSIBLE = ("leapfrog", "leapfrog-dkd", "yoshida4")
+ALL = ("euler", *REVERSIBLE)
 rotations = st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-3, 3), st.integers(1, 3)).map(
     lambda q: np.asarray(Rotation.from_quat(q).as_matrix())
 )

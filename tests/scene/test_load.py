@@ -74,13 +74,17 @@ MISTAKES = {
         "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 3]\n" + ONE_BODY,
         ["domain.size", "four times the largest radius"],
     ),
+    "forces of the middle of the step where bodies may rest on each other": (
+        "[time]\nintegrator = 'leapfrog-dkd'\n" + ONE_BODY + ONE_BODY + "position = [3, 0, 0]\n",
+        ['time.integrator = "leapfrog-dkd"', "contacts need those of its end", 'use "leapfrog"'],
+    ),
     "10¹² bodies": ("[[group]]\ncount = 1000000000000\nradius = 1e-3\n", ["1e+12 bodies", "GB of memory"]),
     "duration 0": ("[time]\nduration = 0\n" + ONE_BODY, [":2:", "time.duration = 0", "more than 0"]),
     "a number for a section": ("time = 3\n" + ONE_BODY, [":1:", "time = 3", "section"]),
     "density and mass": ("[[body]]\nmass = 1\ndensity = 1\n", ["body.0", "leave one out"]),
     "a word that is none of the choices": (
         "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
-        [":2:", "integrator", "'euler', 'leapfrog' or 'yoshida4'"],
+        [":2:", "integrator", "'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'"],
     ),
     "a plane that faces nowhere": (
         ONE_BODY + "[[plane]]\nnormal = [0, 0, 0]\n",

@@ -41,9 +41,8 @@ def default_settings(scene: Scene) -> list[Setting]:
     forces = parts.gravity.modelled or parts.field.modelled
     if not parts.contact.modelled:
         return [
-            setting
-            for integrator in ("euler", "leapfrog", "yoshida4")
-            for setting in vary(scene, [f"time.integrator={integrator}", f"{STEP}=4,2,1,0.5"])
+            *vary(scene, ["time.integrator=euler"]),
+            *vary(scene, ["time.integrator=leapfrog,leapfrog-dkd,yoshida4", f"{STEP}=4,2,1,0.5"]),
         ]
     choices = [f"{STEP}=4", f"{STEP}=2", f"{STEP}=1", f"{STEP}=0.5"]
     if forces:

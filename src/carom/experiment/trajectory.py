@@ -1,8 +1,9 @@
 """What is kept of a run to compare it with another: the state at agreed times, first contacts and extremes.
 
 The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
-after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, or,
-for a body that a contact struck at the end of the step, the flight from its beginning.
+after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, of
+third where the integrator has no forces there, or, for a body that a contact struck at the end of the step, the flight
+from its beginning.
 """
 
 from __future__ import annotations
@@ -152,7 +153,8 @@ class _Watch:
             way -= self._space.box * np.floor(way / self._space.box + 0.5)
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             h = self._times[len(self.position)] - begin
-            smooth = _between(h / dt, dt, way, v, a, frame.velocity, frame.acceleration)
+            ends = (a, frame.acceleration) if self._space.ends_with_forces else None
+            smooth = _between(h / dt, dt, way, v, frame.velocity, ends)
             jerk = (frame.acceleration - a) / dt
             flight = (h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk)
             moved, velocity = (
@@ -165,13 +167,17 @@ class _Watch:
 
 
 def _between(
-    s: float, dt: float, way: FloatArray, v0: FloatArray, a0: FloatArray, v1: FloatArray, a1: FloatArray
+    s: float, dt: float, way: FloatArray, v0: FloatArray, v1: FloatArray, forces: tuple[FloatArray, FloatArray] | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return way and velocity at s in [0, 1] of the polynomial of fifth degree with these ends (Hermite)."""
-    u0, u1, b0, b1 = v0 * dt, v1 * dt, a0 * dt * dt / 2, a1 * dt * dt / 2
-    c3 = 10 * way - 6 * u0 - 4 * u1 - 3 * b0 + b1
-    c4 = -15 * way + 8 * u0 + 7 * u1 + 3 * b0 - 2 * b1
-    c5 = 6 * way - 3 * u0 - 3 * u1 - b0 + b1
-    moved = s * (u0 + s * (b0 + s * (c3 + s * (c4 + s * c5))))
-    velocity = (u0 + s * (2 * b0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / dt
+    """Return way and velocity at s in [0, 1] of the Hermite polynomial with these ends: of fifth degree, or third."""
+    u0, u1 = v0 * dt, v1 * dt
+    c5, c4, c3, c2 = np.zeros_like(way), np.zeros_like(way), u0 + u1 - 2 * way, 3 * way - 2 * u0 - u1
+    if forces is not None:
+        b0, b1 = (a * dt * dt / 2 for a in forces)
+        c2 = b0
+        c3 = 10 * way - 6 * u0 - 4 * u1 - 3 * b0 + b1
+        c4 = -15 * way + 8 * u0 + 7 * u1 + 3 * b0 - 2 * b1
+        c5 = 6 * way - 3 * u0 - 3 * u1 - b0 + b1
+    moved = s * (u0 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
+    velocity = (u0 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / dt
     return moved, velocity

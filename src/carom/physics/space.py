@@ -20,7 +20,7 @@ from carom.physics.fingerprint import fingerprint
 from carom.physics.finite import refuse_infinities
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.method import gravity_of
-from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, wrap
+from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, uses_forces_at_end, wrap
 from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.phase import Phase
@@ -82,6 +82,7 @@ class Space:
         # where something stands still, speeds count from it, and the field does not pull all alike
         self._falling = np.zeros(3) if scene.anchored else self._field
         self._substeps = SUBSTEPS[scene.time.integrator]
+        self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self.threads)
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
@@ -147,7 +148,7 @@ class Space:
 
     def energy(self) -> Energy:
         """Take stock of the energy now: terms, ledger, integration error."""
-        return self._accounts.energy_now(self._accelerate(potential=True))
+        return self._accounts.energy_now(self._potential())
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""
@@ -187,7 +188,7 @@ class Space:
         self.moments = replace(books.moments)
         self._phase.name, self._phase.activity = books.phase, books.activity
         self._events = []
-        self._take_stock(self._accelerate(potential=True), checked=False)
+        self._take_stock(self._potential(), checked=False)
 
     def run(
         self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
@@ -234,7 +235,7 @@ class Space:
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
-            self._take_stock(self._accelerate(potential=True), checked=False)
+            self._take_stock(self._potential(), checked=False)
         state, spins, momentum = self.state, self.requirements.spin.modelled, self._accounts.momentum
         turns = spins and self.requirements.torque.modelled
         events, self._events = tuple(self._events), []
@@ -323,7 +324,8 @@ class Space:
         potential = 0.0
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
-            kick(state.velocity, state.acceleration, substep.before * dt)
+            if substep.before:
+                kick(state.velocity, state.acceleration, substep.before * dt)
             if index == 0 and self._contact:
                 self.profile.mark("integrate")
                 self._contact.hold(substep.before * dt, dt)
@@ -335,10 +337,14 @@ class Space:
                 self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
                 wrap(state.position, self._box)
-            potential = self._accelerate(with_potential and last)
+            if not last or self.ends_with_forces:
+                potential = self._accelerate(with_potential and last)
+            elif with_potential:
+                potential = self._potential()
             self.profile.mark("gravity")
-            kick(state.velocity, state.acceleration, substep.after * dt)
-            self.profile.mark("integrate")
+            if substep.after:
+                kick(state.velocity, state.acceleration, substep.after * dt)
+                self.profile.mark("integrate")
         return potential
 
     def _accelerate(self, potential: bool) -> float:
@@ -354,6 +360,17 @@ class Space:
         if len(self._fixed):
             acceleration[self._fixed] = 0.0
         return energy or 0.0
+
+    def _potential(self) -> float:
+        """Return the gravitational energy of the present positions.
+
+        The accelerations stay: drift-kick-drift's are of the middle of the step, and the next step is chosen by them,
+        whether an energy is asked for or not.
+        """
+        if self._gravity is None:
+            return 0.0
+        unused = np.empty_like(self.state.acceleration)
+        return self._gravity.accelerate(self.state.position, unused, potential=True) or 0.0
 
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""

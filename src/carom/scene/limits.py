@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from carom.scene.error import SceneError
-from carom.scene.requirements import gravity_method
+from carom.scene.requirements import gravity_method, require
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
@@ -27,6 +27,7 @@ def refuse_impossible(scene: Scene) -> None:
     """
     if scene.contact.timing == "time-of-impact":
         raise SceneError('contact.timing = "time-of-impact": this version resolves contacts at the "end-of-step"')
+    _refuse_forces_of_mid_step(scene)
     needed, there = memory_estimate(scene), _memory()
     if needed > there:
         raise SceneError(
@@ -34,6 +35,17 @@ def refuse_impossible(scene: Scene) -> None:
             f"{there / 1e9:.3g} GB; lower the count"
         )
     _refuse_narrow_box(scene)
+
+
+def _refuse_forces_of_mid_step(scene: Scene) -> None:
+    """Refuse drift-kick-drift where bodies may rest on each other: they are held against the forces at the end."""
+    parts = require(scene)
+    pressed = parts.contact.modelled and (parts.gravity.modelled or parts.field.modelled)
+    if scene.time.integrator == "leapfrog-dkd" and pressed:
+        raise SceneError(
+            'time.integrator = "leapfrog-dkd" where bodies may press on each other: its forces are those of the middle '
+            'of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'
+        )
 
 
 def _refuse_narrow_box(scene: Scene) -> None:

@@ -46,8 +46,10 @@ class Time(Section):
         "every-body", description="whose radius and speed limit the step; fastest-body is the seed's rule"
     )
     fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
-    integrator: Literal["euler", "leapfrog", "yoshida4"] = Field(
-        "leapfrog", description="semi-implicit Euler, leapfrog (order 2) or Yoshida's (order 4)"
+    integrator: Literal["euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
+        "leapfrog",
+        description="semi-implicit Euler, leapfrog (order 2), leapfrog as drift-kick-drift (not where contacts may "
+        "press) or Yoshida's (order 4)",
     )
 
 
