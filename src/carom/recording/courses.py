@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import hashlib
+import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from carom.recording import palette
+from carom.recording import palette, paths
 from carom.recording.blueprint import whole_time
 from carom.recording.clock import Clock
-from carom.recording.errors import RecordingError
+from carom.recording.header import Scalar
 from carom.recording.timelines import SIM_TIME
+from carom.recording.writer import Writer
 
 FloatArray = NDArray[np.float64]
 
+PROPERTY = "tradeoff"
+
 PATHS_UP_TO = 20  # bodies, whose paths are drawn whole; of more only where they are
-FLUSH = 60.0  # s
 SMALLEST = 1e-17  # what no distance is shown as, on a scale of decades
 
 
@@ -54,22 +58,29 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
     """
     clock = Clock.fitting(float(time[-1]), float(time[0]))
     origin = courses[0].position[0].mean(axis=0)
-    identity = f"carom-tradeoff-{hashlib.sha256(title.encode()).hexdigest()[:12]}"
+    layout = hashlib.sha256("\n".join(("tradeoff", title, *(course.name for course in courses))).encode()).hexdigest()
     colours = [palette.GREY, *(palette.BODIES[k % len(palette.BODIES)] for k in range(len(courses) - 1))]
     names = [f"{number:02d}-{_entity(course.name)}" for number, course in enumerate(courses)]
-    try:
-        with rr.RecordingStream(identity) as stream:
-            stream.save(path, default_blueprint=_layout())
-            stream.send_recording_name(title)
-            for name, course, colour in zip(names, courses, colours, strict=True):
-                _send(stream, name, course, colour, time, radius, origin, clock)
-            stream.flush(timeout_sec=FLUSH)
-    except (OSError, RuntimeError, ValueError) as error:
-        raise RecordingError(f"cannot write {path}: {error}") from None
+    with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        about: dict[str, Scalar] = {
+            "title": f"{title}: settings over the reference",
+            "time_scale": clock.scale,
+            "bodies": len(radius),
+        }
+        writer.send_property("carom", about)
+        writer.send_property(PROPERTY, {"courses": "; ".join(course.name for course in courses)})
+        for name, course, colour in zip(names, courses, colours, strict=True):
+            _send(writer, name, course, colour, time, radius, origin, clock)
+        index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
+        frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
+        writer.send_columns(paths.FINGERPRINT, index, frames)
+        writer.send_layout(_layout())
+        writer.flush()
 
 
 def _send(
-    stream: rr.RecordingStream,
+    writer: Writer,
     name: str,
     course: Course,
     colour: int,
@@ -82,18 +93,16 @@ def _send(
     count, n, _ = position.shape
     index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
     bodies = f"world/{name}/bodies"
-    stream.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour), static=True)
+    writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour))
     columns = rr.Points3D.columns(positions=position.reshape(-1, 3)).partition(np.full(count, n))
-    stream.send_columns(bodies, index, columns)
+    writer.send_columns(bodies, index, columns)
     if n <= PATHS_UP_TO:
-        stream.log(
-            f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour), static=True
-        )
+        writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
     if len(course.distance):
-        stream.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=course.name), static=True)
+        writer.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=course.name))
         decades = np.log10(np.maximum(course.distance, SMALLEST))
         shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
-        stream.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
+        writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
 def _layout() -> rrb.Blueprint:

@@ -137,8 +137,13 @@ class Recording:
     @property
     @_named
     def is_overlay(self) -> bool:
-        """Whether it shows two runs, one over the other: `carom diff -o` made it."""
-        return bool(self._property("diff"))
+        """Whether it shows several runs over each other: `carom diff -o` made it, or `carom tradeoff`."""
+        return bool(self._property("diff") or self._property("tradeoff"))
+
+    def refuse_overlay(self) -> None:
+        """Raise RecordingError if it shows several runs: none of them is whole in it."""
+        if self.is_overlay:
+            raise RecordingError(f"{self.path} shows several runs over each other, to look at with carom view")
 
     @property
     @_named
@@ -156,6 +161,7 @@ class Recording:
     @_named
     def scene_toml(self) -> str:
         """The scene, exactly as it was written."""
+        self.refuse_overlay()
         return str(self._static(paths.SCENE_TOML)["TextDocument:text"][0])
 
     @cached_property

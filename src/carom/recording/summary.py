@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from carom.recording.errors import RecordingError
-
 if TYPE_CHECKING:
     from carom.recording.recording import Recording
 
@@ -21,8 +19,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     closing property under the same dotted key (``contacts.total``, say) is taken instead. A clip's numbers are those of
     its own frames; how the run ended and which promises it kept it has from the whole run.
     """
-    if recording.is_overlay:
-        raise RecordingError(f"{recording.path} shows two runs, to look at; inspect the recordings that it was made of")
+    recording.refuse_overlay()
     frames = recording.fingerprints()
     clip, momenta = _clip(recording), recording.momentum()
     found: dict[str, Any] = {
