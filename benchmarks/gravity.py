@@ -68,7 +68,7 @@ def carom_direct(position: FloatArray, mass: FloatArray, threads: int, potential
 
 
 def carom_tree(position: FloatArray, mass: FloatArray, theta: float, threads: int) -> Force:
-    gravity = TreeGravity(mass, 1.0, 0.0, theta, POOL if threads > 1 else None, threads)
+    gravity = TreeGravity(mass, 1.0, 0.0, theta, True, POOL if threads > 1 else None, threads)
     return _carom(gravity, position, potential=False)
 
 

@@ -32,6 +32,8 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
     assert json.loads((folder / "tradeoff.json").read_text(encoding="utf-8"))["reference"]["horizon"] == 1.0
     assert (folder / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "tradeoff.rrd").exists()
+    refused = carom("inspect", str(folder / "tradeoff.rrd"), cwd=tmp_path)
+    assert refused.returncode == 2 and "to look at with carom view" in refused.stderr
     again = carom("tradeoff", "figure-eight", *QUICK, "--json", cwd=tmp_path)
     document = json.loads(again.stdout)
     assert again.stderr == "" and [len(entry["costs"]) for entry in document["settings"]] == [1, 1]
@@ -46,7 +48,7 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
         (("figure-eight", "--vary", "step"), "expected key=a,b,c"),
         (
             ("figure-eight", "--vary", "time.integrator=rk4"),
-            "must be 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
+            "must be 'auto', 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
         ),
         (("figure-eight", "--repeats", "0"), "--repeats"),
     ],

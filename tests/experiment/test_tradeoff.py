@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from carom.experiment import tradeoff, trajectory
@@ -13,7 +14,10 @@ from carom.experiment.overlay import record
 from carom.experiment.setting import default_settings, vary
 from carom.experiment.tradeoff import Study
 from carom.physics.error import PhysicsError
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
 from carom.scene.error import SceneError
+from carom.scene.requirements import target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair
 
@@ -126,7 +130,16 @@ def test_a_refined_reference_is_finer_than_the_finest_setting(tmp_path: Path) ->
 def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None:
     study, _ = measured(eight(), tmp_path, "step=4,1")
     record(study, tmp_path / "tradeoff.rrd")
-    assert (tmp_path / "tradeoff.rrd").stat().st_size > 10_000
+    shown = Recording.open(tmp_path / "tradeoff.rrd")
+    assert shown.finished and shown.is_overlay and shown.frames == 600 and shown.layout()
+    drawn = {entry.entity_path for entry in shown.store.entries}
+    for course in ("00-reference-exact", "01-step-4", "02-as-written"):
+        assert {f"world/{course}/bodies", f"world/{course}/paths"} <= drawn
+    assert {"distance/01-step-4", "distance/02-as-written"} <= drawn and "distance/00-reference-exact" not in drawn
+    assert shown.moment() == pytest.approx(2.0)
+    for ask in (shown.summary, lambda: shown.scene_toml):
+        with pytest.raises(RecordingError, match="shows several runs over each other"):
+            ask()
 
 
 @pytest.mark.parametrize(
@@ -136,9 +149,11 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
         ("time.integrator=", "expected key=a,b,c"),
         ("step=0", "no number above 0"),
         ("step=two", "no number above 0"),
+        ("threads=0", "no number of threads"),
+        ("threads=all", "no number of threads"),
         (
             "time.integrator=rk4",
-            "--vary time.integrator=rk4: .* must be 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
+            "--vary time.integrator=rk4: .* must be 'auto', 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'",
         ),
         ("contact.bounce=1", "--vary contact.bounce=1: unknown key"),
     ],
@@ -146,6 +161,59 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
 def test_a_choice_that_is_none_is_one_message(choice: str, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         vary(eight(), [choice])
+
+
+KNOBS = (
+    "time.integrator=euler,leapfrog,leapfrog-dkd,yoshida4",
+    "time.max_dt=1,2",
+    "time.target_dx='auto',0.01",
+    "time.cfl=0.1,0.5",
+    "time.smoothing=0.2,1",
+    "time.velocity_limit=every-body,fastest-body",
+    "time.fixed_dt=0.1,0.2",
+    "gravity.method=direct,tree",
+    "gravity.opening_angle=0.3,0.5",
+    "gravity.quadrupoles=true,false",
+    "contact.sweeps=2,8",
+    "contact.colouring=contacts,bodies",
+    "contact.stabilisation=split,baumgarte,none",
+    "contact.solver=lasting,staged",
+    "threads=1,2",
+    "step=2,1",
+)
+
+
+@pytest.mark.parametrize("knob", KNOBS)
+def test_every_knob_that_trades_speed_for_accuracy_is_taken(knob: str) -> None:
+    settings = vary(cloud(), [knob])
+    assert len({(setting.overrides, setting.threads) for setting in settings}) == len(settings) > 1
+
+
+def test_threads_change_the_cost_and_no_bit(tmp_path: Path) -> None:
+    scene = cloud(time={"duration": 0.2})
+    study, _ = measured(scene, tmp_path, "threads=1,2")
+    one, two = study.results
+    assert one.complete and two.complete and one.setting.threads == 1 and two.setting.threads == 2
+    assert np.array_equal(study.trajectory(one).position, study.trajectory(two).position)
+    again, said = measured(scene, tmp_path, "threads=1,2")
+    assert said == [] and [result.setting.threads for result in again.results] == [1, 2]
+
+
+def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
+    scene = cloud(4, contact={"enabled": False})
+    auto, double, second, both = (
+        setting.apply(scene) for setting in vary(scene, ["time.integrator=auto,leapfrog", "step=1,2"])
+    )
+    assert target_dx(double) == pytest.approx(4.0 * target_dx(auto), rel=1e-15)
+    assert target_dx(both) == pytest.approx(4.0 * target_dx(second), rel=1e-15)
+    assert target_dx(auto) == pytest.approx(4.0 * target_dx(second), rel=1e-15), "of order four"
+    (longest,) = vary(scene, ["time.max_dt=3", "step=2"])
+    assert longest.apply(scene).time.max_dt == 6.0
+
+
+def test_a_comma_in_quotes_parts_no_values() -> None:
+    (setting,) = vary(pair(), ["title='a, b'"])
+    assert setting.apply(pair()).title == "a, b"
 
 
 def test_a_vector_is_one_value() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.requirements import frame_interval, gravity_method, require, target_dx
+from carom.scene.requirements import frame_interval, gravity_method, integrator, require, target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -75,6 +75,34 @@ def test_many_bodies_are_summed_by_a_tree(count: int, gravity: dict[str, Any], m
     scene = Scene.from_dict({"group": [{"count": count}], "gravity": gravity})
     assert gravity_method(scene) == method
     assert why in require(scene).gravity.why
+
+
+POINTS = {"enabled": False}
+
+
+@pytest.mark.parametrize(
+    ("scene", "chosen", "why"),
+    [
+        (cloud(8, contact=POINTS), "yoshida4", "8 bodies pull each other, and no contact is modelled"),
+        (cloud(9, contact=POINTS), "leapfrog", "more than 8 bodies, whose encounters are sudden"),
+        (cloud(8), "leapfrog", "contacts are found at the end of a step"),
+        (cloud(8, contact=POINTS, gravity={"constant": 0.0}), "leapfrog", "exact without a pull between bodies"),
+        (cloud(8, contact=POINTS, time={"integrator": "euler"}), "euler", 'time.integrator = "euler"'),
+        (cloud(8, time={"integrator": "yoshida4"}), "yoshida4", 'time.integrator = "yoshida4"'),
+        (cloud(3, contact=POINTS, time={"fixed_dt": 0.1}), "yoshida4", "3 bodies"),
+    ],
+)
+def test_the_integrator_is_of_fourth_order_where_nothing_is_sudden(scene: Scene, chosen: str, why: str) -> None:
+    assert integrator(scene) == chosen
+    assert why in require(scene).integrator.why
+
+
+def test_the_fourth_order_takes_twice_the_step_where_it_is_chosen_for_its_order() -> None:
+    eight, second = (cloud(8, contact=POINTS, time={"integrator": name}) for name in ("auto", "leapfrog"))
+    assert target_dx(eight) == pytest.approx(4.0 * target_dx(second), rel=1e-15)
+    assert target_dx(cloud(8, time={"integrator": "yoshida4"})) == target_dx(cloud(8)) == target_dx(second)
+    many, fourth = (cloud(20, contact=POINTS, time={"integrator": name}) for name in ("auto", "yoshida4"))
+    assert target_dx(many) == target_dx(fourth)
 
 
 def test_a_part_that_is_not_required_takes_no_memory() -> None:

@@ -20,7 +20,8 @@ VaryOption = Annotated[
     typer.Option(
         "--vary",
         metavar="KEY=A,B,C",
-        help="Values of a key of the scene, or of `step`, a factor on the step; every combination if given again. "
+        help="Values of a key of the scene, of `step`, a factor on the step, or of `threads`; every combination if "
+        "given again. "
         "Default: about a dozen settings of what the scene requires.",
     ),
 ]
@@ -126,7 +127,7 @@ def _draw(study: Study, quiet: bool) -> None:
         said.append(f"no figure: {error}")
     record(study, recording)
     if not quiet:
-        typer.echo("  ".join([*said, f"rerun {recording}"]))
+        typer.echo("  ".join([*said, f"carom view {recording}"]))
 
 
 def _show(study: Study) -> None:
@@ -142,19 +143,27 @@ def _show(study: Study) -> None:
         return
     console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
     end, horizon = float(reference.trajectory.time[-1]), reference.horizon
-    sure = reference.uncertainty
     console.print(
         f"Positions are compared up to the horizon, {horizon:.6g} s of {end:.6g} s, where it is sure to "
-        f"{sure.position:.1e} of the size and {sure.velocity:.1e} of the speed.",
+        f"{study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
         soft_wrap=True,
     )
-    console.print(
-        f"[bold]●[/bold] no other setting is as good and cheaper; ○ within the noise of the costs, {study.noise:.0%}, "
-        "of being so; costs are medians."
-    )
+    console.print(_legend(study.noise), soft_wrap=True)
     for result in study.results:
         if result.reason:
             console.print(f"{escape(result.setting.name)}: {result.status}: {escape(result.reason)}", soft_wrap=True)
+
+
+def _legend(noise: float) -> str:
+    if not noise:
+        return (
+            "[bold]●[/bold] no other setting is as good and cheaper, by one run each: how far costs vary is not known."
+        )
+    return (
+        "[bold]●[/bold] no other setting is as good and as cheap; ○ whether there is one, the noise does not tell; "
+        f"without a mark, there is. Costs are medians ± half their range; their noise is that, or {noise:.0%} where "
+        "that is more."
+    )
 
 
 def table_of(study: Study) -> Table:

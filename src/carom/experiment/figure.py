@@ -5,7 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from carom.experiment.error import ExperimentError
+from carom.experiment.front import front
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,6 +56,8 @@ def draw(document: dict[str, Any], path: Path) -> None:
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         figure.suptitle(document["scene"]["title"], fontsize=10)
+        noise = f"costs ± half their range; filled: on the front; ring: in doubt, by a noise of {document['noise']:.1%}"
+        figure.supxlabel(f"cost / s ({noise})", fontsize=7, color=FAINT)
         figure.draw_without_rendering()
         for ax in axes[: len(panels)]:
             _label(ax, canvas.get_renderer())  # type: ignore[no-untyped-call]
@@ -63,23 +68,30 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
     points = [(e["cost"], max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
-    ax.set(xscale="log", yscale="log", xlabel="cost / s", ylabel=PANELS[error])
+    ax.set(xscale="log", yscale="log", ylabel=PANELS[error])
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
     for cost, wrong, entry in points:
-        on = entry["marks"][error] == "front"
+        on, near = (entry["marks"][error] == mark for mark in ("front", "near"))
         ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=FAINT, elinewidth=0.8)
-        ax.plot(cost, wrong, "o", markersize=5, color=ACCENT if on else FAINT, zorder=3)
+        edge, fill = ACCENT if on or near else FAINT, ACCENT if on else "white" if near else FAINT
+        ax.plot(cost, wrong, "o", markersize=5, color=edge, markerfacecolor=fill, zorder=3)
         name = entry["name"].replace("integrator = ", "")
         ax.annotate(
-            name, (cost, wrong), xytext=(6, 3), textcoords="offset points", color=INK if on else FAINT, fontsize=7
+            name,
+            (cost, wrong),
+            xytext=(6, 3),
+            textcoords="offset points",
+            color=INK if on or near else FAINT,
+            fontsize=7,
         )
-    front = sorted((cost, wrong) for cost, wrong, entry in points if entry["marks"][error] == "front")
-    if front:
-        ax.step(*zip(*front, strict=True), where="post", color=ACCENT, linewidth=1.0)
+    cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
+    on, _ = front(cost, wrong, np.zeros_like(cost))  # of the medians: a line through what is certain alone has gaps
+    if on.any():
+        ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=ACCENT, lw=1.0)
     floor = document["reference"]["uncertainty"][error]
     if (
         error not in ("energy", "energy_gain", "overlap")

@@ -1,4 +1,12 @@
-"""Which settings are worth having: those that no other one beats in both cost and error."""
+"""Which settings are worth having: those that no other one beats in both cost and error.
+
+Errors are the same in every run, costs are not: each is known to a part of itself, its noise, and so is an interval. A
+setting is beaten where another one is no worse and its interval lies wholly below; it is on the front where that of
+every other one that is no worse lies wholly above. Between, the noise does not tell. So two measurements whose
+intervals overlap, setting by setting, never contradict each other: none is on the front by the one and beaten by the
+other. The front of the medians alone, as if they were exact, would change with every measurement wherever two settings
+cost the same.
+"""
 
 from __future__ import annotations
 
@@ -9,34 +17,27 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-def front(cost: FloatArray, error: FloatArray) -> BoolArray:
-    """Mark the points that no other one dominates: none is as good in both and better in one.
+def front(cost: FloatArray, error: FloatArray, noise: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Mark the points on the front, and those of which the noise of the costs does not tell.
 
     Parameters
     ----------
     cost, error
-        (m,) each; a point with a NaN in either is never marked and dominates nothing.
+        (m,) each; a point with a NaN in either is never marked and beats nothing.
+    noise
+        (m,) of the cost: it lies between cost / (1 + noise) and cost (1 + noise).
+
+    Returns
+    -------
+    on, near
+        (m,) each; no point is both.
     """
-    marked = np.zeros(len(cost), dtype=bool)
-    known = np.flatnonzero(~(np.isnan(cost) | np.isnan(error)))
-    best = np.inf
-    for k in known[np.lexsort((error[known], cost[known]))]:
-        cheapest = cost[k]
-        if error[k] < best:
-            best, last = error[k], cheapest
-            marked[k] = True
-        elif error[k] == best and cheapest == last:  # one and the same point twice
-            marked[k] = True
-    return marked
-
-
-def near(cost: FloatArray, error: FloatArray, noise: float) -> BoolArray:
-    """Mark the points that are not on the front but would be if they cost less by the noise, a part of the cost."""
-    close = np.zeros(len(cost), dtype=bool)
-    on = front(cost, error)
-    for k in np.flatnonzero(~on):
-        if not np.isnan(cost[k] + error[k]):
-            cheaper = cost.copy()
-            cheaper[k] *= 1.0 - noise
-            close[k] = front(cheaper, error)[k]
-    return close
+    known = ~np.isnan(cost + error)
+    low, high = cost / (1.0 + noise), cost * (1.0 + noise)
+    rivals = known[:, None] & (error[:, None] <= error[None, :])  # [j, k]: j is no worse than k
+    np.fill_diagonal(rivals, False)
+    better = error[:, None] < error[None, :]
+    below = (high[:, None] < low[None, :]) | (better & (high[:, None] <= low[None, :]))
+    beaten = np.any(rivals & below, axis=0)
+    in_doubt = np.any(rivals & (low[:, None] < high[None, :]), axis=0)
+    return known & ~beaten & ~in_doubt, known & ~beaten & in_doubt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 from carom.experiment.reference import refined
@@ -10,10 +11,12 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import require
+from carom.scene.requirements import gravity_method, require
 from carom.scene.schema import Scene
+from carom.scene.variation import split
 
 STEP = "step"  # a key of its own: so many times the step, whatever rule sets it
+THREADS = "threads"  # likewise: for the kernels; they change the cost and no bit
 FEW = 20  # bodies whose gravity no tree would be used for
 
 
@@ -23,6 +26,7 @@ class Setting:
 
     name: str  # for people: "step × 2, integrator = euler"
     overrides: tuple[str, ...]  # as given to ``--set``
+    threads: int | None = None  # in place of the study's
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting.
@@ -54,7 +58,8 @@ def default_settings(scene: Scene) -> list[Setting]:
     if parts.adaptive_step.modelled:
         choices += ["time.velocity_limit=fastest-body"]
     if parts.gravity.modelled and scene.count > FEW:
-        choices += ["gravity.method=tree"]
+        tree = ["gravity.opening_angle=0.3,0.8", "gravity.quadrupoles=false"]
+        choices += tree if gravity_method(scene) == "tree" else ["gravity.method=tree"]
     return [setting for choice in choices for setting in vary(scene, [choice])]
 
 
@@ -65,23 +70,20 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     ----------
     choices
         ``key=a,b,c`` each; every value of one is combined with every value of the others. The key ``step`` multiplies
-        whatever sets the step.
+        whatever sets the step, and ``threads`` is not of the scene: it changes the cost alone.
 
     Raises
     ------
     SceneError
         If a key or a value is wrong.
     """
-    axes = [_axis(scene, choice) for choice in choices]
+    axes = [_axis(choice) for choice in choices]
     settings = []
     for picked in itertools.product(*axes):
-        name = ", ".join(word for word, _ in picked if word) or "as written"
-        setting = Setting(name, tuple(override for _, overrides in picked for override in overrides))
         try:
-            setting.apply(scene)
+            settings.append(_setting(scene, picked))
         except SceneError as error:
             raise SceneError(str(error).replace("--set", "--vary")) from None
-        settings.append(setting)
     return settings
 
 
@@ -94,36 +96,53 @@ def refusal(scene: Scene) -> str:
     return ""
 
 
-def _axis(scene: Scene, choice: str) -> list[tuple[str, list[str]]]:
-    """Return the word for people and the overrides of each value of a choice."""
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """One value of one key."""
+
+    word: str = ""  # for people
+    override: str = ""  # as given to ``--set``
+    step: float = 1.0  # factor on the step
+    threads: int | None = None
+
+
+def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
+    """Put choices together; the step is a multiple of what it is with all the others."""
+    overrides = [choice.override for choice in picked if choice.override]
+    step = math.prod(choice.step for choice in picked)
+    if step != 1.0:
+        overrides += refined(Setting("", tuple(overrides)).apply(scene), 1.0 / step)
+    name = ", ".join(choice.word for choice in picked if choice.word) or "as written"
+    threads = next((choice.threads for choice in picked if choice.threads), None)
+    setting = Setting(name, tuple(overrides), threads)
+    setting.apply(scene)
+    return setting
+
+
+def _axis(choice: str) -> list[_Choice]:
+    """Read the values of a key."""
     key, separator, values = choice.partition("=")
-    key = key.strip()
-    if not separator or not key or not all(value.strip() for value in _values(values)):
+    key, parts = key.strip(), split(values)
+    if not separator or not key or not all(parts):
         raise SceneError(f"--vary {choice}: expected key=a,b,c, such as time.integrator=euler,leapfrog")
-    return [_step(scene, choice, value) if key == STEP else _plain(key, value) for value in _values(values)]
+    if key == STEP:
+        return [_step(choice, value) for value in parts]
+    if key == THREADS:
+        return [_threads(choice, value) for value in parts]
+    return [_Choice(f"{key.rpartition('.')[2]} = {value}", f"{key}={value}") for value in parts]
 
 
-def _plain(key: str, value: str) -> tuple[str, list[str]]:
-    return f"{key.rpartition('.')[2]} = {value}", [f"{key}={value}"]
-
-
-def _step(scene: Scene, choice: str, value: str) -> tuple[str, list[str]]:
+def _step(choice: str, value: str) -> _Choice:
     try:
         times = float(value)
     except ValueError:
         times = 0.0
-    if not 0.0 < times < float("inf"):
+    if not 0.0 < times < math.inf:
         raise SceneError(f"--vary {choice}: {value!r} is no number above 0, by which the step is multiplied")
-    return ("", []) if times == 1.0 else (f"step × {times:g}", refined(scene, 1.0 / times))
+    return _Choice("" if times == 1.0 else f"step × {times:g}", step=times)
 
 
-def _values(text: str) -> list[str]:
-    """Split at the commas that are not in brackets."""
-    values, depth = [""], 0
-    for character in text:
-        depth += (character in "[{") - (character in "]}")
-        if character == "," and depth == 0:
-            values.append("")
-        else:
-            values[-1] += character
-    return [value.strip() for value in values]
+def _threads(choice: str, value: str) -> _Choice:
+    if not value.isdigit() or int(value) < 1:
+        raise SceneError(f"--vary {choice}: {value!r} is no number of threads; expected 1, 2 and so on")
+    return _Choice(f"threads = {value}", threads=int(value))

@@ -22,7 +22,7 @@ import numpy as np
 from carom.experiment.comparison import NAMES, Errors
 from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
-from carom.experiment.front import front, near
+from carom.experiment.front import front
 from carom.experiment.output import output_folder
 from carom.experiment.reference import Reference, fineness, make_reference, scale_of
 from carom.experiment.setting import Setting, refusal
@@ -99,9 +99,13 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The stated noise of the costs: the median of the settings' spreads."""
-        spreads = [result.spread for result in self.results if len(result.costs) > 1]
-        return median(spreads) if spreads else 0.0
+        """The least that each cost is uncertain by, a part of it: the median of the ranges of the settings' costs.
+
+        Half of that is what single runs are off by; but of three runs two may be off by chance, and then the median is.
+        A setting whose costs lie farther apart is as uncertain as they are. 0 where nothing was run twice.
+        """
+        ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
+        return median(ranges) if ranges else 0.0
 
     def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> None:
         """Measure what is not measured yet.
@@ -137,12 +141,12 @@ class Study:
         return float(np.fmax(value, ROUND_OFF))
 
     def marks(self, error: str) -> dict[str, str]:
-        """Return "front", "near" or "" of each setting, by its name, for one kind of error."""
+        """Return "front", "near" (in doubt) or "" (beaten) of each setting, by its name, for one kind of error."""
         done = [result for result in self.results if result.complete]
         cost = np.array([result.cost for result in done])
         wrong = np.array([max(getattr(result.errors, error), self.floor(error)) for result in done])
-        on, close = front(cost, wrong), near(cost, wrong, self.noise)
-        words = ["front" if a else "near" if b else "" for a, b in zip(on, close, strict=True)]
+        on, near = front(cost, wrong, np.array([max(result.spread, self.noise) for result in done]))
+        words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
         return dict(zip((result.setting.name for result in done), words, strict=True))
 
     def trajectory(self, result: Result) -> Trajectory:
@@ -162,6 +166,7 @@ class Study:
                 {
                     "name": result.setting.name,
                     "overrides": list(result.setting.overrides),
+                    "threads": result.setting.threads,
                     "status": result.status,
                     "reason": result.reason,
                     "steps": result.steps,
@@ -178,7 +183,7 @@ class Study:
     def _result(self, setting: Setting) -> Result:
         """Find the result of a setting, or begin it."""
         for result in self.results:
-            if result.setting.overrides == setting.overrides:
+            if (result.setting.overrides, result.setting.threads) == (setting.overrides, setting.threads):
                 return result
         self.results.append(Result(setting))
         return self.results[-1]
@@ -194,7 +199,7 @@ class Study:
         return None if reason else scene
 
     def _space(self, result: Result) -> Space:
-        return Space(result.setting.apply(self.scene), self.threads)
+        return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
 
     def _follow(self, result: Result) -> None:
         assert self.reference is not None, "the reference comes first"
@@ -215,7 +220,8 @@ class Study:
         return time.perf_counter() - began
 
     def _path(self, result: Result) -> Path:
-        name = hashlib.sha256("\n".join(result.setting.overrides).encode()).hexdigest()[:12]
+        threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
+        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads]).encode()).hexdigest()[:12]
         return self.folder / f"{name}.npz"
 
     def _save(self) -> None:
@@ -253,7 +259,7 @@ class Study:
                 known["text"],
             )
         for entry in settings:
-            setting = Setting(entry["name"], tuple(entry["overrides"]))
+            setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"))
             result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"])
             if result.status == "measured" and self.reference is not None:
                 result.errors = self.reference.errors(self.trajectory(result))

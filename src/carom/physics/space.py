@@ -32,7 +32,7 @@ from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import frame_interval, require, target_dx
+from carom.scene.requirements import frame_interval, integrator, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -81,7 +81,7 @@ class Space:
         self._fixed = np.flatnonzero(start.fixed)
         # where something stands still, speeds count from it, and the field does not pull all alike
         self._falling = np.zeros(3) if scene.anchored else self._field
-        self._substeps = SUBSTEPS[scene.time.integrator]
+        self._substeps = SUBSTEPS[integrator(scene)]
         self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self.threads)
         self._contact = self._make_contact()

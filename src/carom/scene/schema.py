@@ -46,10 +46,11 @@ class Time(Section):
         "every-body", description="whose radius and speed limit the step; fastest-body is the seed's rule"
     )
     fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
-    integrator: Literal["euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
-        "leapfrog",
+    integrator: Literal["auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
+        "auto",
         description="semi-implicit Euler, leapfrog (order 2), leapfrog as drift-kick-drift (not where contacts may "
-        "press) or Yoshida's (order 4)",
+        "press) or Yoshida's (order 4); auto is Yoshida's where a few bodies pull each other and cannot touch, else "
+        "leapfrog",
     )
 
 
@@ -62,6 +63,9 @@ class Gravity(Section):
     )
     opening_angle: Positive = Field(
         0.5, le=1, description="rad, tree only: what looks smaller pulls as a whole; more than 0, at most 1"
+    )
+    quadrupoles: Annotated[bool, Field(strict=True)] = Field(
+        True, description="tree only: false takes what is far for a point, cheaper and less accurate"
     )
     softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
     uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")

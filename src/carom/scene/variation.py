@@ -35,7 +35,7 @@ def values_of(text: str) -> Values:
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
-    parts = _split(text)
+    parts = split(text)
     if not all(parts):
         raise ValueError(f'"{text}": expected {_EXAMPLES}')
     return alike(_value(part) for part in parts)
@@ -97,6 +97,22 @@ def override(key: str, value: Any) -> str:
     return f"{key}={tomlkit.item(value).as_string()}"
 
 
+def split(text: str) -> Sequence[str]:
+    """Split at the commas that are not inside brackets, braces or quotes."""
+    parts, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        depth += (not quote) * ((character in "[{") - (character in "]}"))
+        if character == "," and not quote and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
+
+
 def _range(text: str, first: str, last: str, count: str, log: str | None) -> Values:
     low, high, steps = float(first), float(last), int(count) - 1
     if steps < 1:
@@ -125,22 +141,6 @@ def _value(text: str) -> Any:
         return tomlkit.value(text).unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError):
         return text
-
-
-def _split(text: str) -> Sequence[str]:
-    """Split at the commas that are not inside brackets, braces or quotes."""
-    parts, depth, quote = [""], 0, ""
-    for character in text:
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "\"'":
-            quote = character
-        depth += (not quote) * ((character in "[{") - (character in "]}"))
-        if character == "," and not quote and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return [part.strip() for part in parts]
 
 
 def _is_number(value: Any) -> bool:

@@ -21,4 +21,5 @@ def gravity_of(scene: Scene, mass: NDArray[np.float64], threads: int) -> DirectG
     executor: Executor | None = ThreadPoolExecutor(threads, "gravity") if threads > 1 else None
     if method == "direct":
         return DirectGravity(mass, gravity.constant, gravity.softening, executor, threads)
-    return TreeGravity(mass, gravity.constant, gravity.softening, gravity.opening_angle, executor, threads)
+    accuracy = gravity.opening_angle, gravity.quadrupoles
+    return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, executor, threads)

@@ -33,6 +33,7 @@ class TreeGravity:
         constant: float,
         softening: float,
         opening_angle: float,
+        quadrupoles: bool,
         executor: Executor | None,
         threads: int,
     ):
@@ -41,6 +42,7 @@ class TreeGravity:
         self._constant = constant
         self._softening_squared = softening * softening
         self._opening_angle = opening_angle
+        self._quadrupoles = quadrupoles
         self._boxes = Boxes(n)
         self._sorted_mass = np.empty(n)
         self._centre = np.empty((self._boxes.most, 4))
@@ -119,6 +121,7 @@ class TreeGravity:
             boxes.body,
             self._constant,
             self._softening_squared,
+            self._quadrupoles,
             worker.lanes,
             worker.far,
             worker.near,

@@ -6,8 +6,8 @@ an angle b/d < θ; else the walk looks into it, and at a leaf takes the bodies o
     a = G [ (M/R³ + (5/2 dᵀQd/R² - tr Q/2)/R⁵) d - Q d/R⁵ ]
     φ = -G [ M/R + (1/2 dᵀQd/R² - tr Q/6)/R³ ]
 
-a is -∇φ, and both hold for any softening ε. The group's bodies lie in the SIMD lanes and every box and body is taken in
-turn, so that the bits depend neither on the SIMD width nor on the threads.
+a is -∇φ, and both hold for any softening ε. Without quadrupoles, Q = 0. The group's bodies lie in the SIMD lanes and
+every box and body is taken in turn, so that the bits depend neither on the SIMD width nor on the threads.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ def pull(
     body: IntArray,
     G: float,
     eps2: float,
+    quadrupoles: bool,
     T: FloatArray,
     far: IntArray,
     near: IntArray,
@@ -81,6 +82,17 @@ def pull(
         for c in range(fars):
             box = far[c]
             X, Y, Z, M = centre[box, 0], centre[box, 1], centre[box, 2], moment[box, 0]
+            if not quadrupoles:
+                for k in range(np.uint64(width)):
+                    dx, dy, dz = X - T[0, k], Y - T[1, k], Z - T[2, k]
+                    r2 = dx * dx + dy * dy + dz * dz + eps2
+                    s = M / (r2 * np.sqrt(r2))
+                    T[3, k] += s * dx
+                    T[4, k] += s * dy
+                    T[5, k] += s * dz
+                    if potential is not None:
+                        T[6, k] += s * r2
+                continue
             xx, xy, xz = moment[box, 1], moment[box, 2], moment[box, 3]
             yy, yz, zz, t = moment[box, 4], moment[box, 5], moment[box, 6], moment[box, 7]
             for k in range(np.uint64(width)):
