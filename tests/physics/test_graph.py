@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -120,7 +121,21 @@ def test_grids_find_what_trees_find(seed: int, count: int, decades: float, far: 
         grid, trees = Grid(radius, box), KdTree(radius, box)
         assert np.array_equal(grid.pairs(position, stretch), trees.pairs(position, stretch))
         moved = position + rng.normal(0.0, 0.1, position.shape)
-        assert np.array_equal(grid.pairs(moved, stretch), trees.pairs(moved, stretch)), "the tables are used again"
+        for again in (moved, 5.0 * moved, moved):  # farther apart, octaves share grids
+            assert np.array_equal(grid.pairs(again, stretch), trees.pairs(again, stretch)), "the tables are used again"
+
+
+@pytest.mark.parametrize("box", [0.0, 60.0])
+def test_grids_find_what_trees_find_in_clusters_of_a_wide_space(box: float) -> None:
+    # Wide cells that are crowded, hashed ones, and planets that look into the grids of their pebbles.
+    rng = np.random.default_rng(11)
+    radius = np.concatenate((np.full(2, 5.0), rng.uniform(0.05, 0.4, 1500)))
+    grid, trees = Grid(radius, np.full(3, box)), KdTree(radius, np.full(3, box))
+    centres = rng.uniform(-28.0, 28.0, (len(radius), 3))
+    for spread in (1.0, 0.3, 0.05, 1.0):
+        position = np.where(np.arange(len(radius))[:, None] % 10 == 0, centres, spread * centres)
+        for slack in (0.0, 0.01):
+            assert np.array_equal(grid.pairs(position, slack=slack), trees.pairs(position, slack=slack))
 
 
 def test_a_search_with_slack_finds_what_nearly_touches() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.grid import Grid
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.workbench import SHARED_FROM
-from carom.physics.team import DIVIDED_FROM, Team
+from carom.physics.team import Team
 from examples import bench_of, random_bodies
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +49,7 @@ def test_any_number_of_threads_resolves_a_crowd_to_the_same_bits(hub: bool) -> N
 def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
     # More contacts than there is room for at first, and radii over a decade.
     rng = np.random.default_rng(5)
-    n = DIVIDED_FROM + 1
+    n = 20_000
     position, radius = rng.uniform(-28.0, 28.0, (n, 3)), 10.0 ** rng.uniform(-1.0, 0.5, n)
     alone = Grid(radius, np.full(3, box)).pairs(position)
     assert len(alone) > 3 * n
@@ -55,12 +57,31 @@ def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
         assert np.array_equal(Grid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
 
 
-@pytest.mark.parametrize("count", [0, 1, DIVIDED_FROM, DIVIDED_FROM + 1])
+@pytest.mark.parametrize("count", [0, 1, 19, 20, 1003])
 def test_what_is_divided_is_done_once(count: int) -> None:
     def visit(lo: int, hi: int, visits: NDArray[np.int64]) -> None:
         visits[lo:hi] += 1
 
     for threads in (1, 2, 3):
-        visits = np.zeros(count, dtype=np.int64)
-        Team(threads).divide(count, visit, visits)
-        assert np.all(visits == 1)
+        team = Team(threads)
+        for _ in range(50):
+            visits = np.zeros(count, dtype=np.int64)
+            team.divide(count, 10, visit, visits)
+            assert np.all(visits == 1)
+
+
+def test_what_fails_in_a_helper_is_raised_by_the_leader() -> None:
+    team = Team(2)
+
+    def fail(who: int, piece: int) -> None:
+        while who == 0 and not failed:
+            time.sleep(1e-4)  # leaves a piece to the helper
+        if who == 1:
+            failed.append(piece)
+            raise ValueError("no")
+
+    for _ in range(3):
+        failed: list[int] = []
+        with pytest.raises(ValueError, match="no"):
+            team.share(2, fail)
+    team.share(2, lambda who, piece: None)

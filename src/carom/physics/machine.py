@@ -46,13 +46,13 @@ def atomic_store(typing: Any, words: Any, word: Any, value: Any) -> Any:
 
 @instruction
 def atomic_add(typing: Any, words: Any, word: Any, value: Any) -> Any:
-    """Add to a word of an (n,) int64 array and return what it was before."""
+    """Add to a word of an (n,) array of integers and return what it was before."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         address = _address(context, builder, signature, args[0], args[1:2])
         return builder.atomic_rmw("add", address, args[2], "seq_cst")
 
-    return types.int64(words, types.intp, types.int64), generate
+    return words.dtype(words, types.intp, words.dtype), generate
 
 
 @instruction

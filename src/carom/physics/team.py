@@ -8,32 +8,35 @@ The leader waits for pieces that were taken, never for helpers: with a helper th
 it does the work alone. A helper offers its core to other processes between two pieces, so that it is seldom stopped in
 the middle of one. That is what threads that meet at a barrier cannot do. Rejected: `prange`, whose threads meet
 after each of hundreds of colours (2 µs in quiet, 7.8 ms beside two busy processes with libgomp as it comes, and a layer
-of threads that differs from machine to machine); a task of a thread pool for each colour (50 µs).
+of threads that differs from machine to machine); a task of a thread pool for each phase (20 µs, and 60 to 80 µs where
+the thread has been asleep for a millisecond; a helper that still looks out for work begins in 5).
 """
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import atomic_add, atomic_load, atomic_store
 
 IntArray = NDArray[np.int64]
+Job = Callable[[int, int], None]  # called with who does it, 0 being the leader, and with the number of a piece
 
-LEFT, BACK, DONE, OVER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
-WORDS = 32
+LEFT, BACK, DONE, OVER, CALLS = 0, 8, 16, 24, 32  # words of the board, each in a cache line of its own
+WORDS = 40
 PATIENCE = 5000  # looks at the board, some 20 µs, before a helper without work gives its core away
+LOOKOUT = 10 * PATIENCE  # looks between two jobs, before it goes to sleep
 SHIFT = 32  # pieces, half a millisecond, after which it offers it to others
 END, YIELD, REST = range(3)  # what a helper does next
-DIVIDED_FROM = 20_000  # rows; below, a task costs what it saves
+CALLED, GONE = -1, -2  # what a lookout ends with, unless it is a piece
+PIECES = 4  # for each thread, at most: the last ones end at about the same time
 NAP = 50e-6  # s, for how long
 
 
@@ -47,11 +50,16 @@ class Team:
     """
 
     def __init__(self, threads: int) -> None:
-        self.helpers = threads - 1
-        self._pool = ThreadPoolExecutor(self.helpers, "team") if self.helpers else None
+        self.size = threads
+        self._pool = ThreadPoolExecutor(threads - 1, "team") if threads > 1 else None
+        self._board = np.zeros(WORDS, dtype=np.int64)
+        self._watches: list[Future[None]] = []  # of the helpers: who has ended his is asleep
+        self._job: Job = _nothing
+        self._call: Callable[[], None] | None = None
+        self._failure: BaseException | None = None
 
     def gather(self, help_out: Callable[..., int], *work: Any) -> IntArray:
-        """Let helpers begin on a board, and return it; it is empty if there are none.
+        """Let helpers begin on a board of their own, and return it; it is empty if there are none.
 
         Parameters
         ----------
@@ -61,31 +69,89 @@ class Team:
         if self._pool is None:
             return ALONE
         board = np.zeros(WORDS, dtype=np.int64)
-        for _ in range(self.helpers):
-            self._pool.submit(_help, help_out, board, *work)
+        self._call = lambda: _help(help_out, board, *work)
+        self._board[CALLS] += 1
+        self._rouse()
         return board
 
-    def divide(self, count: int, work: Callable[..., None], *arguments: Any) -> None:
-        """Call a kernel, whose first arguments are lo and hi, over all of [0, count), a part for each thread."""
-        if self._pool is None or count < DIVIDED_FROM:
+    def divide(self, count: int, grain: int, work: Callable[..., None], *arguments: Any) -> None:
+        """Call a kernel, whose first arguments are lo and hi, on parts that make up [0, count).
+
+        Parameters
+        ----------
+        grain
+            So many take some 50 µs: fewer are not worth a part of their own.
+        """
+        pieces = min(count // grain, PIECES * self.size)
+        if self._pool is None or pieces < 2:
             work(0, count, *arguments)
+        else:
+            self.share(pieces, lambda _, k: work(count * k // pieces, count * (k + 1) // pieces, *arguments))
+
+    def share(self, pieces: int, job: Job) -> None:
+        """Do each piece of a job once; what it calls has to let other threads run."""
+        board = self._board
+        if self._pool is None:
+            for k in range(pieces):
+                job(0, k)
             return
-        edges = [count * k // (self.helpers + 1) for k in range(self.helpers + 2)]
-        tasks = [self._pool.submit(work, lo, hi, *arguments) for lo, hi in itertools.pairwise(edges[1:])]
-        work(0, edges[1], *arguments)
-        for task in tasks:
-            task.result()
+        self._job = job
+        post(board, pieces)
+        self._rouse()
+        k = 0
+        while claim(board):
+            job(0, k)
+            finish(board)
+            k += 1
+        _wait(board, pieces)
+        self._job = _nothing  # holds on to nothing
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure
+
+    def _rouse(self) -> None:
+        """Wake the helpers that are asleep."""
+        assert self._pool is not None
+        for who in range(1, self.size):
+            if who > len(self._watches):
+                self._watches.append(self._pool.submit(self._look_out, who, self._board[CALLS] - 1))
+            elif self._watches[who - 1].done():
+                self._watches[who - 1] = self._pool.submit(self._look_out, who, self._board[CALLS] - 1)
+
+    def _look_out(self, who: int, calls: int) -> None:
+        """Help with whatever comes, until nothing has come for a while."""
+        while (piece := _look(self._board, calls)) != GONE:
+            if piece == CALLED:
+                calls = self._board[CALLS]
+                if self._call:
+                    self._call()
+            else:
+                try:
+                    self._job(who, piece)
+                except BaseException as failure:  # the leader raises it
+                    self._failure = failure
+                finish(self._board)
+                _offer_core()
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers
+
+
+def _nothing(who: int, piece: int) -> None:
+    """Do nothing."""
 
 
 def _help(help_out: Callable[..., int], *work: Any) -> None:
     while (then := help_out(*work)) != END:
         if then == REST:
             time.sleep(NAP)
-        elif hasattr(os, "sched_yield"):
-            os.sched_yield()
+        else:
+            _offer_core()
+
+
+def _offer_core() -> None:
+    if hasattr(os, "sched_yield"):
+        os.sched_yield()
 
 
 def cores() -> int:
@@ -129,6 +195,22 @@ def wait(board: IntArray, pieces: int) -> None:
     """Wait until all pieces of the phase are done."""
     while atomic_load(board, DONE) < pieces:
         pass
+
+
+@long_kernel
+def _wait(board: IntArray, pieces: int) -> None:
+    wait(board, pieces)
+
+
+@long_kernel
+def _look(board: IntArray, calls: int) -> int:
+    """Look out for work: return the piece that is a helper's next, `CALLED` or, if nothing comes, `GONE`."""
+    for _ in range(LOOKOUT):
+        if claim(board):
+            return last_piece(board)
+        if atomic_load(board, CALLS) != calls:
+            return CALLED
+    return GONE
 
 
 @kernel

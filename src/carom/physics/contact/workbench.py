@@ -39,6 +39,7 @@ from carom.scene.halfspace import HalfSpaces
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SOME = 3000  # contacts or bodies that are worth a part of their own
 SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
 
 
@@ -145,6 +146,7 @@ class Workbench:
         bodies, planes, load = self._bodies, self._planes, self._load
         self._team.divide(
             len(load.pairs),
+            SOME,
             meet,
             load.pairs,
             bodies.position,
@@ -220,9 +222,10 @@ class Workbench:
         """Do a job and return the number of sweeps, with the team if it is worth it."""
         edges, independent, load, ends = self.stages.edges, self.stages.independent, self._load, self._bodies.ends
         team, b = self._team, len(load.who)
-        team.divide(b, pack, load.who, ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.motion)
+        packed = (load.who, ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.motion)
+        team.divide(b, SOME, pack, *packed)
         shared = len(load.pairs) >= SHARED_FROM
         board = team.gather(work, HELP, edges, independent, load, 0) if shared else ALONE
         sweeps = work(board, job, edges, independent, load, most_sweeps)
-        team.divide(b, unpack, load.who, load.motion, ends.velocity, self._spin)
+        team.divide(b, SOME, unpack, load.who, load.motion, ends.velocity, self._spin)
         return sweeps
