@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from carom.experiment.reference import fineness, make_reference, refined
@@ -41,3 +42,14 @@ def test_a_refined_scene_has_smaller_steps_whatever_sets_them(rule: dict[str, fl
     scene = pair(gravity={"constant": 1.0}, time=rule)
     half = scene_from_text(scene.toml, "half", refined(scene, 2.0))
     assert fineness(scene, half) == pytest.approx(2.0)
+
+
+def test_the_reference_of_a_tree_sums_directly() -> None:
+    # steps alone would leave the error of the opening angle in both, and nothing would show it
+    direct, tree = (
+        cloud(30, time={"duration": 0.2}, contact={"enabled": False}, gravity={"method": method})
+        for method in ("direct", "tree")
+    )
+    held, other = make_reference(tree), make_reference(direct)
+    assert np.array_equal(held.trajectory.position, other.trajectory.position)
+    assert "times smaller, and a direct sum (" in held.text and "direct" not in other.text

@@ -56,7 +56,7 @@ def default_settings(scene: Scene) -> list[Setting]:
     choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
     choices += ["contact.timing=time-of-impact"]
     if parts.adaptive_step.modelled:
-        choices += ["time.velocity_limit=fastest-body"]
+        choices += ["time.velocity_limit=fastest-body", "time.smoothing=1"]
     if parts.gravity.modelled and scene.count > FEW:
         tree = ["gravity.opening_angle=0.3,0.8", "gravity.quadrupoles=false"]
         choices += tree if gravity_method(scene) == "tree" else ["gravity.method=tree"]

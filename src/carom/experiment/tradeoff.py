@@ -115,7 +115,7 @@ class Study:
         so for all of them.
         """
         results = [self._result(setting) for setting in settings]
-        finest = max((fineness(self.scene, s) for s in map(self._applied, results) if s is not None), default=1.0)
+        finest = max([1.0, *(fineness(self.scene, s) for s in map(self._applied, results) if s is not None)])
         if self.reference is None or self.reference.fineness < MARGIN * finest:
             self.reference = make_reference(self.scene, finest, threads=self.threads, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
@@ -131,7 +131,8 @@ class Study:
         for turn in range(repeats):
             for number, result in enumerate(results, start=1):
                 if result.status == "measured" and len(result.costs) <= turn:
-                    tell(f"{number}/{len(results)}  {result.setting.name}: cost, {turn + 1} of {repeats}")
+                    left = _left(results, repeats)
+                    tell(f"{number}/{len(results)}  {result.setting.name}: cost, {turn + 1} of {repeats}{left}")
                     result.costs.append(self._cost(result))
                     self._save()
 
@@ -266,6 +267,17 @@ class Study:
             elif result.status in ("refused", "measured"):  # another version may run it
                 result.status = "pending"
             self.results.append(result)
+
+
+def _left(results: list[Result], repeats: int) -> str:
+    """Say how long what is left will take, from what has been timed; nothing before anything has."""
+    known = [result.cost for result in results if result.costs]
+    if not known:
+        return ""
+    typical = median(known)
+    runs = [result for result in results if result.status == "measured"]
+    seconds = sum((repeats - len(r.costs)) * (r.cost if r.costs else typical) for r in runs if len(r.costs) < repeats)
+    return f"; about {seconds:.2g} s left"
 
 
 def _reference_entry(reference: Reference) -> dict[str, Any]:

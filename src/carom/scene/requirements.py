@@ -20,8 +20,8 @@ MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from r
 STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
 
 SMOOTH_UP_TO = 8  # bodies without contacts: of more, encounters decide, and there order four gains less than it costs
-SMOOTH_STEP = 2.0  # times the step that leapfrog gets: with it Yoshida's method costs a quarter more, and errs by
-# 0.0007 (3 bodies) to 0.25 (8) of what leapfrog does: medians over 8 clusters; leapfrog for that price, by 0.64
+SMOOTH_STEP = 2.0  # times the step that leapfrog gets: with it Yoshida's method takes 1.5 times the force sums and errs
+# by 0.0007 (3 bodies) to 0.42 (8) of what leapfrog does; leapfrog for that price, by 0.44 (benchmarks/integrators.py)
 
 TREE_FROM = 5000  # bodies, for "auto": here a tree takes a half to a third of the time of a direct sum
 

@@ -1,0 +1,78 @@
+"""Where a fourth-order integrator is worth its three forces a step: clusters of few bodies that cannot touch.
+
+python benchmarks/integrators.py                        prints the table of docs/trade.md
+
+Yoshida's method with some multiples of the automatic step is held against leapfrog with that step itself: errors of the
+positions against the exact course, force sums as the cost, both as the median of the ratios over clusters. Nothing is
+timed, so that the table is the same on any machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.exact import solve
+from carom.experiment.reference import scale_of
+from carom.experiment.trajectory import Trajectory, follow, sample_times
+from carom.physics.space import Space
+from carom.scene.requirements import target_dx
+from carom.scene.schema import Scene
+
+SEEDS = range(1, 9)
+COUNTS = (2, 3, 5, 8, 10, 14, 20)
+STEPS = (2.0, 4.0)
+SUMS = {"leapfrog": 1, "yoshida4": 3}  # of forces, a step
+
+
+def cluster(count: int, seed: int) -> Scene:
+    """Scatter bodies of a total mass of 1 in a ball of radius 1, G = 1, nearly in virial equilibrium, for 2 s."""
+    group = {"count": count, "mass": 1.0 / count, "radius": 0.02, "region": {"radius": 1.0}}
+    return Scene.from_dict(
+        {
+            "seed": seed,
+            "time": {"duration": 2.0, "integrator": "leapfrog"},
+            "gravity": {"constant": 1.0},
+            "contact": {"enabled": False},
+            "group": [{**group, "velocity": {"dispersion": 0.4}}],
+        }
+    )
+
+
+def with_step(scene: Scene, integrator: str, factor: float) -> Scene:
+    """Return the scene with an integrator, and a multiple of leapfrog's automatic step."""
+    keys = {"integrator": integrator, "target_dx": factor**2 * target_dx(scene)}
+    return scene.model_copy(update={"time": scene.time.model_copy(update=keys)})
+
+
+def measure(scene: Scene, exact: Trajectory, integrator: str, factor: float) -> tuple[float, float, float]:
+    """Return rms error of the positions over the size, largest of the energy, and force sums."""
+    run = follow(Space(with_step(scene, integrator, factor), 1), sample_times(scene))
+    apart, _ = scale_of(scene, exact).apart(run, exact)
+    return float(np.sqrt(np.mean(apart**2))), run.energy_error, float(run.steps * SUMS[integrator])
+
+
+def ratios(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return leapfrog's errors and sums, (3,), and Yoshida's over them, (steps, 3): medians over the clusters."""
+    own, fourth = [], []
+    for seed in SEEDS:
+        scene = cluster(count, seed)
+        exact = solve(Space(scene, 1), sample_times(scene)).trajectory
+        own.append(measure(scene, exact, "leapfrog", 1.0))
+        fourth.append([measure(scene, exact, "yoshida4", step) for step in STEPS])
+    first, others = np.array(own), np.array(fourth)
+    return np.median(first, axis=0), np.median(others / first[:, None, :], axis=0)
+
+
+def main() -> None:
+    heads = [f"{step:g} × the step: position | energy | force sums" for step in STEPS]
+    print("| bodies | leapfrog: position | energy |", *(f"{head} |" for head in heads))
+    print("|---" * (3 + 3 * len(STEPS)) + "|")
+    for count in COUNTS:
+        own, fourth = ratios(count)
+        cells = [f"{row[0]:.2g} | {row[1]:.2g} | {row[2]:.2f}" for row in fourth]
+        print(f"| {count} | {own[0]:.1e} | {own[1]:.1e} |", *(f"{cell} |" for cell in cells), flush=True)
+
+
+if __name__ == "__main__":
+    main()
