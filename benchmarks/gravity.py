@@ -17,7 +17,6 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from carom.experiment.environment import versions
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
 from carom.physics.kernel import long_kernel
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 Force = Callable[[], FloatArray]  # computes the accelerations, (n, 3)
@@ -40,7 +40,6 @@ TREE_BODIES = [100_000]
 SAMPLE = 1000  # bodies whose error is measured
 ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
 TINY = 1e-12  # s: REBOUND's step is one evaluation of the forces, and drifts that cost n
-POOL = ThreadPoolExecutor(2)
 
 
 def plummer(n: int) -> FloatArray:
@@ -63,12 +62,12 @@ SHAPES = {"plummer": plummer, "ball": ball}
 
 
 def carom_direct(position: FloatArray, mass: FloatArray, threads: int, potential: bool) -> Force:
-    gravity = DirectGravity(mass, 1.0, 0.0, POOL if threads > 1 else None, threads)
+    gravity = DirectGravity(mass, 1.0, 0.0, Team(threads))
     return _carom(gravity, position, potential)
 
 
 def carom_tree(position: FloatArray, mass: FloatArray, theta: float, threads: int) -> Force:
-    gravity = TreeGravity(mass, 1.0, 0.0, theta, True, POOL if threads > 1 else None, threads)
+    gravity = TreeGravity(mass, 1.0, 0.0, theta, True, Team(threads))
     return _carom(gravity, position, potential=False)
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from carom.physics.gravity.direct import DirectGravity
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 
@@ -32,7 +31,7 @@ def random_cluster(n: int, seed: int = 0) -> tuple[FloatArray, FloatArray]:
 def test_the_kernel_equals_the_sum_written_in_numpy(n: int, softening: float) -> None:
     position, mass = random_cluster(n)
     acceleration = np.empty((n, 3))
-    energy = DirectGravity(mass, 2.5, softening, None, 1).accelerate(position, acceleration, potential=True)
+    energy = DirectGravity(mass, 2.5, softening).accelerate(position, acceleration, potential=True)
     expected, expected_energy = oracle(position, mass, 2.5, softening)
     # n terms of relative rounding 2⁻⁵³ each; their sum may cancel, so the bound is relative to the largest.
     assert np.abs(acceleration - expected).max() <= n * 4e-16 * np.abs(expected).max()
@@ -41,7 +40,7 @@ def test_the_kernel_equals_the_sum_written_in_numpy(n: int, softening: float) ->
 
 def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
     position, mass = random_cluster(200)
-    gravity = DirectGravity(mass, 1.0, 0.0, None, 1)
+    gravity = DirectGravity(mass, 1.0, 0.0)
     with_potential, without = np.empty((200, 3)), np.empty((200, 3))
     gravity.accelerate(position, with_potential, potential=True)
     gravity.accelerate(position, without, potential=False)
@@ -52,9 +51,8 @@ def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
 def test_threads_change_no_bit(threads: int) -> None:
     position, mass = random_cluster(2500)
     serial, parallel = np.empty((2500, 3)), np.empty((2500, 3))
-    DirectGravity(mass, 1.0, 0.0, None, 1).accelerate(position, serial, potential=False)
-    with ThreadPoolExecutor(threads) as executor:
-        DirectGravity(mass, 1.0, 0.0, executor, threads).accelerate(position, parallel, potential=False)
+    DirectGravity(mass, 1.0, 0.0).accelerate(position, serial, potential=False)
+    DirectGravity(mass, 1.0, 0.0, Team(threads)).accelerate(position, parallel, potential=False)
     assert np.array_equal(serial, parallel)
 
 
@@ -62,14 +60,14 @@ def test_coincident_bodies_do_not_pull_each_other() -> None:
     position = np.zeros((3, 3))
     position[2, 0] = 2.0
     acceleration = np.empty((3, 3))
-    energy = DirectGravity(np.ones(3), 1.0, 0.0, None, 1).accelerate(position, acceleration, potential=True)
+    energy = DirectGravity(np.ones(3), 1.0, 0.0).accelerate(position, acceleration, potential=True)
     assert np.array_equal(acceleration[:, 0], [0.25, 0.25, -0.5])
     assert energy == -1.0
 
 
 def test_softened_coincident_bodies_have_a_potential_and_no_pull() -> None:
     acceleration = np.empty((2, 3))
-    energy = DirectGravity(np.array([1.0, 3.0]), 2.0, 0.5, None, 1).accelerate(np.zeros((2, 3)), acceleration, True)
+    energy = DirectGravity(np.array([1.0, 3.0]), 2.0, 0.5).accelerate(np.zeros((2, 3)), acceleration, True)
     assert energy == pytest.approx(-2.0 * 3.0 / 0.5, rel=1e-15)
     assert np.array_equal(acceleration, np.zeros((2, 3)))
 
@@ -77,7 +75,7 @@ def test_softened_coincident_bodies_have_a_potential_and_no_pull() -> None:
 def test_forces_of_a_cluster_add_up_to_nothing() -> None:
     position, mass = random_cluster(500)
     acceleration = np.empty((500, 3))
-    DirectGravity(mass, 1.0, 0.0, None, 1).accelerate(position, acceleration, potential=False)
+    DirectGravity(mass, 1.0, 0.0).accelerate(position, acceleration, potential=False)
     force = mass[:, None] * acceleration
     # Each of 500 forces is a sum of 500 terms: round-off of a sum of as many, relative to the sum of magnitudes.
     assert np.abs(force.sum(axis=0)).max() <= 500 * 2.3e-16 * np.abs(force).sum()
@@ -91,6 +89,6 @@ def test_a_sphere_of_points_pulls_like_its_mass_at_the_centre() -> None:
     position = np.concatenate((shell, [[3.0, 0.0, 0.0], [0.2, 0.1, 0.0]]))
     mass = np.concatenate((np.full(4000, 1 / 4000), [1e-12, 1e-12]))
     acceleration = np.empty((4002, 3))
-    DirectGravity(mass, 1.0, 0.0, None, 1).accelerate(position, acceleration, potential=False)
+    DirectGravity(mass, 1.0, 0.0).accelerate(position, acceleration, potential=False)
     assert acceleration[4000] == pytest.approx([-1 / 9, 0, 0], abs=1e-3)
     assert acceleration[4001] == pytest.approx([0, 0, 0], abs=1e-3)

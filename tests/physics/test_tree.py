@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from carom.physics.gravity.boxes import GROUP, LEAF, Boxes
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
 from carom.physics.space import Space
+from carom.physics.team import Team
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -83,14 +83,14 @@ def pulled(
     position: FloatArray, mass: FloatArray, theta: float, softening: float = 0.0, quadrupoles: bool = True
 ) -> tuple[FloatArray, float | None]:
     acceleration = np.empty_like(position)
-    gravity = TreeGravity(mass, 1.0, softening, theta, quadrupoles, None, 1)
+    gravity = TreeGravity(mass, 1.0, softening, theta, quadrupoles)
     energy = gravity.accelerate(position, acceleration, potential=True)
     return acceleration, energy
 
 
 def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tuple[FloatArray, float | None]:
     acceleration = np.empty_like(position)
-    energy = DirectGravity(mass, 1.0, softening, None, 1).accelerate(position, acceleration, potential=True)
+    energy = DirectGravity(mass, 1.0, softening).accelerate(position, acceleration, potential=True)
     return acceleration, energy
 
 
@@ -219,7 +219,7 @@ def test_the_potential_is_that_of_the_force() -> None:
 
 def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
     position, mass = plummer(1000), masses(1000)
-    gravity = TreeGravity(mass, 1.0, 0.0, 0.5, True, None, 1)
+    gravity = TreeGravity(mass, 1.0, 0.0, 0.5)
     with_potential, without = np.empty((1000, 3)), np.empty((1000, 3))
     gravity.accelerate(position, with_potential, potential=True)
     gravity.accelerate(position, without, potential=False)
@@ -228,7 +228,7 @@ def test_leaving_out_the_potential_changes_no_bit_of_the_acceleration() -> None:
 
 def test_what_was_summed_before_changes_no_bit() -> None:
     position, mass = plummer(1000), masses(1000)
-    gravity = TreeGravity(mass, 1.0, 0.0, 0.5, True, None, 1)
+    gravity = TreeGravity(mass, 1.0, 0.0, 0.5)
     fresh, used = np.empty((1000, 3)), np.empty((1000, 3))
     gravity.accelerate(position, fresh, potential=True)
     gravity.accelerate(ball(1000), used, potential=True)
@@ -240,11 +240,8 @@ def test_what_was_summed_before_changes_no_bit() -> None:
 def test_threads_change_no_bit(threads: int) -> None:
     position, mass = plummer(6000), masses(6000)
     serial, parallel = np.empty((6000, 3)), np.empty((6000, 3))
-    energy = TreeGravity(mass, 1.0, 0.0, 0.5, True, None, 1).accelerate(position, serial, potential=True)
-    with ThreadPoolExecutor(threads) as executor:
-        shared = TreeGravity(mass, 1.0, 0.0, 0.5, True, executor, threads).accelerate(
-            position, parallel, potential=True
-        )
+    energy = TreeGravity(mass, 1.0, 0.0, 0.5).accelerate(position, serial, potential=True)
+    shared = TreeGravity(mass, 1.0, 0.0, 0.5, True, Team(threads)).accelerate(position, parallel, potential=True)
     assert np.array_equal(serial, parallel) and energy == shared
 
 

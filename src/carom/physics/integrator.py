@@ -18,9 +18,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.kernel import long_kernel
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
+
+SOME = 20_000  # bodies that are worth a part of their own
 
 
 class Substep(NamedTuple):
@@ -47,35 +50,43 @@ def uses_forces_at_end(substeps: tuple[Substep, ...]) -> bool:
     return substeps[-1].after != 0.0 or substeps[0].before != 0.0
 
 
-@kernel
-def kick(velocity: FloatArray, acceleration: FloatArray, dt: float) -> None:
+def kick(velocity: FloatArray, acceleration: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Kick: v += a dt, both (n, 3)."""
-    for i in range(len(velocity)):
-        velocity[i, 0] += acceleration[i, 0] * dt
-        velocity[i, 1] += acceleration[i, 1] * dt
-        velocity[i, 2] += acceleration[i, 2] * dt
+    team.divide(len(velocity), SOME, _advance, velocity, acceleration, dt)
 
 
-@kernel
-def drift(position: FloatArray, velocity: FloatArray, dt: float) -> None:
+def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Drift: x += v dt, both (n, 3)."""
-    for i in range(len(position)):
-        position[i, 0] += velocity[i, 0] * dt
-        position[i, 1] += velocity[i, 1] * dt
-        position[i, 2] += velocity[i, 2] * dt
+    team.divide(len(position), SOME, _advance, position, velocity, dt)
 
 
-@kernel
-def wrap(position: FloatArray, box: FloatArray) -> None:
+def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
     """Bring every centre back into the periodic box about the origin."""
-    for i in range(len(position)):
+    team.divide(len(position), SOME, _wrap, position, box)
+
+
+def add_field(acceleration: FloatArray, field: FloatArray, team: Team = SOLO) -> None:
+    """Add a uniform field, (3,) m/s², to accelerations, (n, 3)."""
+    team.divide(len(acceleration), SOME, _add, acceleration, field)
+
+
+@long_kernel
+def _advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> None:
+    for i in range(lo, hi):
+        what[i, 0] += rate[i, 0] * dt
+        what[i, 1] += rate[i, 1] * dt
+        what[i, 2] += rate[i, 2] * dt
+
+
+@long_kernel
+def _wrap(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
+    for i in range(lo, hi):
         for k in range(3):
             position[i, k] -= box[k] * np.floor(position[i, k] / box[k] + 0.5)
 
 
-@kernel
-def add_field(acceleration: FloatArray, field: FloatArray) -> None:
-    """Add a uniform field, (3,) m/s², to accelerations, (n, 3)."""
-    for i in range(len(acceleration)):
+@long_kernel
+def _add(lo: int, hi: int, acceleration: FloatArray, field: FloatArray) -> None:
+    for i in range(lo, hi):
         for k in range(3):
             acceleration[i, k] += field[k]

@@ -14,7 +14,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel
+from carom.physics.kernel import inline, kernel, long_kernel
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 
@@ -24,6 +25,8 @@ HALF_PI_LOW = 6.07710050650619224932e-11
 TWO_PI = 6.28318530717958647693
 LARGEST = 1e5  # rad
 TWO_OVER_PI = 0.63661977236758134308
+
+SOME = 2000  # bodies that are worth a part of their own
 
 
 @inline
@@ -70,10 +73,14 @@ def sine_cosine(theta: float) -> tuple[float, float]:
     return -cosine, sine
 
 
-@kernel
-def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
+def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it."""
-    for i in range(len(orientation)):
+    team.divide(len(orientation), SOME, _rotate, orientation, angular_velocity, dt)
+
+
+@long_kernel
+def _rotate(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
+    for i in range(lo, hi):
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
         w = np.sqrt(wx * wx + wy * wy + wz * wz)
         if w == 0.0:

@@ -69,6 +69,7 @@ class Space:
         self.planes = half_spaces(scene)
         self.state = Bodies.at_start(start, self.requirements.spin.modelled, len(self.planes))
         self.threads = threads or cores()
+        self._team = Team(self.threads)
         self.time = 0.0  # s
         self.step = 0
         self.dt = 0.0  # s
@@ -83,7 +84,7 @@ class Space:
         self._falling = np.zeros(3) if scene.anchored else self._field
         self._substeps = SUBSTEPS[integrator(scene)]
         self.ends_with_forces = uses_forces_at_end(self._substeps)
-        self._gravity = gravity_of(scene, self.state.mass, self.threads)
+        self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
         self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
@@ -285,7 +286,7 @@ class Space:
         if not self.requirements.contact.modelled:
             return None
         return ContactStage(
-            self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, Team(self.threads)
+            self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, self._team
         )
 
     def _advance(self, end: float, checked: bool, schedule: Schedule) -> bool:
@@ -320,30 +321,30 @@ class Space:
         computed twice.
         """
         state = self.state
-        rotate(state.orientation, state.angular_velocity, dt)
+        rotate(state.orientation, state.angular_velocity, dt, self._team)
         potential = 0.0
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
             if substep.before:
-                kick(state.velocity, state.acceleration, substep.before * dt)
+                kick(state.velocity, state.acceleration, substep.before * dt, self._team)
             if index == 0 and self._contact:
                 self.profile.mark("integrate")
                 self._contact.hold(substep.before * dt, dt)
                 self.profile.mark("response")
-            drift(state.position, state.velocity, substep.drift * dt)
+            drift(state.position, state.velocity, substep.drift * dt, self._team)
             self.profile.mark("integrate")
             if last and self._contact:
                 refuse_infinities(self.state, self.names, self.step, self.time)
                 self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
-                wrap(state.position, self._box)
+                wrap(state.position, self._box, self._team)
             if not last or self.ends_with_forces:
                 potential = self._accelerate(with_potential and last)
             elif with_potential:
                 potential = self._potential()
             self.profile.mark("gravity")
             if substep.after:
-                kick(state.velocity, state.acceleration, substep.after * dt)
+                kick(state.velocity, state.acceleration, substep.after * dt, self._team)
                 self.profile.mark("integrate")
         return potential
 
@@ -356,7 +357,7 @@ class Space:
         else:
             acceleration[:] = 0.0
         if self.requirements.field.modelled:
-            add_field(acceleration, self._field)
+            add_field(acceleration, self._field, self._team)
         if len(self._fixed):
             acceleration[self._fixed] = 0.0
         return energy or 0.0

@@ -141,6 +141,9 @@ def _nothing(who: int, piece: int) -> None:
     """Do nothing."""
 
 
+SOLO = Team(1)
+
+
 def _help(help_out: Callable[..., int], *work: Any) -> None:
     while (then := help_out(*work)) != END:
         if then == REST:

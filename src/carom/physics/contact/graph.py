@@ -76,7 +76,7 @@ def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
         (n + p,) 1/kg of bodies and planes; 0 for what does not move, which any number of a stage's contacts may share.
     """
     colours = np.empty(len(pairs), dtype=np.int64)
-    _colour_contacts(pairs, inverse_mass, np.zeros(len(inverse_mass), dtype=np.uint64), colours)
+    _colour_contacts(pairs, inverse_mass, np.empty(len(inverse_mass), dtype=np.uint64), colours)
     return colours
 
 
@@ -104,6 +104,8 @@ def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
 @kernel
 def _colour_contacts(pairs: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray) -> None:
     one = np.uint64(1)
+    for c in range(len(pairs)):
+        used[pairs[c, 0]] = used[pairs[c, 1]] = np.uint64(0)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         taken = used[i] | used[j]

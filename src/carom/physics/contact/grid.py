@@ -104,7 +104,9 @@ def search(
             fx, lx = math.floor((ox - reach) * kx), math.floor((ox + reach) * kx) + 1
             fy, ly = math.floor((oy - reach) * ky), math.floor((oy + reach) * ky) + 1
             fz, lz = math.floor((oz - reach) * kz), math.floor((oz + reach) * kz) + 1
+            whole = True
             if periodic:  # no cell twice
+                whole = lx - fx <= nx and ly - fy <= ny and lz - fz <= nz
                 lx, ly, lz = min(lx, fx + nx), min(ly, fy + ny), min(lz, fz + nz)
             else:
                 fx, fy, fz = max(fx, 0), max(fy, 0), max(fz, 0)
@@ -117,7 +119,7 @@ def search(
                 cx, cy, cz = math.floor(ox * kx), math.floor(oy * ky), math.floor(oz * kz)
                 fx, fy, fz = max(fx, cx - 1), max(fy, cy - 1), cz
                 lx, ly, lz = min(lx, cx + 2), min(ly, cy + 2), min(lz, cz + 2)
-            wide = lz - fz > NARROW
+            wide = lz - fz > NARROW and whole
             for iz in range(fz, lz):
                 wz = iz % nz if periodic else iz
                 for iy in range(cy if half and iz == cz else fy, ly):

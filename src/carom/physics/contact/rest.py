@@ -43,7 +43,8 @@ def rest_speeds(
     """
     n = len(acceleration)
     speeds = np.empty(len(pairs))
-    _rest_speeds(pairs, acceleration, inverse_mass, field, dt, np.arange(n), np.zeros(n), speeds)
+    parent, largest = np.empty(n, dtype=np.int64), np.empty(n)  # touched only where contacts are
+    _rest_speeds(pairs, acceleration, inverse_mass, field, dt, parent, largest, speeds)
     return speeds
 
 
@@ -57,6 +58,16 @@ def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
             a = acceleration[i, k] - field[k]
             a2 += a * a
         largest = max(largest, a2)
+    return largest
+
+
+@kernel
+def largest_coordinate(position: FloatArray) -> float:
+    """Return how far the farthest body is from the origin along an axis, in m."""
+    largest = 0.0
+    for i in range(len(position)):
+        for k in range(3):
+            largest = max(largest, abs(position[i, k]))
     return largest
 
 
@@ -79,6 +90,9 @@ def _rest_speeds(
     largest: FloatArray,
     speeds: FloatArray,
 ) -> None:
+    for c in range(len(pairs)):
+        for end in range(2):
+            parent[pairs[c, end]], largest[pairs[c, end]] = pairs[c, end], 0.0
     for c in range(len(pairs)):
         if inverse_mass[pairs[c, 0]] > 0.0 and inverse_mass[pairs[c, 1]] > 0.0:
             i, j = _root(parent, pairs[c, 0]), _root(parent, pairs[c, 1])

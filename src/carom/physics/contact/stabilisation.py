@@ -42,6 +42,8 @@ def parts_undone(pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
     has been pressed together never finds rest: no contact is the same in two steps, and no impulse is remembered.
     """
     for c in range(len(pairs)):
+        crowd[pairs[c, 0]] = crowd[pairs[c, 1]] = 0
+    for c in range(len(pairs)):
         crowd[pairs[c, 0]] += 1
         crowd[pairs[c, 1]] += 1
     for c in range(len(pairs)):

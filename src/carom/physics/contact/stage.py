@@ -21,13 +21,13 @@ from carom.physics.contact.graph import (
 )
 from carom.physics.contact.lasting import Hold
 from carom.physics.contact.memory import ContactMemory
-from carom.physics.contact.rest import largest_square, rest_speeds
+from carom.physics.contact.rest import largest_coordinate, largest_square, rest_speeds
 from carom.physics.contact.search import PlaneSearch, search_by
 from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
 from carom.physics.error import PhysicsError
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 from carom.physics.profile import Profile
 from carom.physics.team import Team
 from carom.scene.halfspace import HalfSpaces
@@ -39,6 +39,7 @@ IntArray = NDArray[np.int64]
 
 TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
 ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
+SOME = 5000  # bodies that are worth a part of their own
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
 
 
@@ -76,6 +77,7 @@ class ContactStage:
         self._planes = planes
         self._box = box
         self._field = field
+        self._team = team
         self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes)
@@ -171,7 +173,8 @@ class ContactStage:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
         if self._friction:
             bodies = self._bodies
-            _turn(self._spin, bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+            turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+            self._team.divide(len(self._spin), SOME, _turn, self._spin, *turned)
 
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
@@ -197,7 +200,7 @@ class ContactStage:
         stretch, slack = 1.0, 0.0
         if self._lasts:
             fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
-            self._rounding = ROUNDING * float(np.spacing(np.abs(position).max()))
+            self._rounding = ROUNDING * float(np.spacing(largest_coordinate(position)))
             stretch, slack = 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
         pairs = self._search.pairs(position, stretch, slack)
         return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
@@ -322,8 +325,10 @@ def _describe(
         apart[p] = overlap[p] < -(TOUCHING * reach + rounding)
 
 
-@kernel
+@long_kernel
 def _turn(
+    lo: int,
+    hi: int,
     before: FloatArray,
     angular_velocity: FloatArray,
     inertia: FloatArray,
@@ -331,7 +336,7 @@ def _turn(
     torque: FloatArray,
     angular_acceleration: FloatArray,
 ) -> None:
-    for i in range(len(before)):
+    for i in range(lo, hi):
         for k in range(3):
             torque[i, k] = inertia[i] * (angular_velocity[i, k] - before[i, k]) / dt
             angular_acceleration[i, k] = torque[i, k] / inertia[i]

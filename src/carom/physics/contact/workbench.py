@@ -161,7 +161,7 @@ class Workbench:
     def part(self, most_sweeps: int) -> None:
         """Push contacts at rest apart, in sweeps, so many at most."""
         bodies, ends, planes, load = self._bodies, self._bodies.ends, self._planes, self._load
-        parts_undone(load.pairs, np.zeros(len(ends.inverse_mass), dtype=np.int64), load.cold)
+        parts_undone(load.pairs, np.empty(len(ends.inverse_mass), dtype=np.int64), load.cold)
         push_apart(
             load.pairs,
             bodies.position,

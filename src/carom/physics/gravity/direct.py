@@ -19,13 +19,11 @@ approximate reciprocal roots (slower, and other bits), a reduction over sources 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
-
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.kernel import inline, kernel, long_kernel
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,7 +37,7 @@ SLABS = 16  # of equal work, each with sums of its own: so many threads can shar
 class DirectGravity:
     """Pull and potential of n bodies on each other, with the workspace they need."""
 
-    def __init__(self, mass: FloatArray, constant: float, softening: float, executor: Executor | None, threads: int):
+    def __init__(self, mass: FloatArray, constant: float, softening: float, team: Team = SOLO):
         n = len(mass)
         blocks = -(-n // LANES)
         self._mass = mass
@@ -50,8 +48,7 @@ class DirectGravity:
         self._edges = _slabs(blocks, SLABS if n >= PARALLEL_FROM else 1)
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
         self._potential = np.zeros(n)
-        self._executor = executor if threads > 1 and n >= PARALLEL_FROM else None
-        self._threads = threads
+        self._team = team if n >= PARALLEL_FROM else SOLO
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the acceleration of every body; return the potential energy in joules if it is asked for.
@@ -68,27 +65,13 @@ class DirectGravity:
         n = len(position)
         self._source[:3, :n] = position.T
         into = self._potential if potential else None
-        slabs = iter(range(len(self._edges) - 1))
-        if self._executor is None:
-            self._sum(slabs, into)
-        else:
-            for task in [self._executor.submit(self._sum, slabs, into) for _ in range(self._threads)]:
-                task.result()
+        self._team.share(len(self._edges) - 1, lambda _, slab: self._sum(slab, into))
         _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, acceleration, into)
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _sum(self, slabs: Iterator[int], potential: FloatArray | None) -> None:
-        """Sum the next slab that no other thread has taken, until there are none."""
-        for slab in slabs:
-            _pull(
-                self._edges[slab],
-                self._edges[slab + 1],
-                len(self._mass),
-                self._source,
-                self._softening_squared,
-                self._sums[slab],
-                potential,
-            )
+    def _sum(self, slab: int, potential: FloatArray | None) -> None:
+        lo, hi = self._edges[slab], self._edges[slab + 1]
+        _pull(lo, hi, len(self._mass), self._source, self._softening_squared, self._sums[slab], potential)
 
 
 def _slabs(blocks: int, count: int) -> IntArray:

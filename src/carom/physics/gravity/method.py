@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
+from carom.physics.team import Team
 from carom.scene.requirements import gravity_method
 from carom.scene.schema import Scene
 
 
-def gravity_of(scene: Scene, mass: NDArray[np.float64], threads: int) -> DirectGravity | TreeGravity | None:
+def gravity_of(scene: Scene, mass: NDArray[np.float64], team: Team) -> DirectGravity | TreeGravity | None:
     """Make the gravity of a scene of bodies of mass (n,) kg, or None where nothing pulls."""
     method, gravity = gravity_method(scene), scene.gravity
     if method == "none":
         return None
-    executor: Executor | None = ThreadPoolExecutor(threads, "gravity") if threads > 1 else None
     if method == "direct":
-        return DirectGravity(mass, gravity.constant, gravity.softening, executor, threads)
+        return DirectGravity(mass, gravity.constant, gravity.softening, team)
     accuracy = gravity.opening_angle, gravity.quadrupoles
-    return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, executor, threads)
+    return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)

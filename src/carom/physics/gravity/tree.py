@@ -8,7 +8,6 @@ and those that it exerts are not opposite. The bits are the same on any processo
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,13 @@ from carom.physics.gravity.boxes import GROUP, Boxes
 from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.gravity.multipole import expand
 from carom.physics.gravity.walk import pull
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 
-BOXES_AT_A_TIME = 512
-GROUPS_AT_A_TIME = 8
+BOXES_AT_A_TIME = 512  # fewer are not worth a part of their own
+GROUPS_AT_A_TIME = 4
+PIECES = 32  # for each thread, at most: groups take very different times
 
 
 class TreeGravity:
@@ -33,10 +34,9 @@ class TreeGravity:
         constant: float,
         softening: float,
         opening_angle: float,
-        quadrupoles: bool,
-        executor: Executor | None,
-        threads: int,
-    ):
+        quadrupoles: bool = True,
+        team: Team = SOLO,
+    ) -> None:
         n = len(mass)
         self._mass = mass
         self._constant = constant
@@ -48,9 +48,8 @@ class TreeGravity:
         self._centre = np.empty((self._boxes.most, 4))
         self._moment = np.empty((self._boxes.most, 8))
         self._potential = np.zeros(n)
-        parallel = executor is not None and threads > 1 and n >= PARALLEL_FROM
-        self._executor = executor if parallel else None
-        self._workers = [_Worker(n, self._boxes.most) for _ in range(threads if parallel else 1)]
+        self._team = team if n >= PARALLEL_FROM else SOLO
+        self._workers = [_Worker(n, self._boxes.most) for _ in range(self._team.size)]
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the acceleration of every body; return the potential energy in joules if it is asked for.
@@ -67,30 +66,21 @@ class TreeGravity:
         boxes = self._boxes
         boxes.sort(position)
         np.take(self._mass, boxes.body, out=self._sorted_mass, mode="clip")
-        self._share(lambda _, lo, hi: self._expand(lo, hi), boxes.count, BOXES_AT_A_TIME)
+        self._share(boxes.count, BOXES_AT_A_TIME, self._expand)
         into = self._potential if potential else None
         self._share(
-            lambda worker, lo, hi: self._pull(worker, lo, hi, acceleration, into),
             len(boxes.groups) - 1,
             GROUPS_AT_A_TIME,
+            lambda who, lo, hi: self._pull(self._workers[who], lo, hi, acceleration, into),
         )
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _share(self, job: Callable[[_Worker, int, int], None], count: int, at_a_time: int) -> None:
-        """Let the workers do a job on a number of things, some at a time."""
-        starts = iter(range(0, count, at_a_time))
+    def _share(self, count: int, at_a_time: int, job: Callable[[int, int, int], None]) -> None:
+        """Do a job, called with who does it, lo and hi, on a number of things."""
+        pieces = max(1, min(count // at_a_time, PIECES * self._team.size))
+        self._team.share(pieces, lambda who, k: job(who, count * k // pieces, count * (k + 1) // pieces))
 
-        def work(worker: _Worker) -> None:
-            for lo in starts:
-                job(worker, lo, min(lo + at_a_time, count))
-
-        if self._executor is None:
-            work(self._workers[0])
-        else:
-            for task in [self._executor.submit(work, worker) for worker in self._workers]:
-                task.result()
-
-    def _expand(self, lo: int, hi: int) -> None:
+    def _expand(self, _: int, lo: int, hi: int) -> None:
         boxes = self._boxes
         expand(
             lo,
