@@ -55,6 +55,28 @@ def test_two_measurements_whose_intervals_overlap_never_contradict_each_other(
         assert not (on & ~other_on & ~other_near).any(), "on the front by the one, beaten by the other"
 
 
+@given(
+    st.lists(st.tuples(st.floats(0.01, 10.0), values, noises, *[st.floats(-0.49, 0.49)] * 2), max_size=12),
+    st.floats(0.0, 2.0),
+)
+def test_two_references_that_are_apart_by_less_than_their_doubt_never_contradict_each_other(
+    drawn: list[tuple[float, ...]], doubt: float
+) -> None:
+    cost, error, noise, first_off, second_off = np.array(drawn).reshape(-1, 5).T
+    first = front(cost, error + doubt * first_off, noise, doubt)
+    second = front(cost, error + doubt * second_off, noise, doubt)
+    for (on, _), (other_on, other_near) in ((first, second), (second, first)):
+        assert not (on & ~other_on & ~other_near).any()
+
+
+def test_of_two_errors_that_the_reference_does_not_tell_apart_neither_beats_the_other() -> None:
+    cost, error = np.array([1.0, 2.0, 3.0]), np.array([3.0e-4, 2.9e-4, 1.0e-4])
+    on, near = front(cost, error, np.full(3, 0.03), 5e-5)
+    assert on.tolist() == [True, False, True] and near.tolist() == [False, True, False]
+    on, near = front(cost, np.array([3e-4, 3e-4, 3e-4]), np.full(3, 0.03), 5e-5)
+    assert on.tolist() == [True, False, False] and not near.any(), "the very same trajectory, dearer"
+
+
 def test_of_two_that_cost_the_same_the_worse_is_in_doubt_and_the_better_is_not() -> None:
     on, near = front(np.array([1.00, 1.01, 2.0]), np.array([1e-3, 1e-5, 1e-4]), np.full(3, 0.03))
     assert on.tolist() == [False, True, False] and near.tolist() == [True, False, False]

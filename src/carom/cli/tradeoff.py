@@ -160,9 +160,9 @@ def _legend(noise: float) -> str:
             "[bold]●[/bold] no other setting is as good and cheaper, by one run each: how far costs vary is not known."
         )
     return (
-        "[bold]●[/bold] no other setting is as good and as cheap; ○ whether there is one, the noise does not tell; "
-        f"without a mark, there is. Costs are medians ± half their range; their noise is that, or {noise:.0%} where "
-        "that is more."
+        "[bold]●[/bold] no other setting is as good and as cheap; ○ there may be one, within the noise of the costs or "
+        "the doubt of the reference; without a mark, there is. Costs are medians ± half their range; their noise is "
+        f"that, or {noise:.0%} where that is more."
     )
 
 

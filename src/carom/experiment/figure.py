@@ -56,7 +56,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         figure.suptitle(document["scene"]["title"], fontsize=10)
-        noise = f"costs ± half their range; filled: on the front; ring: in doubt, by a noise of {document['noise']:.1%}"
+        noise = f"costs ± half their range; filled: on the front; ring: in doubt; least noise {document['noise']:.1%}"
         figure.supxlabel(f"cost / s ({noise})", fontsize=7, color=FAINT)
         figure.draw_without_rendering()
         for ax in axes[: len(panels)]:

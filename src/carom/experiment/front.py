@@ -5,7 +5,8 @@ setting is beaten where another one is no worse and its interval lies wholly bel
 every other one that is no worse lies wholly above. Between, the noise does not tell. So two measurements whose
 intervals overlap, setting by setting, never contradict each other: none is on the front by the one and beaten by the
 other. The front of the medians alone, as if they were exact, would change with every measurement wherever two settings
-cost the same.
+cost the same. Likewise errors that differ by less than what the reference is uncertain by are not told apart, unless
+they are the very same.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-def front(cost: FloatArray, error: FloatArray, noise: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Mark the points on the front, and those of which the noise of the costs does not tell.
+def front(cost: FloatArray, error: FloatArray, noise: FloatArray, doubt: float = 0.0) -> tuple[BoolArray, BoolArray]:
+    """Mark the points on the front, and those of which neither noise nor doubt tells.
 
     Parameters
     ----------
@@ -26,6 +27,8 @@ def front(cost: FloatArray, error: FloatArray, noise: FloatArray) -> tuple[BoolA
         (m,) each; a point with a NaN in either is never marked and beats nothing.
     noise
         (m,) of the cost: it lies between cost / (1 + noise) and cost (1 + noise).
+    doubt
+        Of the errors: by less than that, unequal ones are not told apart.
 
     Returns
     -------
@@ -34,10 +37,11 @@ def front(cost: FloatArray, error: FloatArray, noise: FloatArray) -> tuple[BoolA
     """
     known = ~np.isnan(cost + error)
     low, high = cost / (1.0 + noise), cost * (1.0 + noise)
-    rivals = known[:, None] & (error[:, None] <= error[None, :])  # [j, k]: j is no worse than k
-    np.fill_diagonal(rivals, False)
-    better = error[:, None] < error[None, :]
+    one, other = error[:, None], error[None, :]  # [j, k]: j beside k
+    better = one + doubt < other
+    no_worse = better | (one + doubt == other) | (one == other)
+    rivals = known[:, None] & ~np.eye(len(cost), dtype=bool)
     below = (high[:, None] < low[None, :]) | (better & (high[:, None] <= low[None, :]))
-    beaten = np.any(rivals & below, axis=0)
-    in_doubt = np.any(rivals & (low[:, None] < high[None, :]), axis=0)
+    beaten = np.any(rivals & no_worse & below, axis=0)
+    in_doubt = np.any(rivals & (one <= other + doubt) & (low[:, None] < high[None, :]), axis=0)
     return known & ~beaten & ~in_doubt, known & ~beaten & in_doubt

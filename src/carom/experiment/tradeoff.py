@@ -145,8 +145,9 @@ class Study:
         """Return "front", "near" (in doubt) or "" (beaten) of each setting, by its name, for one kind of error."""
         done = [result for result in self.results if result.complete]
         cost = np.array([result.cost for result in done])
-        wrong = np.array([max(getattr(result.errors, error), self.floor(error)) for result in done])
-        on, near = front(cost, wrong, np.array([max(result.spread, self.noise) for result in done]))
+        wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
+        noise = np.array([max(result.spread, self.noise) for result in done])
+        on, near = front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
         words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
         return dict(zip((result.setting.name for result in done), words, strict=True))
 
