@@ -80,7 +80,7 @@ def workbench(position: FloatArray, radius: FloatArray, team: Team) -> Workbench
         inertia=0.4 * mass * radius**2,
         fixed=np.zeros(n, dtype=np.bool_),
     )
-    bodies = Bodies.at_start(start, spins=True)
+    bodies = Bodies.at_start(start, spins=True, torques=True)
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
     bench = Workbench(bodies, no_planes, np.array([[0.5, 0.6, 0.4]]), OPEN, True, team)
     pairs = Grid(radius, OPEN).pairs(position)

@@ -72,7 +72,7 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
         inertia=0.4 * mass * radius**2,
         fixed=np.zeros(count, dtype=bool),
     )
-    return Bodies.at_start(start, spins)
+    return Bodies.at_start(start, spins=spins, orients=spins, torques=spins)
 
 
 def bench_of(

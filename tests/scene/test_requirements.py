@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.nearest import suggestion
+from carom.scene.parts import PARTS
 from carom.scene.requirements import frame_interval, gravity_method, integrator, require, target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
@@ -25,8 +29,8 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("nothing moves, nothing meets", scene_of(RESTING, gravity={"constant": 0}), "contact", False),
     ("one moves, so they may meet", scene_of(MOVING, gravity={"constant": 0}), "contact", True),
     ("disabled contact", scene_of(MOVING, contact={"enabled": False}), "contact", False),
-    ("what may meet is searched", pair(), "search", True),
-    ("what cannot meet is not", scene_of(RESTING, gravity={"constant": 0}), "search", False),
+    ("what may meet is searched", pair(), "broad_phase", True),
+    ("what cannot meet is not", scene_of(RESTING, gravity={"constant": 0}), "broad_phase", False),
     ("no friction, no torque", pair(contact={"static_friction": 0}), "torque", False),
     ("no friction and no spin, no orientation", pair(contact={"static_friction": 0}), "spin", False),
     ("friction turns bodies", pair(), "spin", True),
@@ -49,6 +53,23 @@ CASES: list[tuple[str, Any, str, bool]] = [
     ("a rough plane turns smooth spheres", scene_of(MOVING[1:], plane=[ROUGH], contact=SMOOTH), "torque", True),
     ("a smooth plane does not", scene_of(MOVING[1:], plane=[{"point": [0, 0, -1]}], contact=SMOOTH), "torque", False),
     ("a uniform field", pair(gravity={"constant": 0, "uniform": [0, 0, -9.81]}), "field", True),
+    ("what pulls has a potential", scene_of(MOVING), "potential", True),
+    ("what does not pull has none", pair(), "potential", False),
+    ("spin without friction is seen", cloud(contact=SMOOTH), "orientation", True),
+    ("spin without friction never changes", cloud(contact=SMOOTH), "torque", False),
+    ("gravity presses bodies together", scene_of(MOVING), "resting", True),
+    ("without it every contact is an impact", pair(), "resting", False),
+    ("nor does a field that pulls all alike", pair(gravity=FALLING), "resting", False),
+    ("a field and a floor do", pair(gravity=FALLING, plane=[{"point": [0, 0, -2]}]), "resting", True),
+    ("no bounce, no restitution", pair(contact={"restitution": 0}), "restitution", False),
+    (
+        "unless it is a plane's",
+        pair(contact={"restitution": 0}, plane=[{"point": [0, 0, -2], "restitution": 1.0}]),
+        "restitution",
+        True,
+    ),
+    ("what may meet is looked at", pair(), "narrow_phase", True),
+    ("overlaps that are let be", pair(contact={"stabilisation": "none"}), "stabilisation", False),
 ]
 
 
@@ -62,19 +83,22 @@ def test_a_part_is_modelled_where_it_is_required(sentence: str, scene: Scene, pa
 @pytest.mark.parametrize(
     ("count", "gravity", "method", "why"),
     [
-        (2, {}, "direct", "direct sum over 2 bodies (fewer than 5000)"),
-        (4999, {}, "direct", "direct sum over 4999 bodies (fewer than 5000)"),
-        (5000, {}, "tree", "tree over 5000 bodies, opening angle 0.5 (at least 5000)"),
-        (5000, {"method": "direct"}, "direct", "direct sum over 5000 bodies,"),
-        (9, {"method": "tree", "opening_angle": 0.3}, "tree", "tree over 9 bodies, opening angle 0.3,"),
-        (1, {"method": "tree"}, "none", "one body"),
-        (9, {"method": "tree", "constant": 0}, "none", "gravity.constant = 0"),
+        (2, {}, "direct", "2 bodies, fewer than 5000: a direct sum"),
+        (4999, {}, "direct", "4999 bodies, fewer than 5000: a direct sum"),
+        (5000, {}, "tree", "5000 bodies, at least 5000; opening angle 0.5"),
+        (5000, {"method": "direct"}, "direct", 'gravity.method = "direct": a direct sum'),
+        (9, {"method": "tree", "opening_angle": 0.3}, "tree", 'gravity.method = "tree"; opening angle 0.3'),
+        (1, {"method": "tree"}, "none", "nothing pulls"),
+        (9, {"method": "tree", "constant": 0}, "none", "nothing pulls"),
+        (9, {"method": "tree", "constant": 0, "force": True}, "tree", 'gravity.method = "tree"'),
     ],
 )
 def test_many_bodies_are_summed_by_a_tree(count: int, gravity: dict[str, Any], method: str, why: str) -> None:
-    scene = Scene.from_dict({"group": [{"count": count}], "gravity": gravity})
+    forced = {"force": "gravity"} if gravity.pop("force", False) else {}
+    scene = Scene.from_dict({"group": [{"count": count}], "gravity": gravity, "model": forced})
     assert gravity_method(scene) == method
-    assert why in require(scene).gravity.why
+    assert require(scene).tree.modelled == (method == "tree")
+    assert why in require(scene).tree.why
 
 
 POINTS = {"enabled": False}
@@ -105,9 +129,65 @@ def test_the_fourth_order_takes_twice_the_step_where_it_is_chosen_for_its_order(
     assert target_dx(many) == target_dx(fourth)
 
 
-def test_a_part_that_is_not_required_takes_no_memory() -> None:
-    space = Space(pair(contact={"static_friction": 0}))
-    assert space.state.orientation.size == space.state.angular_velocity.size == space.state.torque.size == 0
+def test_the_parts_are_those_that_have_names() -> None:
+    assert tuple(part.name for part in require(pair()).parts) == PARTS
+
+
+def forced(*parts: str, **sections: Any) -> dict[str, str]:
+    """Force parts on; return why each part that was forced is modelled."""
+    scene = pair(contact=SMOOTH, model={"force": list(parts)}, **sections)
+    return {part.name: part.why for part in require(scene).parts if part.why.startswith("forced")}
+
+
+def test_a_forced_part_says_so_and_why_it_was_left_out() -> None:
+    assert forced("spin") == {"spin": "forced; otherwise not: no friction, and nothing spins at the start"}
+
+
+def test_a_forced_part_brings_what_it_cannot_be_without() -> None:
+    assert set(forced("torque")) == {"torque", "spin"}
+    assert set(forced("orientation")) == {"orientation", "spin"}
+    assert set(forced("potential")) == {"potential", "gravity"}
+    assert forced("potential")["gravity"] == "forced by potential; otherwise not: gravity.constant = 0"
+
+
+def test_what_follows_from_a_forced_part_is_decided_as_ever() -> None:
+    needs = require(pair(contact=SMOOTH, model={"force": "friction"}))
+    assert needs.torque.why == needs.spin.why == "friction turns bodies"
+
+
+def test_to_force_what_is_required_changes_nothing() -> None:
+    assert forced("contact", "integrator", "restitution") == {}
+
+
+@pytest.mark.parametrize(
+    ("part", "sections", "instead"),
+    [
+        ("contact", {"contact": {"enabled": False}}, "contact.enabled = false; set it to true"),
+        ("friction", {"contact": {"enabled": False}}, "friction cannot be forced on: contact.enabled = false"),
+        ("gravity", {"gravity": {"method": "none"}}, 'gravity.method = "none"; leave that out'),
+        ("tree", {}, 'set gravity.method = "tree"'),
+        ("restitution", {"contact": {"restitution": 0}}, "set contact.restitution"),
+        ("stabilisation", {"contact": {"stabilisation": "none"}}, 'set it to "split"'),
+        ("adaptive-step", {"time": {"fixed_dt": 0.1}}, "time.fixed_dt sets the step; leave it out"),
+    ],
+)
+def test_a_part_that_the_scene_excludes_cannot_be_forced(part: str, sections: dict[str, Any], instead: str) -> None:
+    scene = pair(**sections, model={"force": part})
+    for refuse in (require, Space):
+        with pytest.raises(SceneError, match=r"^model\.force: .* cannot be forced on") as refusal:
+            refuse(scene)
+        assert instead in str(refusal.value)
+
+
+def test_an_unknown_part_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text('[[body]]\n\n[model]\nforce = ["spin", "tork"]\n')
+    with pytest.raises(SceneError) as refusal:
+        Scene.load(path)
+    assert str(refusal.value) == f'{path}:4: model.force: no part "tork"; {suggestion("tork", PARTS)}'
+    assert 'did you mean "torque"?' in str(refusal.value)
+    with pytest.raises(SceneError, match=r'model\.force: no part "quux"; there are warm-up, '):
+        Scene.load(path, ["model.force=quux"])
 
 
 @pytest.mark.parametrize(("every", "interval"), [("step", 0.0), (0.25, 0.25), ("auto", 10.0 / 600)])
@@ -131,4 +211,4 @@ def test_the_seeds_hundredth_of_a_metre_is_what_a_person_writes_or_what_many_bod
 
 def test_the_reason_for_the_adaptive_step_names_its_distance() -> None:
     assert require(pair(time={"target_dx": 0.25})).adaptive_step.why == "target_dx = 0.25 m"
-    assert "target_dx = 4e-06 m: for 2 bodies, 0.002 of a fall" in require(pair()).adaptive_step.why
+    assert "target_dx = 4e-06 m: 0.002 of a fall" in require(pair()).adaptive_step.why

@@ -47,7 +47,8 @@ def space_of(recording: Recording, scene: Scene, checkpoint: Checkpoint, threads
         If the bodies in it cannot be simulated.
     """
     space = Space(scene, threads, _start(recording, scene, checkpoint))
-    if space.requirements.spin.modelled != (checkpoint.orientation is not None):
+    needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
+    if (needs.spin.modelled, needs.orientation.modelled) != kept:
         raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
     space.restore(checkpoint)
     return space

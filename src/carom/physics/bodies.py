@@ -34,9 +34,9 @@ class Bodies:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
-    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; (0, 4) where nothing spins, like the three below
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; (0, 4) where the scene requires none, like the three below
     angular_velocity: FloatArray  # (n, 3) rad/s
-    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step
+    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; there where torques are
     torque: FloatArray  # (n, 3) N m, Σ r × J / dt of the last step
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
@@ -44,11 +44,13 @@ class Bodies:
     ends: Ends
 
     @classmethod
-    def at_start(cls, start: Start, spins: bool, planes: int = 0) -> Bodies:
-        """Build the state of time 0; spin takes no memory where the scene does not require it."""
+    def at_start(
+        cls, start: Start, *, spins: bool = False, orients: bool = False, torques: bool = False, planes: int = 0
+    ) -> Bodies:
+        """Build the state of time 0; spins, orientations and torques take no memory where they are not required."""
         n = len(start.mass)
         turning = n if spins else 0
-        orientation = np.zeros((turning, 4))
+        orientation = np.zeros((n if orients else 0, 4))
         orientation[:, 3] = 1.0
         moves = np.where(start.fixed, 0.0, 1.0)
         ends = Ends(
@@ -65,8 +67,8 @@ class Bodies:
             acceleration=ends.acceleration[:n],
             orientation=orientation,
             angular_velocity=ends.angular_velocity[:turning],
-            angular_acceleration=np.zeros((turning, 3)),
-            torque=np.zeros((turning, 3)),
+            angular_acceleration=np.zeros((n if torques else 0, 3)),
+            torque=np.zeros((n if torques else 0, 3)),
             mass=start.mass.copy(),
             radius=ends.radius[:n],
             inertia=start.inertia.copy(),
@@ -109,7 +111,8 @@ class BodyProxy:
     @property
     def orientation(self) -> FloatArray:
         """(4,) xyzw."""
-        return self._row(self._bodies.orientation) if self.spins else np.array([0.0, 0.0, 0.0, 1.0])
+        orientations = self._bodies.orientation
+        return self._row(orientations) if len(orientations) else np.array([0.0, 0.0, 0.0, 1.0])
 
     @property
     def mass(self) -> float:

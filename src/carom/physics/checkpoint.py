@@ -39,7 +39,7 @@ class Checkpoint:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray | None  # (n, 4) xyzw; None where nothing spins
+    orientation: FloatArray | None  # (n, 4) xyzw; None where the scene requires none
     angular_velocity: FloatArray | None  # (n, 3) rad/s; likewise
     energy: Energy  # J
     contacts: ContactMemory | None  # None where no contact lasts

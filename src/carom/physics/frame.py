@@ -32,15 +32,15 @@ class FrameStore:
     """
 
     def __init__(self, slots: int, bodies: Bodies) -> None:
-        n, turning = len(bodies), len(bodies.orientation)
+        n = len(bodies)
         self.slots = slots
         self.position = np.zeros((slots, n, 3))
         self.velocity = np.zeros((slots, n, 3))
         self.acceleration = np.zeros((slots, n, 3))
-        self.orientation = np.zeros((slots, turning, 4))
-        self.angular_velocity = np.zeros((slots, turning, 3))
-        self.torque = np.zeros((slots, turning, 3))
-        self.angular_acceleration = np.zeros((slots, turning, 3))
+        self.orientation = np.zeros((slots, *bodies.orientation.shape))
+        self.angular_velocity = np.zeros((slots, *bodies.angular_velocity.shape))
+        self.torque = np.zeros((slots, *bodies.torque.shape))
+        self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
         self._next = 0
 
     def keep(self, bodies: Bodies) -> int:
@@ -98,7 +98,7 @@ class Frame:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
-    orientation: FloatArray | None  # (n, 4) xyzw; None without spin, like the four below
+    orientation: FloatArray | None  # (n, 4) xyzw
     angular_velocity: FloatArray | None  # (n, 3) rad/s
     torque: FloatArray | None  # (n, 3) N m
     angular_acceleration: FloatArray | None  # (n, 3) rad/s²

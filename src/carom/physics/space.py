@@ -67,7 +67,13 @@ class Space:
         self.names = start.name
         self.groups = start.group
         self.planes = half_spaces(scene)
-        self.state = Bodies.at_start(start, self.requirements.spin.modelled, len(self.planes))
+        self.state = Bodies.at_start(
+            start,
+            spins=self.requirements.spin.modelled,
+            orients=self.requirements.orientation.modelled,
+            torques=self.requirements.torque.modelled,
+            planes=len(self.planes),
+        )
         self.threads = threads or cores()
         self._team = Team(self.threads)
         self.time = 0.0  # s
@@ -91,8 +97,7 @@ class Space:
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))
         self._stopping = False
-        self._warm_up()
-        self._take_stock(self._accelerate(potential=True), checked=True)
+        self._take_stock(self._warm_up(), checked=True)
         self.profile.clear()
 
     @property
@@ -138,14 +143,14 @@ class Space:
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Bodies that the scene does not require to spin have the identity and zeros.
+        Where the scene does not require orientations or torques they are the identity and zeros.
         """
-        state, n = self.state, len(self.state)
-        if self.requirements.spin.modelled:
-            turning = (state.orientation.copy(), state.torque.copy(), state.angular_acceleration.copy())
-        else:
-            turning = (np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)), np.zeros((n, 3)), np.zeros((n, 3)))
-        return (state.position.copy(), *turning)
+        state, n, needs = self.state, len(self.state), self.requirements
+        orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        torque, alpha = np.zeros((n, 3)), np.zeros((n, 3))
+        if needs.torque.modelled:
+            torque, alpha = state.torque.copy(), state.angular_acceleration.copy()
+        return state.position.copy(), orientation.copy(), torque, alpha
 
     def energy(self) -> Energy:
         """Take stock of the energy now: terms, ledger, integration error."""
@@ -175,8 +180,9 @@ class Space:
         state.acceleration[:] = checkpoint.acceleration
         state.torque[:] = 0.0
         state.angular_acceleration[:] = 0.0
-        if checkpoint.orientation is not None and checkpoint.angular_velocity is not None:
+        if checkpoint.orientation is not None:
             state.orientation[:] = checkpoint.orientation
+        if checkpoint.angular_velocity is not None:
             state.angular_velocity[:] = checkpoint.angular_velocity
         self.step, self.time = checkpoint.step, checkpoint.time
         self.dt, self.dt_limit = 0.0, "start"
@@ -237,8 +243,7 @@ class Space:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
             self._take_stock(self._potential(), checked=False)
-        state, spins, momentum = self.state, self.requirements.spin.modelled, self._accounts.momentum
-        turns = spins and self.requirements.torque.modelled
+        state, needs, momentum = self.state, self.requirements, self._accounts.momentum
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
@@ -251,10 +256,10 @@ class Space:
             position=position,
             velocity=velocity,
             acceleration=acceleration,
-            orientation=orientation if spins else None,
-            angular_velocity=angular_velocity if spins else None,
-            torque=torque if turns else None,
-            angular_acceleration=angular_acceleration if turns else None,
+            orientation=orientation if needs.orientation.modelled else None,
+            angular_velocity=angular_velocity if needs.spin.modelled else None,
+            torque=torque if needs.torque.modelled else None,
+            angular_acceleration=angular_acceleration if needs.torque.modelled else None,
             contacts=self.contacts,
             energy=self._accounts.energy,
             momentum=momentum.linear,
@@ -321,16 +326,19 @@ class Space:
         computed twice.
         """
         state = self.state
-        rotate(state.orientation, state.angular_velocity, dt, self._team)
+        pulls = self.requirements.pulls
+        if self.requirements.orientation.modelled:
+            rotate(state.orientation, state.angular_velocity, dt, self._team)
+            self.profile.mark("orientation")
         potential = 0.0
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
-            if substep.before:
+            if pulls and substep.before:
                 kick(state.velocity, state.acceleration, substep.before * dt, self._team)
             if index == 0 and self._contact:
                 self.profile.mark("integrate")
                 self._contact.hold(substep.before * dt, dt)
-                self.profile.mark("response")
+                self.profile.mark("resting")
             drift(state.position, state.velocity, substep.drift * dt, self._team)
             self.profile.mark("integrate")
             if last and self._contact:
@@ -338,26 +346,31 @@ class Space:
                 self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
                 wrap(state.position, self._box, self._team)
-            if not last or self.ends_with_forces:
-                potential = self._accelerate(with_potential and last)
-            elif with_potential:
-                potential = self._potential()
-            self.profile.mark("gravity")
-            if substep.after:
-                kick(state.velocity, state.acceleration, substep.after * dt, self._team)
-                self.profile.mark("integrate")
+            if pulls:
+                if not last or self.ends_with_forces:
+                    potential = self._accelerate(with_potential and last)
+                elif with_potential:
+                    potential = self._potential()
+                    self.profile.mark("gravity")
+                if substep.after:
+                    kick(state.velocity, state.acceleration, substep.after * dt, self._team)
+            self.profile.mark("integrate")
         return potential
 
     def _accelerate(self, potential: bool) -> float:
         """Fill the accelerations; return the gravitational energy if it is asked for."""
+        if not self.requirements.pulls:
+            return 0.0
         acceleration = self.state.acceleration
         energy = None
         if self._gravity:
             energy = self._gravity.accelerate(self.state.position, acceleration, potential)
+            self.profile.mark("gravity")
         else:
             acceleration[:] = 0.0
         if self.requirements.field.modelled:
             add_field(acceleration, self._field, self._team)
+            self.profile.mark("field")
         if len(self._fixed):
             acceleration[self._fixed] = 0.0
         return energy or 0.0
@@ -375,9 +388,8 @@ class Space:
 
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""
-        contact.resolve(self.dt, self._substeps[-1].after * self.dt)
+        contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
         self.contacts = contact.graph
-        self.profile.mark("response")
         struck = 0.0
         if len(contact.held):
             self._accounts.book(contact.held)
@@ -393,8 +405,10 @@ class Space:
             for text in contact.limits_reached():
                 self._log("WARN", text)
         self._phase.see(len(self.contacts), struck, self._accounts.energy.scale)
-        contact.turn(self.dt)
-        self.profile.mark("torque")
+        self.profile.mark("ledger")
+        if self.requirements.torque.modelled:
+            contact.turn(self.dt)
+            self.profile.mark("torque")
 
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
@@ -408,10 +422,11 @@ class Space:
             self._events.append(warning)
         self.profile.mark("energy")
 
-    def _warm_up(self) -> None:
+    def _warm_up(self) -> float:
         """Take a few tiny steps, then put the state back: frame 0 is the scene as written.
 
-        They fill the accelerations that the first adaptive step is chosen from, and compile the kernels.
+        They fill the accelerations that the first adaptive step is chosen from, and compile the kernels. Returns the
+        gravitational energy in J.
         """
         state = self.state
         changing = (state.position, state.velocity, state.orientation, state.angular_velocity)
@@ -421,16 +436,17 @@ class Space:
         for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
             self._integrate(tiny, with_potential=False)
             if self._contact:
-                self._contact.resolve(tiny, self._substeps[-1].after * tiny)
+                self._contact.resolve(tiny, self._substeps[-1].after * tiny, self.profile)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
-        self._accelerate(potential=True)
-        if self.requirements.warm_up.modelled:
+        potential = self._accelerate(potential=True)
+        if self.requirements.adaptive_step.modelled:
             self._timestep.previous = self._timestep.target(state)[0]
         self.contacts = empty_graph()
         if self._contact:
             self._contact.forget()
             self._contact.begin(self.first_dt)
+        return potential
 
     def _log(self, level: str, text: str) -> None:
         self._events.append(Event(self.step, self.time, level, text))

@@ -35,7 +35,7 @@ def blueprint(header: Header, view: View) -> rrb.Blueprint:
 
 
 def _shares(header: Header) -> list[float] | None:
-    return [3, 2] if header.collides or header.spins else None
+    return [3, 2] if header.collides or header.has_torque else None
 
 
 def _spatial(header: Header, view: View) -> list[rrb.View]:
@@ -51,7 +51,7 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
         line_grid=False,
         eye_controls=_eye(view),
     )
-    if not (header.collides or header.spins):
+    if not (header.collides or header.has_torque):
         return [bodies]
     graph = rrb.Spatial3DView(
         name="Collision graph, torques, angular accelerations",
@@ -60,7 +60,7 @@ def _spatial(header: Header, view: View) -> list[rrb.View]:
             paths.BODIES,
             *entities.surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
-            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.spins else []),
+            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
         background=_background(),
         line_grid=False,

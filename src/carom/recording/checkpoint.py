@@ -31,7 +31,7 @@ _FULL = 7  # contacts a body, of a dense packing and what is near
 def size(frame: Frame) -> int:
     """Bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
-    return _size(len(frame.position), frame.orientation is not None, contacts)
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts)
 
 
 def largest_size(header: Header) -> int:
@@ -54,10 +54,10 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
         "time": _each([c.time for c in checkpoints]),
         "previous_dt": _each([c.previous_dt for c in checkpoints]),
     }
-    orientations = [c.orientation for c in checkpoints if c.orientation is not None]
-    if orientations:
-        columns["orientation"] = _flat(orientations)
-        columns["angular_velocity"] = _flat([c.angular_velocity for c in checkpoints if c.angular_velocity is not None])
+    for name in ("orientation", "angular_velocity"):
+        arrays = [array for c in checkpoints if (array := getattr(c, name)) is not None]
+        if arrays:
+            columns[name] = _flat(arrays)
     for name in _ENERGIES:
         columns[f"energy_{name}"] = _each([float(getattr(c.energy, name)) for c in checkpoints])
     for name in _LEDGER:
@@ -101,7 +101,6 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     """
     try:
         row = _Row(stored, bodies)
-        spins = "orientation" in stored
         return Checkpoint(
             step=step,
             time=row.number("time"),
@@ -109,8 +108,8 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             position=row.vectors("position", 3),
             velocity=row.vectors("velocity", 3),
             acceleration=row.vectors("acceleration", 3),
-            orientation=row.vectors("orientation", 4) if spins else None,
-            angular_velocity=row.vectors("angular_velocity", 3) if spins else None,
+            orientation=row.vectors("orientation", 4) if "orientation" in stored else None,
+            angular_velocity=row.vectors("angular_velocity", 3) if "angular_velocity" in stored else None,
             energy=Energy(
                 ledger=Ledger(**{name: row.number(f"ledger_{name}") for name in _LEDGER}),
                 **{name: row.number(f"energy_{name}") for name in _ENERGIES},

@@ -39,7 +39,7 @@ def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtyp
     ]
     if clock.scale != 1.0:
         lines.append(f"- **Time is scaled**: one second on `sim_time` stands for {clock.scale:g} s of the simulation.")
-    if header.spins:
+    if header.has_torque:
         lines.append(
             "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
             f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g} m for torques and "
@@ -63,10 +63,10 @@ def _legend(header: Header) -> str:
             f"- Lines join the centres of touching bodies. Their colour is the stage in which the contact is resolved: "
             f"{stages}, then again from the start; white is the last, serial stage (past {palette.SERIAL_STAGE})."
         )
-    if header.spins:
+    if header.has_torque:
         lines.append("- Arrows: torque orange and thick, angular acceleration green and thin.")
-        if shape(header) == "mesh":
-            lines.append("- Dark and light halves of a sphere show how it turns.")
+    if shape(header) == "mesh":
+        lines.append("- Dark and light halves of a sphere show how it turns.")
     return "\n".join(lines)
 
 

@@ -68,7 +68,7 @@ def shape(header: Header) -> str:
     """How bodies are drawn: "ellipsoids", "mesh" (many, turning) or "points" (many, not turning)."""
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
-    return "mesh" if header.spins else "points"
+    return "mesh" if header.has_orientation else "points"
 
 
 def arrow_length(header: Header, path: str) -> float:
@@ -100,7 +100,7 @@ def ledger_terms(header: Header) -> dict[str, tuple[str, int]]:
     if not header.collides:
         return {}
     terms = {"restitution": ("restitution: taken out", palette.SKY)}
-    if header.spins:
+    if header.has_friction:
         terms["friction"] = ("friction: taken out", palette.ORANGE)
     return terms | {"stabilisation": ("stabilisation: put in", palette.VERMILION)}
 
@@ -130,7 +130,7 @@ class BatchEncoder:
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
         yield self._bodies(batch, store, points)
-        if self.header.spins:
+        if self.header.has_torque:
             yield from self._arrows(batch, store, points)
         if self.header.collides:
             yield from self._collisions(batch, points)
@@ -153,7 +153,7 @@ class BatchEncoder:
     def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
         each = [self.header.bodies] * len(batch)
         turned = None
-        if self.header.spins:
+        if self.header.has_orientation:
             turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
             encoding.cast_orientations(_stacked("orientation", batch, store), turned)
             turned = turned.reshape(-1, 4)
@@ -186,7 +186,7 @@ class BatchEncoder:
         most = self.header.bodies * len(batch)
         body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
         each = np.zeros(len(batch), dtype=np.int64)
-        total = encoding.turning(torque, body, magnitude, each) if torque.shape[1] else 0
+        total = encoding.turning(torque, body, magnitude, each)
         for path in (TORQUE, ANGULAR_ACCELERATION):
             yield self._arrow_rows(path, batch, torque, points, each, body[:total], magnitude[:total])
 
@@ -292,16 +292,12 @@ class BatchEncoder:
 
 
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
-    """Return one of the arrays of all frames, (frames, n, …): as it lies in the store, or else copied together.
-
-    Frames without it, such as the torque of a scene without friction, give an array for no bodies.
-    """
+    """Return one of the arrays of all frames, (frames, n, …): as it lies in the store, or else copied together."""
     first = batch[0].slot
     if store is not None and first is not None:
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]
         return lying
-    arrays = [getattr(frame, name) for frame in batch]
-    return np.stack(arrays) if arrays[0] is not None else np.zeros((len(batch), 0, 3))
+    return np.stack([getattr(frame, name) for frame in batch])
 
 
 def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:

@@ -40,7 +40,10 @@ class Header:
     mass: NDArray[np.float64]  # (n,) kg
     radius: NDArray[np.float64]  # (n,) m
     inertia: NDArray[np.float64]  # (n,) kg m²
-    spins: bool
+    spins: bool  # angular velocities, and the energy in them
+    has_orientation: bool
+    has_torque: bool  # and angular accelerations
+    has_friction: bool
     gravitates: bool
     collides: bool
     has_field: bool

@@ -50,6 +50,9 @@ def _header(recording: Recording) -> Header:
         radius=bodies.radius,
         inertia=bodies.inertia,
         spins=bool(info["spins"]),
+        has_orientation=bool(info.get("has_orientation", info["spins"])),  # without it: recorded when all went together
+        has_torque=bool(info.get("has_torque", info["spins"])),
+        has_friction=bool(info.get("has_friction", info["spins"])),
         gravitates=bool(info["gravitates"]),
         collides=bool(info["collides"]),
         has_field=bool(info["has_field"]),

@@ -43,7 +43,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
             inertia=header.inertia,
         ),
     )
-    if header.spins:
+    if header.has_torque:
         yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
         yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
     if header.collides:
@@ -59,7 +59,8 @@ def _bodies(header: Header) -> Iterable[Static]:
     match entities.shape(header):
         case "ellipsoids":
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)
-            fill = FillMode.TransparentFillMajorWireframe if header.spins or header.collides else FillMode.Solid
+            see_through = header.has_orientation or header.collides
+            fill = FillMode.TransparentFillMajorWireframe if see_through else FillMode.Solid
             yield (
                 paths.BODIES,
                 rr.Ellipsoids3D.from_fields(

@@ -135,6 +135,9 @@ class Stream:
             "bodies": header.bodies,
             "seed": header.seed,
             "spins": header.spins,
+            "has_orientation": header.has_orientation,
+            "has_torque": header.has_torque,
+            "has_friction": header.has_friction,
             "gravitates": header.gravitates,
             "collides": header.collides,
             "has_field": header.has_field,
@@ -143,7 +146,7 @@ class Stream:
             "time_scale": clock.scale,
             "origin": origin,
         }
-        if header.spins:
+        if header.has_torque:
             for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
                 identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
         if header.box is not None:

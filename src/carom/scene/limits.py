@@ -39,9 +39,7 @@ def refuse_impossible(scene: Scene) -> None:
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
     """Refuse drift-kick-drift where bodies may rest on each other: they are held against the forces at the end."""
-    parts = require(scene)
-    pressed = parts.contact.modelled and (parts.gravity.modelled or parts.field.modelled)
-    if scene.time.integrator == "leapfrog-dkd" and pressed:
+    if scene.time.integrator == "leapfrog-dkd" and require(scene).resting.modelled:
         raise SceneError(
             'time.integrator = "leapfrog-dkd" where bodies may press on each other: its forces are those of the middle '
             'of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'

@@ -6,9 +6,11 @@ the result.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
 FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
@@ -30,71 +32,155 @@ TREE_FROM = 5000  # bodies, for "auto": here a tree takes a half to a third of t
 class Part:
     """One part of the model: its name, whether it is modelled, and the reason."""
 
-    name: str
+    name: str  # as in `carom.scene.parts.PARTS`
     modelled: bool
     why: str
 
 
 @dataclass(frozen=True)
 class Requirements:
-    """The parts of the model that a scene needs."""
+    """The parts of the model that a scene needs, or is forced to have."""
 
-    gravity: Part
-    field: Part
+    warm_up: Part
+    adaptive_step: Part
+    integrator: Part
+    spin: Part
+    orientation: Part
     contact: Part
-    search: Part
+    broad_phase: Part
+    narrow_phase: Part
+    colouring: Part
+    stabilisation: Part
+    gravity: Part
+    tree: Part
+    potential: Part
+    field: Part
+    resting: Part
+    restitution: Part
     friction: Part
     torque: Part
-    spin: Part
-    integrator: Part
-    adaptive_step: Part
-    warm_up: Part
+    energy: Part
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """All parts, in the order in which a step uses them."""
         return tuple(vars(self).values())
 
+    @property
+    def pulls(self) -> bool:
+        """Whether anything is accelerated between contacts."""
+        return self.gravity.modelled or self.field.modelled
+
+
+# What a part cannot be without. What follows from a part, such as torques from friction, is decided as for any other.
+_NEEDS = {
+    "potential": ("gravity",),
+    "tree": ("gravity",),
+    "broad-phase": ("contact",),
+    "narrow-phase": ("contact",),
+    "colouring": ("contact",),
+    "stabilisation": ("contact",),
+    "resting-contacts": ("contact",),
+    "restitution": ("contact",),
+    "friction": ("contact",),
+    "torque": ("contact", "spin"),
+    "orientation": ("spin",),
+}
+
 
 def require(scene: Scene) -> Requirements:
-    """Decide what a scene needs."""
-    gravity, contact = _gravity(scene), _contact(scene)
-    friction = _friction(scene, contact)
-    torque = Part(
-        "torque",
-        friction.modelled,
-        "friction turns bodies" if friction.modelled else "nothing turns a body: the normal force acts on the centre",
-    )
+    """Decide what a scene needs, and switch the parts in ``model.force`` on against the decision.
+
+    Raises
+    ------
+    SceneError
+        If a part cannot be forced on.
+    """
+    forced, required = _forced(scene), _decide(scene, {})
+    if not forced:
+        return required
+    parts = dict(vars(_decide(scene, forced)))
+    for key, part in vars(required).items():
+        if part.name in forced and not part.modelled:
+            by = "" if forced[part.name] == part.name else f" by {forced[part.name]}"
+            parts[key] = Part(part.name, True, f"forced{by}; otherwise not: {part.why}")
+    return Requirements(**parts)
+
+
+def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
+    """Decide part after part; what follows from a part that is forced on is decided as if it were required."""
+
+    def decide(part: Part) -> Part:
+        if part.modelled or part.name not in forced:
+            return part
+        contradiction = _contradiction(scene, part.name)
+        if contradiction:
+            raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
+        return Part(part.name, True, part.why)
+
+    gravity, field = decide(_gravity(scene)), decide(_field(scene))
+    contact = decide(_contact(scene))
+    friction = decide(_friction(scene, contact))
+    torque = decide(_torque(friction))
     return Requirements(
-        gravity=gravity,
-        field=_field(scene),
+        warm_up=decide(_warm_up(scene)),
+        adaptive_step=decide(_adaptive_step(scene)),
+        integrator=_integrator(scene),
+        spin=decide(_spin(scene, friction)),
+        orientation=decide(_orientation(scene, friction)),
         contact=contact,
-        search=_search(scene, contact),
+        broad_phase=decide(_broad_phase(scene, contact)),
+        narrow_phase=decide(_narrow_phase(contact)),
+        colouring=decide(_colouring(scene, contact)),
+        stabilisation=decide(_stabilisation(scene, contact)),
+        gravity=gravity,
+        tree=decide(_tree(scene)),
+        potential=decide(_potential(scene, gravity)),
+        field=field,
+        resting=decide(_resting(scene, contact)),
+        restitution=decide(_restitution(scene, contact)),
         friction=friction,
         torque=torque,
-        spin=_spin(scene, friction),
-        integrator=_integrator(scene),
-        adaptive_step=_adaptive_step(scene),
-        warm_up=_warm_up(scene),
+        energy=_energy(scene),
     )
+
+
+def _forced(scene: Scene) -> dict[str, str]:
+    """Return the parts that are forced on, each with the one in ``model.force`` that wants it."""
+    forced = {name: name for name in scene.model.force}
+    for name in scene.model.force:
+        for needed in _NEEDS.get(name, ()):
+            forced.setdefault(needed, name)
+    return forced
+
+
+def _contradiction(scene: Scene, name: str) -> str:
+    """Say why a part that is not required cannot be forced on, and what would do it; empty if it can."""
+    match name:
+        case "contact" if not scene.contact.enabled:
+            return "contact.enabled = false; set it to true"
+        case "gravity" if scene.gravity.method == "none":
+            return 'gravity.method = "none"; leave that out'
+        case "tree":
+            return 'it takes the place of the direct sum; set gravity.method = "tree"'
+        case "restitution":
+            return "it is a factor of every impulse, 1 + e, and e is 0; set contact.restitution"
+        case "stabilisation" if scene.contact.stabilisation == "none":
+            return 'contact.stabilisation = "none"; set it to "split"'
+        case "adaptive-step":
+            return "time.fixed_dt sets the step; leave it out"
+    return ""
 
 
 def _gravity(scene: Scene) -> Part:
-    name, n, method = "gravity", scene.count, gravity_method(scene)
+    name, n = "gravity", scene.count
     if scene.gravity.method == "none":
         return Part(name, False, 'gravity.method = "none"')
     if scene.gravity.constant == 0:
         return Part(name, False, "gravity.constant = 0")
     if n == 1:
         return Part(name, False, "one body pulls nothing else")
-    how = {
-        "direct": f"direct sum over {n} bodies",
-        "tree": f"tree over {n} bodies, opening angle {scene.gravity.opening_angle:g}"
-        + ("" if scene.gravity.quadrupoles else ", without quadrupoles"),
-    }[method]
-    if scene.gravity.method == "auto":
-        how += f" ({'fewer than' if n < TREE_FROM else 'at least'} {TREE_FROM})"
-    return Part(name, True, f"{how}, with the potential where an energy is due")
+    return Part(name, True, f"{n} bodies pull each other, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²")
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
@@ -104,17 +190,39 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
     there a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
     """
     method = scene.gravity.method
-    if method == "none" or scene.gravity.constant == 0 or scene.count == 1:
+    if method == "none" or not (_gravity(scene).modelled or "gravity" in _forced(scene)):
         return "none"
     if method == "auto":
         return "direct" if scene.count < TREE_FROM else "tree"
     return method
 
 
+def _tree(scene: Scene) -> Part:
+    name, method, n = "tree", gravity_method(scene), scene.count
+    if method == "none":
+        return Part(name, False, "nothing pulls")
+    few = f"{n} bodies, {'fewer than' if n < TREE_FROM else 'at least'} {TREE_FROM}"
+    why = few if scene.gravity.method == "auto" else f'gravity.method = "{method}"'
+    if method == "direct":
+        return Part(name, False, f"{why}: a direct sum")
+    poles = "" if scene.gravity.quadrupoles else ", no quadrupoles"
+    return Part(name, True, f"{why}; opening angle {scene.gravity.opening_angle:g}{poles}")
+
+
+def _potential(scene: Scene, gravity: Part) -> Part:
+    if not gravity.modelled:
+        return Part("potential", False, "nothing pulls")
+    return Part("potential", True, f"where an energy is due: every {scene.record.log_freq} steps, and at frames")
+
+
 def _field(scene: Scene) -> Part:
     if any(scene.gravity.uniform):
-        return Part("uniform field", True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²")
-    return Part("uniform field", False, "gravity.uniform is zero")
+        return Part("uniform-field", True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²")
+    return Part("uniform-field", False, "gravity.uniform is zero")
+
+
+def _energy(scene: Scene) -> Part:
+    return Part("energy", True, f"ledger; energy and momentum every {scene.record.log_freq} steps, and at frames")
 
 
 def _contact(scene: Scene) -> Part:
@@ -145,33 +253,77 @@ def _moves_relatively(scene: Scene) -> bool:
     return len(velocities) > 1 or stirred or scene.contact.allow_overlap
 
 
-def _search(scene: Scene, contact: Part) -> Part:
-    name = "broad phase"
-    if not contact.modelled:
-        return Part(name, False, "no contact is possible")
+def _where_bodies_meet(name: str, contact: Part, why: str) -> Part:
+    return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
+
+
+def _broad_phase(scene: Scene, contact: Part) -> Part:
     how = "k-d trees" if scene.contact.search == "k-d-tree" else "hashed grids"
-    return Part(name, True, f"{how}, one for each octave of radius")
+    return _where_bodies_meet("broad-phase", contact, f"{how}, one for each octave of radius")
+
+
+def _narrow_phase(contact: Part) -> Part:
+    return _where_bodies_meet("narrow-phase", contact, "the distance of each pair that may touch")
+
+
+def _colouring(scene: Scene, contact: Part) -> Part:
+    what = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
+    return _where_bodies_meet("colouring", contact, what)
+
+
+def _stabilisation(scene: Scene, contact: Part) -> Part:
+    how = scene.contact.stabilisation
+    if contact.modelled and how == "none":
+        return Part("stabilisation", False, 'contact.stabilisation = "none"')
+    return _where_bodies_meet("stabilisation", contact, f"{how}: overlaps are undone")
+
+
+def _resting(scene: Scene, contact: Part) -> Part:
+    name, falls = "resting-contacts", scene.anchored and _field(scene).modelled
+    if contact.modelled and not (_gravity(scene).modelled or falls):
+        return Part(name, False, "nothing presses bodies together: every contact is an impact")
+    how = "impulses that last" if scene.contact.solver == "lasting" else "stages without restitution"
+    return _where_bodies_meet(name, contact, f"{'the field' if falls else 'gravity'} presses bodies together: {how}")
+
+
+def _restitution(scene: Scene, contact: Part) -> Part:
+    name, e = "restitution", scene.contact.restitution
+    if contact.modelled and e == 0 and all(plane.law(scene.contact)[0] == 0 for plane in scene.plane):
+        return Part(name, False, "every coefficient is 0: no bounce")
+    return _where_bodies_meet(name, contact, f"e = {e:g}")
 
 
 def _friction(scene: Scene, contact: Part) -> Part:
-    name = "friction"
-    if not contact.modelled:
-        return Part(name, False, "no contact is possible")
-    if scene.contact.static_friction == 0 and all(plane.law(scene.contact)[1] == 0 for plane in scene.plane):
+    name, law = "friction", scene.contact
+    if contact.modelled and law.static_friction == 0 and all(plane.law(law)[1] == 0 for plane in scene.plane):
         return Part(name, False, "both coefficients are 0")
-    return Part(name, True, f"μs = {scene.contact.static_friction:g}, μk = {scene.contact.kinetic_friction:g}")
+    return _where_bodies_meet(name, contact, f"μs = {law.static_friction:g}, μk = {law.kinetic_friction:g}")
+
+
+def _torque(friction: Part) -> Part:
+    if friction.modelled:
+        return Part("torque", True, "friction turns bodies")
+    return Part("torque", False, "nothing turns a body: the normal force acts on the centre")
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
-    name = "spin and orientation"
     if friction.modelled:
-        return Part(name, True, "friction turns bodies")
-    spinning = any(any(body.angular_velocity) for body in scene.body) or any(
+        return Part("spin", True, "friction turns bodies")
+    if _starts_spinning(scene):
+        return Part("spin", True, "bodies spin at the start")
+    return Part("spin", False, "no friction, and nothing spins at the start")
+
+
+def _orientation(scene: Scene, friction: Part) -> Part:
+    if friction.modelled or _starts_spinning(scene):
+        return Part("orientation", True, "what spins is seen to turn")
+    return Part("orientation", False, "nothing spins")
+
+
+def _starts_spinning(scene: Scene) -> bool:
+    return any(any(body.angular_velocity) for body in scene.body) or any(
         group.spin.dispersion > 0 or any(group.bulk_rotation) for group in scene.group
     )
-    if spinning:
-        return Part(name, True, "bodies spin at the start")
-    return Part(name, False, "no friction, and nothing spins at the start")
 
 
 def integrator(scene: Scene) -> Literal["euler", "leapfrog", "leapfrog-dkd", "yoshida4"]:
@@ -201,14 +353,14 @@ def _integrator(scene: Scene) -> Part:
 
 
 def _adaptive_step(scene: Scene) -> Part:
-    name = "adaptive step"
+    name = "adaptive-step"
     if scene.time.fixed_dt is not None:
-        return Part(name, False, "time.fixed_dt")
+        return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
     why = f"target_dx = {target_dx(scene):.3g} m"
     if scene.time.target_dx != "auto":
         return Part(name, True, why)
     share = _auto_step(scene)
-    return Part(name, True, f"{why}: for {scene.count} bodies, {share:g} of a fall through the smallest radius")
+    return Part(name, True, f"{why}: {share:g} of a fall through the smallest radius")
 
 
 def _warm_up(scene: Scene) -> Part:

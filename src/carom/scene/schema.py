@@ -9,8 +9,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
+from carom.scene.parts import PARTS, unknown
 from carom.scene.variation import Values, alike, flattened, values_of
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -137,6 +138,27 @@ class Domain(Section):
         if self.boundary != "open" and self.size is None:
             raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z] in metres')
         return self
+
+
+def _one_as_several(value: Any) -> Any:
+    """Read a single name as a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+class Model(Section):
+    """[model]: what is modelled though the scene does not require it."""
+
+    force: Annotated[tuple[Annotated[str, Field(strict=True)], ...], BeforeValidator(_one_as_several)] = Field(
+        (), description="parts to switch on, by the names that `carom explain` prints; one, or a list"
+    )
+
+    @field_validator("force")
+    @classmethod
+    def _parts_are_known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in PARTS:
+                raise ValueError(unknown(name))
+        return names
 
 
 class Record(Section):
@@ -349,6 +371,7 @@ class Scene(Section):
     gravity: Gravity = Field(Gravity(), description="what pulls")
     contact: Contact = Field(Contact(), description="what happens where spheres touch")
     domain: Domain = Field(Domain(), description="the space around the bodies")
+    model: Model = Field(Model(), description="what is modelled though the scene does not require it")
     record: Record = Field(Record(), description="how often something is written down")
     group: tuple[Group, ...] = Field((), description="many bodies at random")
     body: tuple[Body, ...] = Field((), description="single bodies")

@@ -117,11 +117,10 @@ def strike(
                 if Jt > law[material, 1] * Jn:
                     Jt = law[material, 2] * Jn
                 cold[c, LEDGER + FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
-                Jx -= Jt * (ux / slip)
-                Jy -= Jt * (uy / slip)
-                Jz -= Jt * (uz / slip)
-                # r × J is -ρ n × J for both bodies: the arms point in opposite directions, and so do the impulses
-                tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
+                dx, dy, dz = Jt * (ux / slip), Jt * (uy / slip), Jt * (uz / slip)
+                Jx, Jy, Jz = Jx - dx, Jy - dy, Jz - dz
+                # r × J is -ρ n × J_t for both bodies: the arms point in opposite directions, and so do the impulses
+                tx, ty, tz = ny * dz - nz * dy, nz * dx - nx * dz, nx * dy - ny * dx
                 si, sj = ri * V[i, 7], rj * V[j, 7]
                 if si > 0.0:
                     V[i, 3] += si * tx

@@ -81,22 +81,24 @@ class ContactStage:
         self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes)
+        self._pushes = contact.stabilisation == "split"
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
         own = (contact.restitution, contact.static_friction, contact.kinetic_friction)
         law = np.vstack((np.array(own), planes.law))
-        self._friction = requirements.friction.modelled
-        self._lasts = contact.solver == "lasting" and (requirements.gravity.modelled or requirements.field.modelled)
+        self._needs = requirements
+        self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # limits reached and told so far
-        self._bench = Workbench(bodies, planes, law, box, self._friction, team)
-        self._spin = np.zeros_like(bodies.angular_velocity)  # rad/s, at the beginning of the step
+        self._bench = Workbench(bodies, planes, law, box, requirements.friction.modelled, team)
+        self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
         self._compile()
 
     def forget(self) -> None:
         """Begin anew, as before the first step."""
         self._order_contacts(empty_graph().pairs, 0.0)
-        self._spin[:] = self._bodies.angular_velocity
+        if self._needs.torque.modelled:
+            self._spin[:] = self._bodies.angular_velocity
         self._hold = Hold.empty()
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
 
@@ -133,7 +135,7 @@ class ContactStage:
 
     def hold(self, kick: float, dt: float) -> None:
         """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s."""
-        if self._friction:
+        if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
@@ -150,11 +152,11 @@ class ContactStage:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
-        if self._contact.stabilisation == "split" and len(pairs):
+        if self._pushes and len(pairs):
             self._bench.part(self._contact.sweeps)
         profile.mark("stabilisation")
 
-    def resolve(self, dt: float, kick: float) -> None:
+    def resolve(self, dt: float, kick: float, profile: Profile) -> None:
         """Apply the impulses of the contacts found, with forces and velocities of the final positions.
 
         Parameters
@@ -163,18 +165,19 @@ class ContactStage:
             s, the step.
         kick
             s, the part of it that the last kick took.
+        profile
+            Told where the time goes.
         """
         if len(self._graph):
-            self._resolve(dt, kick)
+            self._resolve(dt, kick, profile)
         else:
             self._hold = Hold.empty()
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
-        if self._friction:
-            bodies = self._bodies
-            turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
-            self._team.divide(len(self._spin), SOME, _turn, self._spin, *turned)
+        bodies = self._bodies
+        turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+        self._team.divide(len(self._spin), SOME, _turn, self._spin, *turned)
 
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
@@ -200,8 +203,9 @@ class ContactStage:
         stretch, slack = 1.0, 0.0
         if self._lasts:
             fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
-            self._rounding = ROUNDING * float(np.spacing(largest_coordinate(position)))
-            stretch, slack = 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
+            if fall > 0.0:  # otherwise all contacts are impacts, and what only nearly touches is none
+                self._rounding = ROUNDING * float(np.spacing(largest_coordinate(position)))
+                stretch, slack = 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
         pairs = self._search.pairs(position, stretch, slack)
         return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
 
@@ -215,7 +219,8 @@ class ContactStage:
             colours = colour_contacts(pairs, ends.inverse_mass)
         bench.lay(stages_of(pairs, colours, independent=body_colours is None))
         place = bench.stages.place
-        bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
+        if self._needs.resting.modelled:
+            bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
         normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
         self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
         _describe(place, bench.hot, bench.overlaps, self._rounding, normals, overlaps, self._apart)
@@ -227,24 +232,27 @@ class ContactStage:
         self._too_few_sweeps = False
         self._show(slice(None))
 
-    def _resolve(self, dt: float, kick: float) -> None:
+    def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
         contact, bench = self._contact, self._bench
         bench.meet()
-        if contact.stabilisation == "split":
+        if self._pushes:
             bench.book_pushes()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
         self.sweeps = bench.resolve_impacts(bias_rate, contact.sweeps, impacts_only=lasting)
+        profile.mark("response")
         seen = ~self._apart
         if lasting and np.any(bench.approach <= bench.rest_speed):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate)
             self.sweeps = max(self.sweeps, held)
             seen |= bench.pressing
+            profile.mark("resting")
         else:
             self._hold = Hold.empty()
         self._show(slice(None) if seen.all() else seen[bench.stages.place])
         if self.sweeps == contact.sweeps:
             self._too_few_sweeps = bench.is_closing()
+        profile.mark("response")
 
     def _is_at_rest(self) -> bool:
         """Tell whether something presses the contacts together: without that, all of them are impacts."""
@@ -296,12 +304,14 @@ class ContactStage:
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
         self.forget()
-        self._bench.part(1)
-        self._resolve(1.0, 1.0)
+        if self._pushes:
+            self._bench.part(1)
+        self._resolve(1.0, 1.0, Profile())
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0)
-        self.turn(1.0)
+        if self._needs.torque.modelled:
+            self.turn(1.0)
         self.forget()
 
 

@@ -108,8 +108,9 @@ def press(lo: int, hi: int, pairs: IntArray, C: FloatArray, V: FloatArray, flags
         prefetch(V, pairs[ahead, 0], 0)
         prefetch(V, pairs[ahead, 1], 0)
         nx, ny, nz, Jn = C[c, 0], C[c, 1], C[c, 2], C[c, 8]
-        Jx, Jy, Jz = C[c, 9] + Jn * nx, C[c, 10] + Jn * ny, C[c, 11] + Jn * nz
-        tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
+        Jx, Jy, Jz = C[c, 9], C[c, 10], C[c, 11]
+        tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy  # of J_t alone: n × n = 0
+        Jx, Jy, Jz = Jx + Jn * nx, Jy + Jn * ny, Jz + Jn * nz
         for end in range(2):
             b = pairs[c, end]
             w = V[b, 6] if end == 1 else -V[b, 6]
@@ -191,7 +192,7 @@ def relax(
             C[c, 13], C[c, 14], C[c, 15] = dx, dy, dz
             largest = max(largest, abs(dx), abs(dy), abs(dz))
             Jx, Jy, Jz = Jx + dx, Jy + dy, Jz + dz
-            tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
+            tx, ty, tz = nz * dy - ny * dz, nx * dz - nz * dx, ny * dx - nx * dy
             si, sj = ri * V[i, 7], rj * V[j, 7]
             if si > 0.0:
                 V[i, 3] += si * tx

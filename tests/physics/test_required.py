@@ -1,0 +1,181 @@
+"""What a scene does not require is not there; forced on, it changes no bit of what remains."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.parts import PARTS
+from carom.scene.requirements import require
+from carom.scene.schema import Scene
+from examples import cloud, pair, scene_of
+from scenes import Document, documents, scene_from
+
+SMOOTH = {"static_friction": 0, "restitution": 0.7}
+STEPS = 40
+
+Sections = dict[str, Any]
+
+# Scenes that together leave out every part: (name, document)
+APART = [{"position": [3.0 * k, 0.5 * k, -k], "velocity": [0.3, -0.2, 0.1]} for k in range(4)]
+PILE = [{"position": [0.3 * k, 0.1 * k, 1.0 + 2.0 * k], "velocity": [0.0, 0.1, -0.5]} for k in range(4)]
+SCENES: dict[str, Scene] = {
+    "a smooth gas": pair(contact=SMOOTH),
+    "a smooth gas that spins": cloud(contact=SMOOTH, gravity={"constant": 0.0}),
+    "a smooth cloud that pulls itself together": cloud(group=[{"count": 30, "radius": 0.3}], contact=SMOOTH),
+    "bodies that move alike": scene_of(APART, gravity={"constant": 0.0}),
+    "a body alone": scene_of(APART[:1]),
+    "a smooth pile": scene_of(PILE, plane=[{}], contact=SMOOTH, gravity={"constant": 0.0, "uniform": [0, 0, -9.81]}),
+    "a dead gas with friction": cloud(contact={"restitution": 0.0}, gravity={"constant": 0.0}),
+    "a fixed step": cloud(time={"fixed_dt": 0.01}),
+    "Kepler": Scene.load("kepler-orbits"),
+}
+
+
+def frames_of(scene: Scene, steps: int = STEPS) -> list[Frame]:
+    space, frames = Space(scene), []
+    for frame in space.run():
+        frames.append(frame)
+        if frame.step >= steps:
+            space.stop()
+    return frames
+
+
+def forced_on(scene: Scene, part: str) -> Scene | None:
+    """Return the scene with a part forced on that it does not require; None where that contradicts it."""
+    forced = scene.model_copy(update={"model": scene.model.model_copy(update={"force": (part,)})})
+    try:
+        require(forced)
+    except SceneError as error:
+        assert "cannot be forced on" in str(error)
+        return None
+    return forced
+
+
+def left_out(scene: Scene) -> list[str]:
+    return [part.name for part in require(scene).parts if not part.modelled]
+
+
+def assert_same_bits(plain: Frame, forced: Frame) -> None:
+    """Compare what both have; -0 counts as 0, which a sum with zeros may turn it into."""
+    for name in ("position", "velocity", "acceleration", "orientation", "angular_velocity", "torque"):
+        ours, theirs = getattr(plain, name), getattr(forced, name)
+        if ours is not None:
+            assert np.array_equal(ours, theirs), f"{name} at step {plain.step}"
+    for name in ("pairs", "normals", "overlaps", "colours"):
+        assert np.array_equal(getattr(plain.contacts, name), getattr(forced.contacts, name)), name
+    assert (plain.step, plain.time, plain.dt) == (forced.step, forced.time, forced.dt)
+    assert plain.energy == forced.energy
+    assert np.array_equal(plain.momentum, forced.momentum)
+    assert np.array_equal(plain.angular_momentum, forced.angular_momentum)
+    assert (plain.sweeps, plain.phase) == (forced.sweeps, forced.phase)
+    # after its first line a warning lists the bodies that met, with their spins if they have any
+    first_lines = [[(e.step, e.level, e.text.splitlines()[0]) for e in frame.events] for frame in (plain, forced)]
+    assert first_lines[0] == first_lines[1]
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_part_that_is_forced_on_changes_no_bit_of_what_remains(name: str) -> None:
+    scene = SCENES[name]
+    plain = frames_of(scene)
+    for part in left_out(scene):
+        forced = forced_on(scene, part)
+        if forced is not None:
+            for ours, theirs in zip(plain, frames_of(forced), strict=True):
+                assert_same_bits(ours, theirs)
+
+
+@settings(max_examples=30, deadline=None)
+@given(documents(most_bodies=6))
+def test_nor_do_all_that_can_be_forced_in_scenes_that_nobody_chose(document: Document) -> None:
+    scene = scene_from(document)
+    forced = [part for part in left_out(scene) if forced_on(scene, part)]
+    everything = scene.model_copy(update={"model": scene.model.model_copy(update={"force": tuple(forced)})})
+    for ours, theirs in zip(frames_of(scene, 8), frames_of(everything, 8), strict=True):
+        assert_same_bits(ours, theirs)
+
+
+def test_every_part_is_left_out_by_one_of_the_scenes() -> None:
+    always = {"integrator", "energy"}
+    assert {part for scene in SCENES.values() for part in left_out(scene)} == set(PARTS) - always
+
+
+def test_what_is_not_required_has_no_array() -> None:
+    state = Space(SCENES["a smooth gas"]).state
+    turning = (state.orientation, state.angular_velocity, state.torque, state.angular_acceleration)
+    assert [array.size for array in (*turning, state.ends.angular_velocity)] == [0] * 5
+    state = Space(SCENES["a smooth gas that spins"]).state
+    assert len(state.orientation) == len(state.angular_velocity) == len(state)
+    assert state.torque.size == state.angular_acceleration.size == 0, "it spins, but nothing changes its spin"
+    state = Space(pair(contact=SMOOTH, model={"force": "spin"})).state
+    assert len(state.angular_velocity) == 2 and state.orientation.size == 0, "spin alone was asked for"
+    space = Space(SCENES["Kepler"])
+    assert space._contact is None, "no search, no stages, no workbench"
+    assert Space(SCENES["a smooth gas"])._gravity is None
+
+
+def test_frames_do_not_have_what_is_not_required() -> None:
+    frame = frames_of(SCENES["a smooth gas that spins"], 1)[-1]
+    assert frame.orientation is not None and frame.angular_velocity is not None
+    assert frame.torque is None and frame.angular_acceleration is None
+    frame = frames_of(SCENES["a smooth gas"], 1)[-1]
+    assert frame.orientation is None and frame.angular_velocity is None and frame.memory is None
+
+
+KERNELS = """
+import json, sys
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+space = Space(Scene.from_dict(json.loads(sys.argv[1])))
+for frame in space.run():
+    if frame.step >= 20:
+        space.stop()
+kernels = {}
+for name, module in sorted(sys.modules.items()):
+    if name.startswith("carom.physics"):
+        for kernel in vars(module).values():
+            if getattr(kernel, "signatures", None):
+                kernels[kernel.py_func.__module__.removeprefix("carom.physics.") + "." + kernel.py_func.__name__] = 1
+print(json.dumps(list(kernels)))
+"""
+
+WHOLE: Sections = {
+    "body": PILE,
+    "plane": [{}],
+    "gravity": {"constant": 1e-3, "uniform": [0.0, 0.0, -9.81]},
+    "time": {"max_dt": 0.02},
+}
+DIRECT = {"gravity.direct._total"}
+TURNING = {"rotation._rotate", "contact.stage._turn"}
+MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.crew.work"}
+RESTING = {"contact.rest._rest_speeds", "contact.rest.largest_square"}
+PUSHING = {"contact.stabilisation.push_apart", "contact.stabilisation.work_of_pushes"}
+FIELD, STEP = {"integrator._add"}, {"timestep._limits"}
+ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
+
+CHOICES: list[tuple[str, Sections, set[str]]] = [
+    ("the whole model", {}, set()),
+    ("without friction", {"contact": SMOOTH}, TURNING),
+    ("without gravity and field", {"gravity": {"constant": 0.0}}, DIRECT | FIELD | RESTING),
+    ("without pushes", {"contact": {"stabilisation": "none"}}, PUSHING),
+    ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING),
+    ("at a fixed step", {"time": {"fixed_dt": 0.02}}, STEP),
+]
+
+
+@pytest.mark.parametrize(("sections", "absent"), [case[1:] for case in CHOICES], ids=[case[0] for case in CHOICES])
+def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections, absent: set[str]) -> None:
+    document = json.dumps(WHOLE | sections)
+    done = subprocess.run([sys.executable, "-c", KERNELS, document], capture_output=True, text=True, check=True)
+    loaded = set(json.loads(done.stdout))
+    assert ALL - loaded == absent
+    assert not any(name.startswith(("gravity.tree", "gravity.walk", "gravity.boxes")) for name in loaded)
