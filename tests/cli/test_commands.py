@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from carom.recording.recording import Recording
+from carom.scene.parts import unknown
 from command import carom
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
@@ -153,9 +154,42 @@ def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None
     shown = carom("explain", "elastic-gas", cwd=tmp_path).stdout
     for part in ("gravity.constant = 0", "no friction, and nothing spins", "steps in", "of memory", "of recording"):
         assert part in shown
+    rows = [line.split() for line in shown.splitlines()]
+    assert ["friction", "no", "—", "both", "coefficients", "are", "0"] in rows
+    assert ["restitution", "yes", "in", "contact", "e", "=", "1"] in rows
     document = json.loads(carom("explain", "elastic-gas", "--json", cwd=tmp_path).stdout)
     assert {part["name"]: part["modelled"] for part in document["parts"]}["contact"] is True
+    assert {entity["path"]: entity["recorded"] for entity in document["entities"]}["world/torque"] is False
     assert document["cost"]["steps"] > 0
+
+
+def test_explain_forces_parts_besides_those_that_the_scene_forces(tmp_path: Path) -> None:
+    command = ("explain", "elastic-gas", "--set", "model.force=potential", "--force", "torque", "--json")
+    parts = json.loads(carom(*command, cwd=tmp_path).stdout)["parts"]
+    forced = {part["name"] for part in parts if part["why"].startswith("forced")}
+    assert forced == {"potential", "gravity", "torque", "spin"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["explain", "elastic-gas", "--force", "spinn"], f"--force spinn: {unknown('spinn')}"),
+        (
+            ["explain", "kepler-orbits", "--force", "friction"],
+            "model.force: friction cannot be forced on: contact.enabled = false; set it to true",
+        ),
+        (
+            ["run", "kepler-orbits", "--set", "model.force=adaptive-step"],
+            "model.force: adaptive-step cannot be forced on: time.fixed_dt sets the step; leave it out",
+        ),
+    ],
+)
+def test_a_part_that_cannot_be_forced_is_refused_with_one_message(
+    tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    done = carom(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == f"carom: {message}\n"
 
 
 def test_scenes_lists_what_is_bundled(tmp_path: Path) -> None:

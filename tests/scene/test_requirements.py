@@ -140,7 +140,7 @@ def forced(*parts: str, **sections: Any) -> dict[str, str]:
 
 
 def test_a_forced_part_says_so_and_why_it_was_left_out() -> None:
-    assert forced("spin") == {"spin": "forced; otherwise not: no friction, and nothing spins at the start"}
+    assert forced("spin") == {"spin": "forced; otherwise not: no friction, and nothing spins at first"}
 
 
 def test_a_forced_part_brings_what_it_cannot_be_without() -> None:

@@ -2,50 +2,117 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import SceneArgument, SetOption
+from carom.cli.options import JsonOption, SceneArgument, SetOption
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.experiment.estimate import EntityCost, PartCost
+    from carom.scene.schema import Scene
 
 
 def explain(
     scene: SceneArgument,
     overrides: SetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+    force: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--force", metavar="PART", help="Model a part though the scene does not require it; may be given again."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
 ) -> None:
-    """Say what a scene requires and why, and what running it will cost."""
+    """Say what a scene requires and why, and what each part, each entity and the whole run will cost."""
     import json
     from dataclasses import asdict
 
+    from carom.cli.compiling import announce_compilation
     from carom.cli.units import bytes_text, duration_text
     from carom.experiment.estimate import estimate
-    from carom.scene.limits import refuse_impossible
-    from carom.scene.requirements import require
-    from carom.scene.schema import Scene
 
-    loaded = Scene.load(scene, overrides)
-    refuse_impossible(loaded)
-    needs = require(loaded)
-    cost = estimate(loaded)
+    loaded = _forced(scene, list(overrides or []), force or [])
+    announce_compilation()
+    found = estimate(loaded)
     if as_json:
-        parts = [asdict(part) for part in needs.parts]
-        document = {"title": loaded.title, "bodies": loaded.count, "parts": parts, "cost": asdict(cost)}
+        document = {"title": loaded.title, "bodies": loaded.count, **asdict(found)}
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
     from rich.console import Console
+
+    console, cost = Console(highlight=False), found.cost
+    console.print(f"[bold]{loaded.title}[/bold]: {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
+    console.print(_parts(found.parts))
+    console.print()
+    console.print(_entities(found.entities))
+    console.print(
+        f"\nAt the pace of the first steps (a collapse takes more of them later):\n"
+        f"  about {cost.steps} steps in {duration_text(cost.seconds)}\n"
+        f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
+        f"  about {bytes_text(cost.size)} of recording: {cost.frames} frames, each of which takes "
+        f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
+    )
+
+
+def _forced(scene: str, overrides: list[str], force: list[str]) -> Scene:
+    """Load a scene with parts forced on, besides those that it forces by itself."""
+    import json
+
+    from carom.scene.error import SceneError
+    from carom.scene.parts import PARTS, unknown
+    from carom.scene.schema import Scene
+
+    for part in force:
+        if part not in PARTS:
+            raise SceneError(f"--force {part}: {unknown(part)}")
+    loaded = Scene.load(scene, overrides)
+    if not force:
+        return loaded
+    return Scene.load(scene, [*overrides, f"model.force={json.dumps([*loaded.model.force, *force])}"])
+
+
+def _table(first: str, share: str) -> Table:
     from rich.table import Table
 
-    console = Console()
-    console.print(f"[bold]{loaded.title}[/bold]: {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
-    table = Table("part", "modelled", "why", box=None, pad_edge=False)
-    for part in needs.parts:
-        table.add_row(part.name, "[green]yes[/green]" if part.modelled else "[dim]no[/dim]", part.why)
-    console.print(table)
-    shares = ", ".join(f"{part} {share:.0%}" for part, share in cost.shares.items() if share >= 0.005)
-    console.print(
-        f"\nCost at the pace of the first steps (a collapse takes more of them later):\n"
-        f"  about {cost.steps} steps in {duration_text(cost.seconds)}; a step is {shares}\n"
-        f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
-        f"  about {bytes_text(cost.size)} of recording in {cost.frames} frames"
-    )
+    table = Table(box=None, pad_edge=False)
+    for header in (first, "", share, "why"):
+        table.add_column(header, justify="right" if header == share else "left", overflow="fold")
+    return table
+
+
+def _parts(parts: list[PartCost]) -> Table:
+    table = _table("part", "time")
+    for part in parts:
+        share = f"in {part.within}" if part.within else _percent(part.share)
+        _add(table, part.name, part.modelled, share, part.why)
+    return table
+
+
+def _entities(entities: list[EntityCost]) -> Table:
+    """Show the entities; those of one folder that are there for the same reason share a row, as do those left out."""
+    from carom.recording.contents import ONCE
+
+    rows: dict[tuple[str, str], list[EntityCost]] = {}
+    for entity in entities:
+        folder = "" if entity.why == ONCE else entity.path.rpartition("/")[0]
+        rows.setdefault((folder, entity.why if entity.recorded else ""), []).append(entity)
+    table = _table("recorded", "bytes")
+    for (folder, why), alike in rows.items():
+        names = ", ".join(entity.path.removeprefix(f"{folder}/") for entity in alike)
+        reasons = why or "no " + ", ".join(dict.fromkeys(entity.why.removeprefix("no ") for entity in alike))
+        share = _percent(sum(entity.share or 0.0 for entity in alike) if why else None)
+        _add(table, f"{folder}/{names}" if folder else names, bool(why), share, reasons)
+    return table
+
+
+def _add(table: Table, name: str, is_there: bool, share: str, why: str) -> None:
+    table.add_row(name, "yes" if is_there else "no", share, why, style=None if is_there else "dim")
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "—"
+    return "<1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"

@@ -1,50 +1,209 @@
-"""What a run will cost, from a few of its steps: time, memory, bytes."""
+"""What a run will cost, part by part and entity by entity, from a few of its steps and a few of its frames."""
 
 from __future__ import annotations
 
+import statistics
+import tempfile
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
-from carom.physics.space import Space
+import numpy as np
+
+from carom.experiment.run import header_of
+from carom.physics.frame import Frame
+from carom.physics.gravity.method import gravity_of
+from carom.physics.schedule import every
+from carom.physics.space import WARM_UP_STEPS, Space
+from carom.physics.team import Team
+from carom.recording.contents import Content, contents
+from carom.recording.trial import Taken, trial
 from carom.scene.limits import memory_estimate
-from carom.scene.requirements import BYTES_PER_BODY_AND_FRAME, frame_interval
+from carom.scene.requirements import Part, Requirements, frame_interval
 from carom.scene.schema import Scene
 
 TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
+PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to tell what a potential costs
+KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
+FRAME_BYTES = 250  # of a body in a frame
+FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
+
+# The marks of a step's profile and the part that each belongs to; in a scene without that part, to the second.
+MARKS = {
+    "timestep": ("adaptive-step", "integrator"),
+    "orientation": ("orientation", "integrator"),
+    "integrate": ("integrator", "integrator"),
+    "search": ("broad-phase", "contact"),
+    "colouring": ("colouring", "contact"),
+    "stabilisation": ("stabilisation", "contact"),
+    "gravity": ("gravity", "integrator"),
+    "field": ("uniform-field", "integrator"),
+    "resting": ("resting-contacts", "contact"),
+    "response": ("contact", "integrator"),
+    "torque": ("torque", "contact"),
+    "ledger": ("energy", "energy"),
+    "energy": ("energy", "energy"),
+}
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class PartCost:
+    """A part of the model, and what it costs."""
+
+    name: str
+    modelled: bool
+    why: str
+    share: float | None  # of the time of a run; None where it is not modelled or not told apart
+    within: str | None  # the part whose share has this one's in it
+
+
+@dataclass(frozen=True, slots=True)
+class EntityCost:
+    """An entity of the recording, and what it takes."""
+
+    path: str
+    recorded: bool
+    why: str
+    share: float | None  # of the bytes of a recording; None where it is not recorded
+    bytes: float  # of the whole recording
+    seconds: float  # of the whole run, in the recorder's thread
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
     """Cost of a run, at the pace of its first steps: a collapse takes more steps later on."""
 
     steps: int
     seconds: float
     memory: int  # bytes, without the interpreter
     frames: int
+    frame_seconds: float  # to record a frame, in a thread of its own
     size: int  # bytes of the recording
-    shares: dict[str, float]  # part of the step -> part of its time
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What a run is made of and what it costs."""
+
+    parts: list[PartCost]
+    entities: list[EntityCost]
+    cost: Cost
 
 
 def estimate(scene: Scene) -> Estimate:
-    """Run the first steps of a scene for about a second and extrapolate."""
+    """Run the first steps of a scene for about a second, record a few frames, and extrapolate.
+
+    Raises
+    ------
+    SceneError, PhysicsError
+        If the scene cannot run.
+    """
     space = Space(scene)
     began = time.perf_counter()
-    while space.time < scene.time.duration and space.step < TRIAL_STEPS:
-        space.compute_dynamics(space.step + 1)
-        if time.perf_counter() - began > TRIAL_SECONDS:
-            break
+    few = _first_frames(space)
     spent = time.perf_counter() - began
     steps = max(space.step, round(space.step * scene.time.duration / space.time))
     interval = frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
-    profile = space.profile.seconds()
-    whole = sum(profile.values())
+    header = header_of(space)
+    with tempfile.TemporaryDirectory() as folder:
+        taken = trial(Path(folder) / "trial.rrd", header, few)
+    entities = [_entity_cost(content, taken, frames) for content in contents(header, space.requirements)]
+    size = sum(entity.bytes for entity in entities)
     return Estimate(
-        steps=steps,
-        seconds=spent / space.step * steps,
-        memory=memory_estimate(scene),
-        frames=frames,
-        size=frames * scene.count * BYTES_PER_BODY_AND_FRAME,
-        shares={part: seconds / whole for part, seconds in profile.items()},
+        parts=_part_costs(space, steps, frames),
+        entities=[_with_share(entity, size) for entity in entities],
+        cost=Cost(
+            steps=steps,
+            seconds=spent / space.step * steps,
+            memory=memory_estimate(scene),
+            frames=frames,
+            frame_seconds=sum(each.seconds for each in taken.values()),
+            size=FILE_BYTES + round(size),
+        ),
     )
+
+
+def _first_frames(space: Space) -> list[Frame]:
+    """Run the first steps; return the last few frames of them."""
+    deadline = time.perf_counter() + TRIAL_SECONDS
+    room = max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
+    wanted = every(frame_interval(space.scene))
+
+    def over() -> bool:
+        return space.step >= TRIAL_STEPS or time.perf_counter() > deadline
+
+    frames: list[Frame] = []
+    for frame in space.run(schedule=lambda step, before, now: wanted(step, before, now) or over()):
+        frames = [*frames, frame][-room:]
+        if space.step > 0 and over():
+            break
+    return frames
+
+
+def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
+    """Share the time of a run out among the parts."""
+    needs = space.requirements
+    modelled = {part.name for part in needs.parts if part.modelled}
+    seconds = dict.fromkeys(modelled, 0.0)  # a step
+    for mark, spent in space.profile.seconds().items():
+        part, otherwise = MARKS[mark]
+        seconds[part if part in modelled else otherwise] += spent / space.step
+    checks = 1.0 / space.scene.record.log_freq
+    if needs.potential.modelled:
+        more = _more_for_the_potential(space)
+        seconds["potential"] = more * min(1.0, checks + frames / steps)
+        seconds["gravity"] = max(0.0, seconds["gravity"] - seconds["potential"])
+    if needs.warm_up.modelled:
+        seconds["warm-up"] = sum(seconds.values()) * WARM_UP_STEPS / steps
+    whole = sum(seconds.values())
+    return [_part_cost(part, _within(part.name, needs), seconds, whole) for part in needs.parts]
+
+
+def _more_for_the_potential(space: Space) -> float:
+    """Measure how much longer the pull takes with the potential, in s: in turns, medians."""
+    gravity = gravity_of(space.scene, space.state.mass, Team(space.threads))
+    if gravity is None:
+        return 0.0
+    acceleration = np.empty_like(space.state.acceleration)
+    spent: dict[bool, list[float]] = {False: [], True: []}
+    deadline = time.perf_counter() + PULL_SECONDS
+    for _ in range(PULL_ROUNDS):
+        for potential, times in spent.items():
+            began = time.perf_counter()
+            gravity.accelerate(space.state.position, acceleration, potential)
+            times.append(time.perf_counter() - began)
+        if time.perf_counter() > deadline:
+            break
+    return max(0.0, statistics.median(spent[True]) - statistics.median(spent[False]))
+
+
+def _within(name: str, needs: Requirements) -> str | None:
+    """Name the part that one is computed together with: no clock can tell them apart."""
+    match name:
+        case "narrow-phase":
+            return "broad-phase"
+        case "tree":
+            return "gravity"
+        case "restitution" | "friction":
+            return "contact"
+        case "spin":
+            return "contact" if needs.friction.modelled else "energy"
+    return None
+
+
+def _part_cost(part: Part, within: str | None, seconds: dict[str, float], whole: float) -> PartCost:
+    if not part.modelled or within:
+        return PartCost(part.name, part.modelled, part.why, None, within if part.modelled else None)
+    return PartCost(part.name, True, part.why, seconds[part.name] / whole if whole else 0.0, None)
+
+
+def _entity_cost(content: Content, taken: dict[str, Taken], frames: int) -> EntityCost:
+    each = taken.get(content.path, Taken(0, 0.0, 0.0))
+    return EntityCost(*content, None, each.once + each.bytes * frames, each.seconds * frames)
+
+
+def _with_share(entity: EntityCost, whole: float) -> EntityCost:
+    share = entity.bytes / whole if entity.recorded else None
+    return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)

@@ -111,8 +111,10 @@ def _worse(known: Moment | None, value: float, step: int, time: float) -> Moment
     return known if known is not None and value <= known.value else Moment(value, step, time)
 
 
-def _larger(known: Moment | None, value: float, worst: int, step: int, time: float, graph: CollisionGraph) -> Moment:
-    if known is not None and value <= known.value:
+def _larger(
+    known: Moment | None, value: float, worst: int, step: int, time: float, graph: CollisionGraph
+) -> Moment | None:
+    if len(graph) == 0 or (known is not None and value <= known.value):
         return known
     return Moment(value, step, time, tuple(int(body) for body in graph.pairs[worst]))
 

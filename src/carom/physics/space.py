@@ -398,10 +398,7 @@ class Space:
                 i, j = self.contacts.pairs[0]
                 names = Names(self.names, self.planes.name)
                 self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
-            self._accounts.book(contact.work)
-            struck = self.moments.see_contacts(
-                self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
-            )
+            struck = self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():
                 self._log("WARN", text)
         self._phase.see(len(self.contacts), struck, self._accounts.energy.scale)
@@ -409,6 +406,13 @@ class Space:
         if self.requirements.torque.modelled:
             contact.turn(self.dt)
             self.profile.mark("torque")
+
+    def _see_contacts(self, contact: ContactStage, moments: Moments) -> float:
+        """Book the contacts of the step; return the energy of the impacts among them, in J."""
+        self._accounts.book(contact.work)
+        return moments.see_contacts(
+            self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
+        )
 
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
@@ -445,6 +449,7 @@ class Space:
         self.contacts = empty_graph()
         if self._contact:
             self._contact.forget()
+            self._see_contacts(self._contact, Moments())  # none: loads the kernels
             self._contact.begin(self.first_dt)
         return potential
 

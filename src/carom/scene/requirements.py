@@ -180,7 +180,7 @@ def _gravity(scene: Scene) -> Part:
         return Part(name, False, "gravity.constant = 0")
     if n == 1:
         return Part(name, False, "one body pulls nothing else")
-    return Part(name, True, f"{n} bodies pull each other, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²")
+    return Part(name, True, f"{n} bodies, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²")
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
@@ -212,7 +212,7 @@ def _tree(scene: Scene) -> Part:
 def _potential(scene: Scene, gravity: Part) -> Part:
     if not gravity.modelled:
         return Part("potential", False, "nothing pulls")
-    return Part("potential", True, f"where an energy is due: every {scene.record.log_freq} steps, and at frames")
+    return Part("potential", True, f"every {scene.record.log_freq} steps and at frames")
 
 
 def _field(scene: Scene) -> Part:
@@ -222,7 +222,7 @@ def _field(scene: Scene) -> Part:
 
 
 def _energy(scene: Scene) -> Part:
-    return Part("energy", True, f"ledger; energy and momentum every {scene.record.log_freq} steps, and at frames")
+    return Part("energy", True, f"every {scene.record.log_freq} steps and at frames; the ledger")
 
 
 def _contact(scene: Scene) -> Part:
@@ -258,8 +258,8 @@ def _where_bodies_meet(name: str, contact: Part, why: str) -> Part:
 
 
 def _broad_phase(scene: Scene, contact: Part) -> Part:
-    how = "k-d trees" if scene.contact.search == "k-d-tree" else "hashed grids"
-    return _where_bodies_meet("broad-phase", contact, f"{how}, one for each octave of radius")
+    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hashed grid"
+    return _where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
 
 
 def _narrow_phase(contact: Part) -> Part:
@@ -281,9 +281,9 @@ def _stabilisation(scene: Scene, contact: Part) -> Part:
 def _resting(scene: Scene, contact: Part) -> Part:
     name, falls = "resting-contacts", scene.anchored and _field(scene).modelled
     if contact.modelled and not (_gravity(scene).modelled or falls):
-        return Part(name, False, "nothing presses bodies together: every contact is an impact")
+        return Part(name, False, "no load: every contact is an impact")
     how = "impulses that last" if scene.contact.solver == "lasting" else "stages without restitution"
-    return _where_bodies_meet(name, contact, f"{'the field' if falls else 'gravity'} presses bodies together: {how}")
+    return _where_bodies_meet(name, contact, f"{'the field' if falls else 'gravity'} presses: {how}")
 
 
 def _restitution(scene: Scene, contact: Part) -> Part:
@@ -303,7 +303,7 @@ def _friction(scene: Scene, contact: Part) -> Part:
 def _torque(friction: Part) -> Part:
     if friction.modelled:
         return Part("torque", True, "friction turns bodies")
-    return Part("torque", False, "nothing turns a body: the normal force acts on the centre")
+    return Part("torque", False, "the normal force acts on the centre")
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
@@ -311,7 +311,7 @@ def _spin(scene: Scene, friction: Part) -> Part:
         return Part("spin", True, "friction turns bodies")
     if _starts_spinning(scene):
         return Part("spin", True, "bodies spin at the start")
-    return Part("spin", False, "no friction, and nothing spins at the start")
+    return Part("spin", False, "no friction, and nothing spins at first")
 
 
 def _orientation(scene: Scene, friction: Part) -> Part:
@@ -366,7 +366,7 @@ def _adaptive_step(scene: Scene) -> Part:
 def _warm_up(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
         return Part("warm-up", False, "time.fixed_dt: no step has to be found")
-    return Part("warm-up", True, "the first adaptive step needs accelerations")
+    return Part("warm-up", True, "adaptive steps begin with accelerations")
 
 
 def target_dx(scene: Scene) -> float:

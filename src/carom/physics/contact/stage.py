@@ -20,6 +20,7 @@ from carom.physics.contact.graph import (
     empty_graph,
 )
 from carom.physics.contact.lasting import Hold
+from carom.physics.contact.load import OVERLAP
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_coordinate, largest_square, rest_speeds
 from carom.physics.contact.search import PlaneSearch, search_by
@@ -223,7 +224,7 @@ class ContactStage:
             bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
         normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
         self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
-        _describe(place, bench.hot, bench.overlaps, self._rounding, normals, overlaps, self._apart)
+        _describe(place, bench.hot, bench.cold, self._rounding, normals, overlaps, self._apart)
         # what touched when found is resolved though a push opens it, or it falls and is pushed back for ever
         bench.apart[:] = self._apart
         self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
@@ -307,6 +308,7 @@ class ContactStage:
         if self._pushes:
             self._bench.part(1)
         self._resolve(1.0, 1.0, Profile())
+        self._bench.is_closing()
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0)
@@ -319,7 +321,7 @@ class ContactStage:
 def _describe(
     place: IntArray,
     hot: FloatArray,
-    overlap: FloatArray,
+    cold: FloatArray,
     rounding: float,
     normals: FloatArray,
     overlaps: FloatArray,
@@ -330,9 +332,10 @@ def _describe(
         p = place[c]
         for k in range(3):
             normals[c, k] = hot[p, k]
-        overlaps[c] = max(0.0, overlap[p])
-        reach = hot[p, 3] + hot[p, 4] + overlap[p]
-        apart[p] = overlap[p] < -(TOUCHING * reach + rounding)
+        overlap = cold[p, OVERLAP]
+        overlaps[c] = max(0.0, overlap)
+        reach = hot[p, 3] + hot[p, 4] + overlap
+        apart[p] = overlap < -(TOUCHING * reach + rounding)
 
 
 @long_kernel

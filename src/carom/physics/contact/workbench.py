@@ -102,6 +102,11 @@ class Workbench:
         return self._load.hot
 
     @property
+    def cold(self) -> FloatArray:
+        """(m, 16), likewise."""
+        return self._load.cold
+
+    @property
     def normals(self) -> FloatArray:
         """(m, 3), from i to j."""
         return self._load.hot[:, :3]

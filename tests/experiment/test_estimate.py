@@ -1,0 +1,104 @@
+"""What a run will cost is measured on a few of its steps and frames, and adds up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rerun.chunk import RrdReader
+
+from carom.experiment.estimate import MARKS, Estimate, estimate
+from carom.experiment.run import header_of, run
+from carom.physics.space import Space
+from carom.recording.contents import contents
+from carom.recording.recording import Recording
+from carom.scene.parts import PARTS
+from carom.scene.schema import Scene
+from examples import cloud, pair, scene_of
+
+SMOOTH = {"static_friction": 0}
+FALLING = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}
+SHORT: dict[str, Any] = {"time": {"duration": 0.2}}
+SCENES = {
+    "the whole model": cloud(gravity={"constant": 1.0, "uniform": [0.0, 0.0, -1.0]}, **SHORT),
+    "a smooth gas": pair(contact=SMOOTH, **SHORT),
+    "a smooth gas that spins": cloud(contact=SMOOTH, gravity={"constant": 0.0}, **SHORT),
+    "a smooth gas with friction forced on": pair(contact=SMOOTH, model={"force": "friction"}, **SHORT),
+    "a smooth gas with spin forced on": pair(contact=SMOOTH, model={"force": "spin"}, **SHORT),
+    "a body that falls on a floor": scene_of([{"position": [0, 0, 2]}], plane=[{}], gravity=FALLING, **SHORT),
+    "a body between walls": scene_of([{}], domain={"boundary": "walls", "size": [9, 9, 9]}, **SHORT),
+    "a periodic box": pair(domain={"boundary": "periodic", "size": [9, 9, 9]}, **SHORT),
+    "nothing but motion": scene_of([{"velocity": [1, 0, 0]}], **SHORT),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_recording_has_the_entities_that_the_scene_requires_and_no_other(name: str, tmp_path: Path) -> None:
+    scene, path = SCENES[name], tmp_path / "x.rrd"
+    run(scene, path)
+    space = Space(scene)
+    expected = {f"/{entity}" for entity, recorded, _ in contents(header_of(space), space.requirements) if recorded}
+    chunks = RrdReader(path).store().stream()
+    assert {chunk.entity_path for chunk in chunks if not chunk.entity_path.startswith("/__")} == expected
+
+
+def test_what_is_not_required_is_not_in_the_checkpoints(tmp_path: Path) -> None:
+    for name, orientations, spins in (
+        ("a smooth gas", False, False),
+        ("a smooth gas with spin forced on", False, True),
+        ("a smooth gas that spins", True, True),
+    ):
+        path = tmp_path / f"{name}.rrd"
+        run(SCENES[name], path)
+        checkpoint = Recording.open(path).checkpoint(0)
+        assert (checkpoint.orientation is not None, checkpoint.angular_velocity is not None) == (orientations, spins)
+        assert checkpoint.contacts is None
+
+
+@pytest.fixture(scope="module")
+def whole() -> Estimate:
+    return estimate(SCENES["the whole model"])
+
+
+def test_every_part_has_a_share_or_the_name_of_the_part_that_has_it(whole: Estimate) -> None:
+    assert [part.name for part in whole.parts] == list(PARTS)
+    shares = {part.name: part.share for part in whole.parts if part.share is not None}
+    for part in whole.parts:
+        assert (part.name in shares) == (part.modelled and part.within is None)
+        assert part.within is None or part.within in shares
+    assert sum(shares.values()) == pytest.approx(1.0, rel=1e-12)
+    assert min(shares.values()) >= 0.0
+
+
+def test_every_mark_of_the_profile_belongs_to_a_part() -> None:
+    assert {part for parts in MARKS.values() for part in parts} <= set(PARTS)
+
+
+def test_every_entity_has_its_share_of_the_bytes(whole: Estimate) -> None:
+    assert sum(entity.share or 0.0 for entity in whole.entities) == pytest.approx(1.0, rel=1e-12)
+    for entity in whole.entities:
+        assert (entity.share is not None) == entity.recorded
+        assert entity.recorded or entity.bytes == entity.seconds == 0.0
+    largest = max(whole.entities, key=lambda entity: entity.bytes)
+    assert largest.path == "world/bodies"
+
+
+def test_the_size_of_the_recording_is_foretold(whole: Estimate, tmp_path: Path) -> None:
+    recording = run(SCENES["the whole model"], tmp_path / "x.rrd")
+    assert whole.cost.frames == pytest.approx(recording.frames, rel=0.5), "at the pace of the first steps"
+    each = (tmp_path / "x.rrd").stat().st_size / whole.cost.size
+    assert 0.3 < each < 2.0  # contacts come and go; a constant of 300 kB for layout and footer is most of it
+
+
+def test_a_scene_as_short_as_a_step_is_estimated() -> None:
+    scene = scene_of([{"velocity": [1, 0, 0]}], time={"duration": 1e-3}, record={"every": "auto"})
+    found = estimate(scene)
+    assert found.cost.steps >= 1 and found.cost.seconds > 0.0
+
+
+def test_a_bundled_scene_that_is_forced_says_so() -> None:
+    scene = Scene.load("elastic-gas", ["model.force=friction"])
+    costs = {part.name: part for part in estimate(scene).parts}
+    assert costs["friction"].why == "forced; otherwise not: both coefficients are 0"
+    assert costs["spin"].modelled and costs["torque"].share is not None
