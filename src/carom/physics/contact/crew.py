@@ -24,6 +24,7 @@ from carom.physics.contact.load import (
     PHASE,
     PRESS,
     RELAX,
+    SPINS,
     STRIKE,
     SWEEP,
     Load,
@@ -155,9 +156,9 @@ def _do(load: Load, k: int) -> None:
     pairs, pieces, C, cold, a, V, law, who, found, sums, flags, numbers = load
     phase = flags[PHASE]
     if phase == AIM:
-        aim(k, V, who, sums)
+        aim(k, V, who, sums, flags)
     elif phase == GO:
-        go(k, V, who, numbers[ALPHA])
+        go(k, V, who, flags, numbers[ALPHA])
     else:
         lo, hi = pieces[k, 0], pieces[k, 1]
         if phase == STRIKE:
@@ -167,7 +168,10 @@ def _do(load: Load, k: int) -> None:
         elif phase == PRESS:
             press(lo, hi, pairs, C, V, flags)
         elif phase == RELAX:
-            relax(lo, hi, k, pairs, C, V, law, found, flags, numbers)
+            if flags[SPINS] != 0:
+                relax(lo, hi, k, pairs, C, V, law, found, flags, numbers, (1,))
+            else:
+                relax(lo, hi, k, pairs, C, V, law, found, flags, numbers, ())
         elif phase == BOOK:
             book(lo, hi, pairs, C, cold, a, V, flags, numbers)
 

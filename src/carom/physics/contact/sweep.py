@@ -71,14 +71,16 @@ def begin(
         nx, ny, nz, ri, rj = C[c, 0], C[c, 1], C[c, 2], C[c, 3], C[c, 4]
         Kn = V[i, 6] + V[j, 6]
         C[c, 5] = 1.0 / Kn
-        C[c, 6] = 1.0 / (Kn + ri * ri * V[i, 7] + rj * rj * V[j, 7])
         ux, uy, uz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
         vn = ux * nx + uy * ny + uz * nz
-        ux, uy, uz = ux - vn * nx, uy - vn * ny, uz - vn * nz
+        cold[c, BEFORE] = vn
         if spins:
+            C[c, 6] = 1.0 / (Kn + ri * ri * V[i, 7] + rj * rj * V[j, 7])
+            ux, uy, uz = ux - vn * nx, uy - vn * ny, uz - vn * nz
             wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
-            ux, uy, uz = ux - (wy * nz - wz * ny), uy - (wz * nx - wx * nz), uz - (wx * ny - wy * nx)
-        cold[c, BEFORE], cold[c, BEFORE + 1], cold[c, BEFORE + 2], cold[c, BEFORE + 3] = vn, ux, uy, uz
+            cold[c, BEFORE + 1] = ux - (wy * nz - wz * ny)
+            cold[c, BEFORE + 2] = uy - (wz * nx - wx * nz)
+            cold[c, BEFORE + 3] = uz - (wx * ny - wy * nx)
         gap, rest_speed = -cold[c, OVERLAP], cold[c, REST]
         if drift > 0.0:
             C[c, 7] = max(0.0, gap) / drift
@@ -137,9 +139,10 @@ def relax(
     found: FloatArray,
     flags: IntArray,
     numbers: FloatArray,
+    turning: tuple[()] | tuple[int],
 ) -> None:
     """Take contact after contact to where it neither closes nor pulls, at the velocities as they are."""
-    spins, alpha, drift = flags[SPINS] != 0, numbers[ALPHA], numbers[DRIFT]
+    spins, alpha, drift = len(turning) > 0, numbers[ALPHA], numbers[DRIFT]
     bodies = len(V) - (len(law) - 1)
     change, farthest, slope = 0.0, np.inf, 0.0
     last = len(pairs) - 1
@@ -227,8 +230,9 @@ def relax(
 
 
 @kernel
-def aim(block: int, V: FloatArray, who: IntArray, sums: FloatArray) -> None:
+def aim(block: int, V: FloatArray, who: IntArray, sums: FloatArray, flags: IntArray) -> None:
     """Sum m p·v + I t·ω, and m p² + I t²."""
+    spins = flags[SPINS] != 0
     slope, curvature = 0.0, 0.0
     for k in range(block * BLOCK, min(len(who), (block + 1) * BLOCK)):
         b = who[k]
@@ -236,7 +240,7 @@ def aim(block: int, V: FloatArray, who: IntArray, sums: FloatArray) -> None:
             px, py, pz, m = V[b, 8], V[b, 9], V[b, 10], 1.0 / V[b, 6]
             slope += (px * V[b, 0] + py * V[b, 1] + pz * V[b, 2]) * m
             curvature += (px * px + py * py + pz * pz) * m
-        if V[b, 7] > 0.0:
+        if spins and V[b, 7] > 0.0:
             tx, ty, tz, I = V[b, 11], V[b, 12], V[b, 13], 1.0 / V[b, 7]  # noqa: E741 - the symbol of the equation
             slope += (tx * V[b, 3] + ty * V[b, 4] + tz * V[b, 5]) * I
             curvature += (tx * tx + ty * ty + tz * tz) * I
@@ -244,10 +248,15 @@ def aim(block: int, V: FloatArray, who: IntArray, sums: FloatArray) -> None:
 
 
 @kernel
-def go(block: int, V: FloatArray, who: IntArray, alpha: float) -> None:
+def go(block: int, V: FloatArray, who: IntArray, flags: IntArray, alpha: float) -> None:
     """Change the velocities by α p and α t, and begin to sum those anew."""
+    spins = flags[SPINS] != 0
     for k in range(block * BLOCK, min(len(who), (block + 1) * BLOCK)):
         b = who[k]
-        for axis in range(6):
+        for axis in range(3):
             V[b, axis] += alpha * V[b, 8 + axis]
             V[b, 8 + axis] = 0.0
+        if spins:
+            for axis in range(3, 6):
+                V[b, axis] += alpha * V[b, 8 + axis]
+                V[b, 8 + axis] = 0.0
