@@ -82,10 +82,10 @@ class Team:
         grain
             So many take some 50 µs: fewer are not worth a part of their own.
         """
-        pieces = min(count // grain, PIECES * self.size)
-        if self._pool is None or pieces < 2:
+        if self._pool is None or count < 2 * grain:  # asked first: of a few bodies all of it is calls
             work(0, count, *arguments)
         else:
+            pieces = min(count // grain, PIECES * self.size)
             self.share(pieces, lambda _, k: work(count * k // pieces, count * (k + 1) // pieces, *arguments))
 
     def share(self, pieces: int, job: Job) -> None:
