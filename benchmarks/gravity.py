@@ -1,24 +1,19 @@
 """Gravity beside its peers, in one run: the same bodies, rounds interleaved, medians compared.
 
     python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound]
-                                 [--rounds N] [--json FILE]
+                                 [--rounds N]
 
 `direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: carom gets
 the largest opening angle, in steps of 0.02, whose median and 99th percentile of the error are both no larger than the
 peer's. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one
-peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it.
+peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it. Rows take
+the place of those of the same bodies, shape and peer in benchmarks/results/gravity.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import platform
-import statistics
-import time
 from collections.abc import Callable
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,11 +21,11 @@ import pytreegrav
 import rebound
 from numpy.typing import NDArray
 
-from carom.experiment.environment import versions
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
 from carom.physics.kernel import long_kernel
 from carom.physics.team import Team
+from measurement import medians, merge
 
 FloatArray = NDArray[np.float64]
 Force = Callable[[], FloatArray]  # computes the accelerations, (n, 3)
@@ -39,6 +34,7 @@ DIRECT_BODIES = [1024, 4096, 16384]
 TREE_BODIES = [100_000]
 SAMPLE = 1000  # bodies whose error is measured
 ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
+PEERS = ("rebound", "pytreegrav")
 TINY = 1e-12  # s: REBOUND's step is one evaluation of the forces, and drifts that cost n
 
 
@@ -161,17 +157,6 @@ def opening_angle(position: FloatArray, mass: FloatArray, errors: Errors, median
     return low / 50
 
 
-def medians(contenders: dict[str, Force], rounds: int) -> dict[str, float]:
-    """Return the median of the interleaved rounds in seconds."""
-    spent: dict[str, list[float]] = {name: [] for name in contenders}
-    for _ in range(rounds):
-        for name, contender in contenders.items():
-            began = time.perf_counter()
-            contender()
-            spent[name].append(time.perf_counter() - began)
-    return {name: statistics.median(times) for name, times in spent.items()}
-
-
 def compare_direct(bodies: list[int], rounds: int) -> list[dict[str, Any]]:
     print(
         f"\n{'direct':>9} {'carom':>10} {'potential':>10} {'2 threads':>10} {'REBOUND':>10} {'ratio':>6} {'pairs/s':>9}"
@@ -185,7 +170,6 @@ def compare_direct(bodies: list[int], rounds: int) -> list[dict[str, Any]]:
             "two threads": carom_direct(position, mass, 2, potential=False),
             "REBOUND": rebound_force(position, mass, "basic"),
         }
-        medians(contenders, 1)
         spent = medians(contenders, rounds)
         ratio, rate = spent["REBOUND"] / spent["carom"], n * n / spent["carom"]
         times = " ".join(f"{seconds * 1e3:>8.2f}ms" for seconds in spent.values())
@@ -222,7 +206,7 @@ def _compare_tree(
     row |= {
         "opening_angle": theta,
         "error": errors.of(contenders["two threads"]()),
-        "seconds": medians(contenders, rounds),
+        "seconds": medians(contenders, rounds, cold=0),  # they were called for their errors
     }
     seconds = row["seconds"]
     if peer:
@@ -250,20 +234,13 @@ def main() -> None:
     parser.add_argument("--shapes", nargs="+", choices=list(SHAPES), default=list(SHAPES))
     parser.add_argument("--peers", nargs="*", choices=["pytreegrav", "rebound"], default=["pytreegrav", "rebound"])
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--json", type=Path, help="where the results go as JSON")
     chosen = parser.parse_args()
     parts = chosen.parts or ["direct", "tree"]
-    found: dict[str, Any] = {
-        "machine": platform.processor() or platform.machine(),
-        "versions": versions() | {peer: version(peer) for peer in ("rebound", "pytreegrav")},
-    }
-    print(", ".join(f"{name} {number}" for name, number in found["versions"].items()))
     if "direct" in parts:
-        found["direct"] = compare_direct(chosen.bodies or DIRECT_BODIES, chosen.rounds)
+        merge("gravity", {"direct": compare_direct(chosen.bodies or DIRECT_BODIES, chosen.rounds)}, *PEERS)
     if "tree" in parts:
-        found["tree"] = compare_trees(chosen.bodies or TREE_BODIES, chosen.shapes, chosen.peers, chosen.rounds)
-    if chosen.json:
-        chosen.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+        rows = compare_trees(chosen.bodies or TREE_BODIES, chosen.shapes, chosen.peers, chosen.rounds)
+        merge("gravity", {"tree": rows}, *PEERS)
 
 
 if __name__ == "__main__":

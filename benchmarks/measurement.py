@@ -7,7 +7,7 @@ import json
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,17 @@ from carom.physics.team import cores
 RESULTS = Path(__file__).parent / "results"
 
 
-def medians(contenders: dict[str, Callable[[], object]], rounds: int, budget: float = 60.0) -> dict[str, float]:
+def medians(
+    contenders: Mapping[str, Callable[[], object]], rounds: int, budget: float = 60.0, cold: int = 1
+) -> dict[str, float]:
     """Return the median seconds of each contender, called in turn, round after round.
 
-    A first round, in which kernels and caches warm up, does not count. Another process or a hot processor slows all
-    alike. After ``budget`` seconds no further round begins.
+    So many ``cold`` rounds before, in which kernels and caches warm up, do not count. Another process or a hot
+    processor slows all alike. After ``budget`` seconds no further round begins.
     """
     spent: dict[str, list[float]] = {name: [] for name in contenders}
     began = time.perf_counter()
-    for number in range(rounds + 1):
+    for number in range(1 - cold, rounds + 1):
         for name, contender in contenders.items():
             start = time.perf_counter()
             contender()
@@ -34,6 +36,24 @@ def medians(contenders: dict[str, Callable[[], object]], rounds: int, budget: fl
         if number > 0 and time.perf_counter() - began > budget:
             break
     return {name: statistics.median(times) for name, times in spent.items()}
+
+
+def merge(name: str, results: dict[str, list[dict[str, Any]]], *peers: str) -> Path:
+    """Save rows beside those that are there already: a row takes the place of the one that tells of the same things.
+
+    What a row tells of are its words and whole numbers; what was measured are all the others.
+    """
+    path = RESULTS / f"{name}.json"
+    known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    known.pop("about", None)
+    for part, rows in results.items():
+        fresh = {_subject(row) for row in rows}
+        known[part] = [row for row in known.get(part, []) if _subject(row) not in fresh] + rows
+    return save(name, known, *peers)
+
+
+def _subject(row: dict[str, Any]) -> tuple[tuple[str, str | int], ...]:
+    return tuple(sorted((key, value) for key, value in row.items() if isinstance(value, str | int)))
 
 
 def save(name: str, results: dict[str, Any], *peers: str) -> Path:
