@@ -23,6 +23,7 @@ from carom.physics.contact.load import (
     GO,
     PHASE,
     PRESS,
+    PUSH,
     RELAX,
     SPINS,
     STRIKE,
@@ -30,6 +31,7 @@ from carom.physics.contact.load import (
     Load,
 )
 from carom.physics.contact.solver import CONVERGED, strike
+from carom.physics.contact.stabilisation import push
 from carom.physics.contact.sweep import HELD, aim, begin, go, press, relax
 from carom.physics.kernel import inline, kernel, long_kernel
 from carom.physics.team import (
@@ -49,7 +51,7 @@ from carom.physics.team import (
 
 IntArray = NDArray[np.int64]
 
-IMPACTS, HOLDING, HELP = range(3)  # jobs
+PUSHES, IMPACTS, HOLDING, HELP = range(4)  # jobs
 
 
 @long_kernel
@@ -63,7 +65,9 @@ def work(board: IntArray, job: int, edges: IntArray, independent: int, load: Loa
     """
     if job == HELP:
         return _help_out(board, load)
-    if job == IMPACTS:
+    if job == PUSHES:
+        sweeps = _push_apart(board, edges, independent, load, most_sweeps)
+    elif job == IMPACTS:
         sweeps = _resolve_impacts(board, edges, independent, load, most_sweeps)
     else:
         sweeps = _hold(board, edges, independent, load, most_sweeps)
@@ -88,6 +92,17 @@ def _help_out(board: IntArray, load: Load) -> int:
             if idle == PATIENCE:
                 return REST
     return END
+
+
+@inline
+def _push_apart(board: IntArray, edges: IntArray, independent: int, load: Load, most_sweeps: int) -> int:
+    """Push contacts at rest apart in sweeps, until nothing overlaps."""
+    sweeps, again = 0, 1.0
+    while sweeps < most_sweeps and again > 0.0:
+        _share_stages(board, edges, independent, load, PUSH)
+        again = _largest(load)
+        sweeps += 1
+    return sweeps
 
 
 @inline
@@ -153,16 +168,20 @@ def _share(board: IntArray, load: Load, phase: int, first: int, end: int, indepe
 @kernel
 def _do(load: Load, k: int) -> None:
     """Do one piece."""
-    pairs, pieces, C, cold, a, V, law, who, found, sums, flags, numbers = load
+    pairs, C, cold, V, who = load.pairs, load.hot, load.cold, load.motion, load.who
+    law, found, flags, numbers = load.law, load.found, load.flags, load.numbers
     phase = flags[PHASE]
     if phase == AIM:
-        aim(k, V, who, sums, flags)
+        aim(k, V, who, load.sums, flags)
     elif phase == GO:
         go(k, V, who, flags, numbers[ALPHA])
     else:
-        lo, hi = pieces[k, 0], pieces[k, 1]
-        if phase == STRIKE:
-            strike(lo, hi, k, pairs, C, cold, a, V, law, found, flags, numbers)
+        lo, hi = load.pieces[k, 0], load.pieces[k, 1]
+        if phase == PUSH:
+            ends = (load.position, load.velocity, load.inverse_mass, load.radius, load.box, load.surface, load.offset)
+            push(lo, hi, k, pairs, *ends, law, cold, found)
+        elif phase == STRIKE:
+            strike(lo, hi, k, pairs, C, cold, load.acceleration, V, law, found, flags, numbers)
         elif phase == BEGIN:
             begin(lo, hi, k, pairs, C, cold, V, found, flags, numbers)
         elif phase == PRESS:
@@ -173,7 +192,7 @@ def _do(load: Load, k: int) -> None:
             else:
                 relax(lo, hi, k, pairs, C, V, law, found, flags, numbers, ())
         elif phase == BOOK:
-            book(lo, hi, pairs, C, cold, a, V, flags, numbers)
+            book(lo, hi, pairs, C, cold, load.acceleration, V, flags, numbers)
 
 
 @kernel

@@ -21,11 +21,11 @@ HOT, IMPULSE = 16, 8
 COLD = 16
 OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES, PART, APART = 0, 1, 2, 3, 4, 8, 11, 14, 15
 # motion, of a body or plane: v, ω, 1/m, 1/I;   what the last sweep changed of v and ω
-MOTION, CHANGED = 16, 8
+MOTION = 16
 
 BLOCK = 1024  # bodies of a piece of work
 
-STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO = range(7)  # phases: what is done with each piece
+PUSH, STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO = range(8)  # phases: what is done with each piece
 PHASE, FIRST, SWEEP, SPINS, IMPACTS_ONLY = range(5)  # which one, with which piece it began, after how many sweeps
 DT, DRIFT, KICK, BIAS, ALPHA = range(5)
 CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts
@@ -41,6 +41,24 @@ def rows(count: int, columns: int) -> FloatArray:
     return room[first : first + count * columns].reshape(count, columns)
 
 
+class Room:
+    """Room for rows, kept from step to step: what is given back and asked for anew costs page faults."""
+
+    def __init__(self, columns: int) -> None:
+        self._columns = columns
+        self._rows = rows(0, columns)
+
+    def take(self, count: int) -> FloatArray:
+        """Return so many rows, with whatever stands in them; those taken before are no longer anybody's."""
+        if count > len(self._rows):
+            self._rows = rows(count + count // 4, self._columns)
+        return self._rows[:count]
+
+    def holds(self, taken: FloatArray) -> bool:
+        """Tell whether rows were taken from here."""
+        return np.may_share_memory(self._rows, taken)
+
+
 class Load(NamedTuple):
     """m contacts in the order of their stages, and the n bodies and p planes at their ends."""
 
@@ -48,7 +66,14 @@ class Load(NamedTuple):
     pieces: IntArray  # (k, 2) first contact and the one after the last
     hot: FloatArray  # (m, 16)
     cold: FloatArray  # (m, 16)
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n + p, 3) m/s
     acceleration: FloatArray  # (n + p, 3) m/s²
+    inverse_mass: FloatArray  # (n + p,) 1/kg
+    radius: FloatArray  # (n + p,) m
+    box: FloatArray  # (3,) m, zeros in open space
+    surface: FloatArray  # (p, 3) normals of the planes
+    offset: FloatArray  # (p,) m
     motion: FloatArray  # (n + p, 16)
     law: FloatArray  # (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane
     who: IntArray  # (b,) bodies and planes that touch anything

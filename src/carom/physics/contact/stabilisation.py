@@ -20,8 +20,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import LEDGER, PART, PUSHES, REST, STABILISATION
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST, STABILISATION
+from carom.physics.kernel import kernel
 from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
@@ -50,8 +50,11 @@ def parts_undone(pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
         cold[c, PART] = min(1.0, ROW / min(crowd[pairs[c, 0]], crowd[pairs[c, 1]]))
 
 
-@long_kernel
-def push_apart(
+@kernel
+def push(
+    lo: int,
+    hi: int,
+    piece: int,
     pairs: IntArray,
     x: FloatArray,
     v: FloatArray,
@@ -61,86 +64,74 @@ def push_apart(
     surface: FloatArray,
     offset: FloatArray,
     law: FloatArray,
-    most_sweeps: int,
     cold: FloatArray,
+    found: FloatArray,
 ) -> None:
-    """Push the contacts at rest apart, in sweeps until nothing overlaps.
+    """Push the contacts at rest of a piece apart, once; note whether an overlap was worth it.
 
-    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
-
-    Parameters
-    ----------
-    pairs, cold, law
-        (m, 2), (m, 16) and (1 + p, 3), see `Load`; parts are read, ledger and pushes are added to.
-    x
-        (n, 3) m.
-    v, inverse_mass, radius
-        (n + p, 3) m/s, (n + p,) 1/kg and m, of bodies and planes.
-    surface, offset
-        (p, 3) normals and (p,) m of the planes.
+    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound. For
+    the arguments see `Load`; parts are read, ledger and pushes are added to.
     """
-    n, last, again, sweep = len(x), len(pairs) - 1, True, 0
-    while again and sweep < most_sweeps:
-        again = False
-        sweep += 1
-        for c in range(len(pairs)):
-            ahead = min(last, c + AHEAD)
-            prefetch(x, pairs[ahead, 0], 0)
-            prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
-            i, j = pairs[c, 0], pairs[c, 1]
-            if j >= n:
-                nx, ny, nz = -surface[j - n, 0], -surface[j - n, 1], -surface[j - n, 2]
-                d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - offset[j - n]
-                reach = radius[i]
+    n, last, again = len(x), len(pairs) - 1, 0.0
+    for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch(x, pairs[ahead, 0], 0)
+        prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
+        i, j = pairs[c, 0], pairs[c, 1]
+        if j >= n:
+            nx, ny, nz = -surface[j - n, 0], -surface[j - n, 1], -surface[j - n, 2]
+            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - offset[j - n]
+            reach = radius[i]
+        else:
+            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            if box[0] > 0.0:
+                dx -= box[0] * np.floor(dx / box[0] + 0.5)
+                dy -= box[1] * np.floor(dy / box[1] + 0.5)
+                dz -= box[2] * np.floor(dz / box[2] + 0.5)
+            d = np.sqrt(dx * dx + dy * dy + dz * dz)
+            reach = radius[i] + radius[j]
+            if d > 0.0:
+                nx, ny, nz = dx / d, dy / d, dz / d
             else:
-                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-                if box[0] > 0.0:
-                    dx -= box[0] * np.floor(dx / box[0] + 0.5)
-                    dy -= box[1] * np.floor(dy / box[1] + 0.5)
-                    dz -= box[2] * np.floor(dz / box[2] + 0.5)
-                d = np.sqrt(dx * dx + dy * dy + dz * dz)
-                reach = radius[i] + radius[j]
-                if d > 0.0:
-                    nx, ny, nz = dx / d, dy / d, dz / d
-                else:
-                    nx, ny, nz = 1.0, 0.0, 0.0
-            overlap = reach - d
-            if overlap <= 0.0:
-                continue
-            vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
-            vn = vx * nx + vy * ny + vz * nz
-            if vn > LEAVING * cold[c, REST] or (-vn > cold[c, REST] and law[max(0, j - n + 1), 0] > 0.0):
-                continue
-            if overlap > ENOUGH * reach:
-                again = True
-            push = cold[c, PART] * overlap
-            mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
-            mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
-            if mi > 0.0:
-                x[i, 0] -= mi * push * nx
-                x[i, 1] -= mi * push * ny
-                x[i, 2] -= mi * push * nz
-            if mj > 0.0:
-                x[j, 0] += mj * push * nx
-                x[j, 1] += mj * push * ny
-                x[j, 2] += mj * push * nz
-            cold[c, PUSHES + 0] += push * nx
-            cold[c, PUSHES + 1] += push * ny
-            cold[c, PUSHES + 2] += push * nz
-            if j >= n:
-                continue  # nothing turns about a plane
-            scale = d / (d + push) - 1.0
-            tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
-            reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
-            cold[c, LEDGER + STABILISATION] += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
-            if mi > 0.0:
-                v[i, 0] -= mi * scale * tx
-                v[i, 1] -= mi * scale * ty
-                v[i, 2] -= mi * scale * tz
-            if mj > 0.0:
-                v[j, 0] += mj * scale * tx
-                v[j, 1] += mj * scale * ty
-                v[j, 2] += mj * scale * tz
+                nx, ny, nz = 1.0, 0.0, 0.0
+        overlap = reach - d
+        if overlap <= 0.0:
+            continue
+        vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+        vn = vx * nx + vy * ny + vz * nz
+        if vn > LEAVING * cold[c, REST] or (-vn > cold[c, REST] and law[max(0, j - n + 1), 0] > 0.0):
+            continue
+        if overlap > ENOUGH * reach:
+            again = 1.0
+        delta = cold[c, PART] * overlap
+        mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
+        mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
+        if mi > 0.0:
+            x[i, 0] -= mi * delta * nx
+            x[i, 1] -= mi * delta * ny
+            x[i, 2] -= mi * delta * nz
+        if mj > 0.0:
+            x[j, 0] += mj * delta * nx
+            x[j, 1] += mj * delta * ny
+            x[j, 2] += mj * delta * nz
+        cold[c, PUSHES + 0] += delta * nx
+        cold[c, PUSHES + 1] += delta * ny
+        cold[c, PUSHES + 2] += delta * nz
+        if j >= n:
+            continue  # nothing turns about a plane
+        scale = d / (d + delta) - 1.0
+        tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
+        reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
+        cold[c, LEDGER + STABILISATION] += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
+        if mi > 0.0:
+            v[i, 0] -= mi * scale * tx
+            v[i, 1] -= mi * scale * ty
+            v[i, 2] -= mi * scale * tz
+        if mj > 0.0:
+            v[j, 0] += mj * scale * tx
+            v[j, 1] += mj * scale * ty
+            v[j, 2] += mj * scale * tz
+    found[piece, CHANGE] = again
 
 
 @kernel

@@ -28,7 +28,7 @@ from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
 from carom.physics.error import PhysicsError
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.kernel import long_kernel
 from carom.physics.profile import Profile
 from carom.physics.team import Team
 from carom.scene.halfspace import HalfSpaces
@@ -97,10 +97,10 @@ class ContactStage:
 
     def forget(self) -> None:
         """Begin anew, as before the first step."""
+        self._hold = Hold.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
-        self._hold = Hold.empty()
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
 
     @property
@@ -218,13 +218,14 @@ class ContactStage:
             colours, body_colours = colour_bodies(pairs, len(bodies))
         else:
             colours = colour_contacts(pairs, ends.inverse_mass)
-        bench.lay(stages_of(pairs, colours, independent=body_colours is None))
+        bench.lay(stages_of(pairs, colours, independent=body_colours is None), self._hold.hot)
         place = bench.stages.place
         if self._needs.resting.modelled:
             bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
         normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
         self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
-        _describe(place, bench.hot, bench.cold, self._rounding, normals, overlaps, self._apart)
+        described = (place, bench.hot, bench.cold, self._rounding, normals, overlaps, self._apart)
+        self._team.divide(len(place), SOME, _describe, *described)
         # what touched when found is resolved though a push opens it, or it falls and is pushed back for ever
         bench.apart[:] = self._apart
         self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
@@ -317,8 +318,10 @@ class ContactStage:
         self.forget()
 
 
-@kernel
+@long_kernel
 def _describe(
+    lo: int,
+    hi: int,
     place: IntArray,
     hot: FloatArray,
     cold: FloatArray,
@@ -328,7 +331,7 @@ def _describe(
     apart: NDArray[np.bool_],
 ) -> None:
     """Write normals and overlaps in the order of pairs, and at each place whether there is a gap that counts."""
-    for c in range(len(place)):
+    for c in range(lo, hi):
         p = place[c]
         for k in range(3):
             normals[c, k] = hot[p, k]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.crew import HELP, HOLDING, IMPACTS, work
+from carom.physics.contact.crew import HELP, HOLDING, IMPACTS, PUSHES, work
 from carom.physics.contact.load import (
     APART,
     APPROACH,
@@ -26,13 +26,15 @@ from carom.physics.contact.load import (
     REST,
     SPINS,
     Load,
+    Room,
     rows,
 )
 from carom.physics.contact.meeting import meet
 from carom.physics.contact.motion import pack, those_that_touch, unpack
 from carom.physics.contact.solver import still_closing
-from carom.physics.contact.stabilisation import parts_undone, push_apart, work_of_pushes
+from carom.physics.contact.stabilisation import parts_undone, work_of_pushes
 from carom.physics.contact.stages import Stages
+from carom.physics.kernel import long_kernel
 from carom.physics.team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
 
@@ -69,22 +71,40 @@ class Workbench:
         self._box = box
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
+        self._hot = Room(HOT), Room(HOT)
+        self._cold = Room(COLD)
         self._motion = rows(len(bodies.ends.velocity), MOTION)
         self._flags = np.zeros(5, dtype=np.int64)
         self._flags[SPINS] = friction
         self._numbers = np.zeros(5)
 
-    def lay(self, stages: Stages) -> None:
-        """Lay out contacts, with nothing done to them yet, and find where they meet."""
-        m = len(stages.pairs)
+    def lay(self, stages: Stages, keep: FloatArray | None = None) -> None:
+        """Lay out contacts, with nothing done to them yet, and find where they meet.
+
+        Parameters
+        ----------
+        keep
+            What `hot` was of an earlier step, if it is still wanted.
+        """
+        m, bodies, ends, planes = len(stages.pairs), self._bodies, self._bodies.ends, self._planes
+        room = self._hot[1] if keep is not None and self._hot[0].holds(keep) else self._hot[0]
+        hot, cold = room.take(m), self._cold.take(m)
+        self._team.divide(m, SOME, _clear, hot, cold)
         who = those_that_touch(stages.pairs, len(self._motion))
         self.stages = stages
         self._load = Load(
             pairs=stages.pairs,
             pieces=stages.pieces,
-            hot=rows(m, HOT),
-            cold=rows(m, COLD),
-            acceleration=self._bodies.ends.acceleration,
+            hot=hot,
+            cold=cold,
+            position=bodies.position,
+            velocity=ends.velocity,
+            acceleration=ends.acceleration,
+            inverse_mass=ends.inverse_mass,
+            radius=ends.radius,
+            box=self._box,
+            surface=planes.normal,
+            offset=planes.offset,
             motion=self._motion,
             law=self._law,
             who=who,
@@ -165,21 +185,9 @@ class Workbench:
 
     def part(self, most_sweeps: int) -> None:
         """Push contacts at rest apart, in sweeps, so many at most."""
-        bodies, ends, planes, load = self._bodies, self._bodies.ends, self._planes, self._load
+        ends, load = self._bodies.ends, self._load
         parts_undone(load.pairs, np.empty(len(ends.inverse_mass), dtype=np.int64), load.cold)
-        push_apart(
-            load.pairs,
-            bodies.position,
-            ends.velocity,
-            ends.inverse_mass,
-            ends.radius,
-            self._box,
-            planes.normal,
-            planes.offset,
-            self._law,
-            most_sweeps,
-            load.cold,
-        )
+        self._work(PUSHES, most_sweeps)
 
     def book_pushes(self) -> None:
         """Book the work of the pushes, at the accelerations that follow them."""
@@ -224,13 +232,26 @@ class Workbench:
         return still_closing(load.pairs, load.hot, load.cold, self._bodies.ends.velocity)
 
     def _lead(self, job: int, most_sweeps: int) -> int:
-        """Do a job and return the number of sweeps, with the team if it is worth it."""
-        edges, independent, load, ends = self.stages.edges, self.stages.independent, self._load, self._bodies.ends
-        team, b = self._team, len(load.who)
+        """Do a job on the motion of those that touch; return the number of sweeps."""
+        load, ends, team, b = self._load, self._bodies.ends, self._team, len(self._load.who)
         packed = (load.who, ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.motion)
         team.divide(b, SOME, pack, *packed)
-        shared = len(load.pairs) >= SHARED_FROM
-        board = team.gather(work, HELP, edges, independent, load, 0) if shared else ALONE
-        sweeps = work(board, job, edges, independent, load, most_sweeps)
+        sweeps = self._work(job, most_sweeps)
         team.divide(b, SOME, unpack, load.who, load.motion, ends.velocity, self._spin)
         return sweeps
+
+    def _work(self, job: int, most_sweeps: int) -> int:
+        """Do a job, with the team if it is worth it; return the number of sweeps."""
+        edges, independent, load = self.stages.edges, self.stages.independent, self._load
+        shared = len(load.pairs) >= SHARED_FROM
+        board = self._team.gather(work, HELP, edges, independent, load, 0) if shared else ALONE
+        return work(board, job, edges, independent, load, most_sweeps)
+
+
+@long_kernel
+def _clear(lo: int, hi: int, hot: FloatArray, cold: FloatArray) -> None:
+    for c in range(lo, hi):
+        for k in range(HOT):
+            hot[c, k] = 0.0
+        for k in range(COLD):
+            cold[c, k] = 0.0
