@@ -38,7 +38,7 @@ class Auditor:
         self.g = float(np.linalg.norm(self.field))
         self.weight = self.mass.sum() * self.field
         self.pulls = self.space.requirements.gravity.modelled
-        self.roundings = 0.0  # so far
+        self.roundings, self.impacts = 0.0, 0  # so far
         self.linear_scale = self.angular_scale = self.energy_scale = 0.0
         self.linear, self.angular, self.euler_loss = np.zeros(3), np.zeros(3), 0.0
         self.before: Frame | None = None
@@ -79,7 +79,10 @@ class Auditor:
         scene, state = self.space.scene, self.space.state
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
         passes = frame.sweeps + (scene.contact.sweeps if scene.contact.stabilisation == "split" else 0)
-        self.roundings += substeps * (len(self.mass) + PER_SUBSTEP) + PER_VISIT * passes * len(frame.contacts)
+        struck = self.space.moments.impacts - self.impacts
+        self.impacts += struck
+        visits = passes * len(frame.contacts) + struck
+        self.roundings += substeps * (len(self.mass) + PER_SUBSTEP) + PER_VISIT * visits
         speed, reach, turning = _lengths(state.velocity), _lengths(state.position), _lengths(state.angular_velocity)
         spin = float(self.inertia[: len(turning)] @ turning)
         force = self.forces() + self.mass * self.g

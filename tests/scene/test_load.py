@@ -137,7 +137,11 @@ MISTAKES = {
         "[gravity]\nopening_angle = 1.5\n" + ONE_BODY,
         ["gravity.opening_angle", "at most 1"],
     ),
-    "a time of impact": ("[contact]\ntiming = 'time-of-impact'\n" + ONE_BODY, ["contact.timing", "end-of-step"]),
+    "impacts at times that run backwards": (
+        "[contact]\ntiming = 'time-of-impact'\n[time]\nintegrator = 'yoshida4'\n"
+        "[[group]]\nvelocity = { dispersion = 1.0 }\n",
+        ["contact.timing", "time.integrator", "leapfrog", "end-of-step"],
+    ),
 }
 
 

@@ -2,8 +2,8 @@
 
 The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
 after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, of
-third where the integrator has no forces there, or, for a body that a contact struck at the end of the step, the flight
-from its beginning.
+third where the integrator has no forces there, or, for a body that was struck, the flight from the beginning of the step
+to its first impact, and from there to the end.
 """
 
 from __future__ import annotations
@@ -120,11 +120,13 @@ class _Watch:
         self._space, self._times = space, times
         self._ends = len(space.state) + len(space.planes)
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
+        self._began = 0.0  # s, when that step began
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
         """Look at the state before a step: this is called when its length is known and nothing has moved yet."""
         self.see_contacts(before)
+        self._began = before
         done = len(self.position)
         passes = done < len(self._times) and time >= self._times[done]
         if passes:
@@ -134,20 +136,25 @@ class _Watch:
 
     def see_contacts(self, time: float) -> None:
         """Note which pairs touch for the first time in the step that ended at a time in s."""
-        pairs = self._space.contacts.pairs
-        touching = pairs[:, 0] * self._ends + pairs[:, 1]
+        graph = self._space.contacts
+        touching = graph.pairs[:, 0] * self._ends + graph.pairs[:, 1]
         if not np.array_equal(touching, self._touching):
-            for pair in np.setdiff1d(touching, self._touching, assume_unique=True).tolist():
-                self.met.setdefault(pair, time)
+            met = np.full(len(graph), time) if graph.into_step is None else self._began + graph.into_step
+            fresh = ~np.isin(touching, self._touching, assume_unique=True)
+            order = np.argsort(met[fresh], kind="stable")
+            for pair, moment in zip(touching[fresh][order].tolist(), met[fresh][order].tolist(), strict=True):
+                self.met.setdefault(pair, moment)
             self._touching = touching
 
     def sample(self, frame: Frame) -> None:
         """Take the samples that the step of a frame has passed."""
-        n = len(frame.position)
-        struck = np.zeros(self._ends, dtype=bool)
-        struck[frame.contacts.pairs.ravel()] = True
+        n, graph = len(frame.position), frame.contacts
         begin, x, v, a = self._before
         dt = frame.time - begin
+        hit = np.full(self._ends, np.inf)  # s from the beginning of the step
+        late = np.full(len(graph), dt)
+        np.minimum.at(hit, graph.pairs, (late if graph.into_step is None else graph.into_step)[:, None])
+        hit = hit[:n, None]
         way = frame.position - x
         if self._space.box is not None:
             way -= self._space.box * np.floor(way / self._space.box + 0.5)
@@ -156,14 +163,21 @@ class _Watch:
             ends = (a, frame.acceleration) if self._space.ends_with_forces else None
             smooth = _between(h / dt, dt, way, v, frame.velocity, ends)
             jerk = (frame.acceleration - a) / dt
-            flight = (h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk)
+            before = _flown(h, v, a, jerk)
+            back, then = _flown(h - dt, frame.velocity, frame.acceleration, jerk)
             moved, velocity = (
-                np.where(struck[:n, None], flown, smoothly) for flown, smoothly in zip(flight, smooth, strict=True)
+                np.where(hit == np.inf, smoothly, np.where(h <= hit, first, last))
+                for smoothly, first, last in zip(smooth, before, (way + back, then), strict=True)
             )
             if h == dt:
                 moved, velocity = way, frame.velocity
             self.position.append(x + moved)
             self.velocity.append(velocity)
+
+
+def _flown(h: float, v: FloatArray, a: FloatArray, jerk: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return way and velocity after h, in s, or before it if that is negative."""
+    return h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk
 
 
 def _between(

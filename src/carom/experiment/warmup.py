@@ -36,6 +36,13 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"colouring": "bodies", "stabilisation": "baumgarte"},
         "time": {"duration": 0.2, "max_dt": 0.02, "velocity_limit": "fastest-body"},
     },
+    "impacts within the step": {
+        "group": _CROWD,
+        "plane": [{"point": [0.0, 0.0, -2.0]}],
+        "gravity": {"constant": 1.0},
+        "contact": {"timing": "time-of-impact"},
+        "time": {"duration": 0.2, "max_dt": 0.02},
+    },
 }
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.sighting import Sighting
 from carom.physics.energy import Energy
 from carom.physics.event import Event
 from carom.physics.kernel import kernel
@@ -51,17 +52,10 @@ class Moments:
     impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
     lowest_energy: float = float("inf")  # J
 
-    def see_contacts(
-        self,
-        step: int,
-        time: float,
-        graph: CollisionGraph,
-        approach: FloatArray,
-        rest_speed: FloatArray,
-        bodies: Bodies,
-    ) -> float:
+    def see_contacts(self, step: int, time: float, sighting: Sighting, bodies: Bodies) -> float:
         """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""
-        ends, seen = bodies.ends, np.empty(5)
+        graph, ends, seen = sighting.graph, bodies.ends, np.empty(5)
+        approach, rest_speed = sighting.approach, sighting.rest_speed
         _extremes(graph.pairs, graph.overlaps, approach, rest_speed, ends.inverse_mass, ends.radius, seen)
         hardest, energy, deepest, depth, struck = seen.tolist()
         self.impact = _larger(self.impact, energy, int(hardest), step, time, graph)
@@ -69,7 +63,7 @@ class Moments:
         if self.contacts is None or len(graph) > self.contacts.value:
             self.contacts = Moment(float(len(graph)), step, time)
         self.total_contacts += len(graph)
-        self.impacts += int(np.count_nonzero(approach > rest_speed))
+        self.impacts += sighting.impacts
         return float(struck)
 
     def highlights(self, names: Names) -> tuple[Event, ...]:

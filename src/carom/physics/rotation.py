@@ -57,8 +57,8 @@ def _cosine(r: float) -> float:
 
 @kernel
 def sine_cosine(theta: float) -> tuple[float, float]:
-    """Return sin θ and cos θ for θ ≥ 0."""
-    if theta > LARGEST:
+    """Return sin θ and cos θ."""
+    if abs(theta) > LARGEST:
         theta = theta % TWO_PI
     count = math.floor(theta * TWO_OVER_PI + 0.5)
     r = (theta - count * HALF_PI_HIGH) - count * HALF_PI_LOW
@@ -74,12 +74,12 @@ def sine_cosine(theta: float) -> tuple[float, float]:
 
 
 def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
-    """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it."""
-    team.divide(len(orientation), SOME, _rotate, orientation, angular_velocity, dt)
+    """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it; a negative dt takes a turn back."""
+    team.divide(len(orientation), SOME, turn, orientation, angular_velocity, dt)
 
 
 @long_kernel
-def _rotate(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
+def turn(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
     for i in range(lo, hi):
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
         w = np.sqrt(wx * wx + wy * wy + wz * wz)

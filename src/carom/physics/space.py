@@ -339,8 +339,13 @@ class Space:
                 self.profile.mark("integrate")
                 self._contact.hold(substep.before * dt, dt)
                 self.profile.mark("resting")
-            drift(state.position, state.velocity, substep.drift * dt, self._team)
-            self.profile.mark("integrate")
+            if self._contact and self.requirements.impact_time.modelled:
+                refuse_infinities(self.state, self.names, self.step, self.time)
+                self._contact.drift(substep.before * dt, substep.drift * dt)
+                self.profile.mark("impacts")
+            else:
+                drift(state.position, state.velocity, substep.drift * dt, self._team)
+                self.profile.mark("integrate")
             if last and self._contact:
                 refuse_infinities(self.state, self.names, self.step, self.time)
                 self._contact.find(dt, self.profile)
@@ -389,13 +394,13 @@ class Space:
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""
         contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
-        self.contacts = contact.graph
+        self.contacts = contact.seen.graph
         struck = 0.0
         if len(contact.held):
             self._accounts.book(contact.held)
         if len(self.contacts):
             if self.moments.contacts is None:
-                i, j = self.contacts.pairs[0]
+                i, j = self.contacts.pairs[self.contacts.first]
                 names = Names(self.names, self.planes.name)
                 self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
             struck = self._see_contacts(contact, self.moments)
@@ -410,9 +415,7 @@ class Space:
     def _see_contacts(self, contact: ContactStage, moments: Moments) -> float:
         """Book the contacts of the step; return the energy of the impacts among them, in J."""
         self._accounts.book(contact.work)
-        return moments.see_contacts(
-            self.step, self.time, self.contacts, contact.approach, contact.rest_speed, self.state
-        )
+        return moments.see_contacts(self.step, self.time, contact.seen, self.state)
 
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""

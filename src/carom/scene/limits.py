@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from carom.scene.error import SceneError
-from carom.scene.requirements import gravity_method, require
+from carom.scene.requirements import gravity_method, integrator, require
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
@@ -25,8 +25,7 @@ def refuse_impossible(scene: Scene) -> None:
     SceneError
         Naming the key and what would be right.
     """
-    if scene.contact.timing == "time-of-impact":
-        raise SceneError('contact.timing = "time-of-impact": this version resolves contacts at the "end-of-step"')
+    _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
     needed, there = memory_estimate(scene), _memory()
     if needed > there:
@@ -35,6 +34,17 @@ def refuse_impossible(scene: Scene) -> None:
             f"{there / 1e9:.3g} GB; lower the count"
         )
     _refuse_narrow_box(scene)
+
+
+def _refuse_times_of_impact(scene: Scene) -> None:
+    """Refuse times of impact where a step is more than one drift."""
+    chosen = integrator(scene)
+    if chosen in ("yoshida4", "leapfrog-dkd") and require(scene).impact_time.modelled:
+        why = "goes back in time within each step" if chosen == "yoshida4" else "drifts twice in each step"
+        raise SceneError(
+            f'contact.timing = "time-of-impact" with time.integrator = "{chosen}", which {why}; '
+            'take "leapfrog", or the timing "end-of-step"'
+        )
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:

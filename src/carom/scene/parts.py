@@ -13,6 +13,7 @@ PARTS = (  # in the order in which a step uses them
     "contact",
     "broad-phase",
     "narrow-phase",
+    "time-of-impact",
     "colouring",
     "stabilisation",
     "gravity",

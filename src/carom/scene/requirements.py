@@ -49,6 +49,7 @@ class Requirements:
     contact: Part
     broad_phase: Part
     narrow_phase: Part
+    impact_time: Part
     colouring: Part
     stabilisation: Part
     gravity: Part
@@ -78,6 +79,7 @@ _NEEDS = {
     "tree": ("gravity",),
     "broad-phase": ("contact",),
     "narrow-phase": ("contact",),
+    "time-of-impact": ("contact",),
     "colouring": ("contact",),
     "stabilisation": ("contact",),
     "resting-contacts": ("contact",),
@@ -131,6 +133,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         contact=contact,
         broad_phase=decide(_broad_phase(scene, contact)),
         narrow_phase=decide(_narrow_phase(contact)),
+        impact_time=decide(_impact_time(scene, contact)),
         colouring=decide(_colouring(scene, contact)),
         stabilisation=decide(_stabilisation(scene, contact)),
         gravity=gravity,
@@ -167,6 +170,8 @@ def _contradiction(scene: Scene, name: str) -> str:
             return "it is a factor of every impulse, 1 + e, and e is 0; set contact.restitution"
         case "stabilisation" if scene.contact.stabilisation == "none":
             return 'contact.stabilisation = "none"; set it to "split"'
+        case "time-of-impact" if scene.contact.timing == "end-of-step":
+            return 'contact.timing = "end-of-step"; set it to "time-of-impact"'
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
     return ""
@@ -291,6 +296,13 @@ def _restitution(scene: Scene, contact: Part) -> Part:
     if contact.modelled and e == 0 and all(plane.law(scene.contact)[0] == 0 for plane in scene.plane):
         return Part(name, False, "every coefficient is 0: no bounce")
     return _where_bodies_meet(name, contact, f"e = {e:g}")
+
+
+def _impact_time(scene: Scene, contact: Part) -> Part:
+    name = "time-of-impact"
+    if contact.modelled and scene.contact.timing == "end-of-step":
+        return Part(name, False, 'contact.timing = "end-of-step": an impact is resolved up to a step late')
+    return _where_bodies_meet(name, contact, "impacts are resolved at their own moments within a step")
 
 
 def _friction(scene: Scene, contact: Part) -> Part:

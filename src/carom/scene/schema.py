@@ -93,7 +93,10 @@ class Contact(Section):
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split", description="how overlaps are undone; baumgarte is the seed's"
     )
-    timing: Literal["end-of-step", "time-of-impact"] = Field("end-of-step", description="when a contact is resolved")
+    timing: Literal["end-of-step", "time-of-impact"] = Field(
+        "end-of-step",
+        description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed",
+    )
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"
     )

@@ -32,9 +32,15 @@ class CollisionGraph:
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
     colours: IntArray  # (m,) stage in which the contact is resolved
     body_colours: IntArray | None = None  # (n,) the seed's colouring of the nodes, -1: touches nobody
+    into_step: FloatArray | None = None  # (m,) s after the beginning of the step each first was resolved; None: its end
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    @property
+    def first(self) -> int:
+        """The contact that was resolved first, or the first of them."""
+        return 0 if self.into_step is None else int(np.argmin(self.into_step))
 
     def adjacency(self, n: int) -> tuple[IntArray, IntArray]:
         """Return the graph of n bodies, or of bodies and planes, in CSR form.

@@ -49,6 +49,53 @@ def rest_speeds(
 
 
 @kernel
+def pile_speeds(
+    pairs: IntArray,
+    x: FloatArray,
+    radius: FloatArray,
+    box: FloatArray,
+    stretch: float,
+    slack: float,
+    acceleration: FloatArray,
+    inverse_mass: FloatArray,
+    field: FloatArray,
+    dt: float,
+    speeds: FloatArray,
+) -> None:
+    """Write 2 |a|max dt of the pile of each body, (n + p,) m/s, given all pairs that may touch; 0 for what is fixed.
+
+    Those no farther apart than ``(r_i + r_j) stretch + slack`` do.
+    """
+    n = len(x)
+    parent = np.arange(n)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
+            continue
+        d2 = 0.0
+        for k in range(3):
+            d = x[j, k] - x[i, k]
+            if box[k] > 0.0:
+                d -= box[k] * np.floor(d / box[k] + 0.5)
+            d2 += d * d
+        near = (radius[i] + radius[j]) * stretch + slack
+        if d2 <= near * near:
+            i, j = _root(parent, i), _root(parent, j)
+            parent[max(i, j)] = min(i, j)
+    for i in range(n):
+        a2 = 0.0
+        for k in range(3):
+            a = acceleration[i, k] - field[k]
+            a2 += a * a
+        speeds[i] = 2.0 * np.sqrt(a2) * dt if inverse_mass[i] > 0.0 else 0.0
+    for i in range(n):
+        pile = _root(parent, i)
+        speeds[pile] = max(speeds[pile], speeds[i])
+    for i in range(n):
+        speeds[i] = speeds[_root(parent, i)]
+
+
+@kernel
 def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
     """Return |a|² of the body that the field alone explains least, in m²/s⁴."""
     largest = 0.0

@@ -1,9 +1,10 @@
 """The contacts of a step, from the search to the last impulse: what `Space` calls, in this order.
 
 1. `hold`: after the first kick, what lasts is kept from closing during the drift
-2. `find`: which bodies touch, colours, and overlaps of contacts at rest undone
-3. `resolve`: impulses, once forces have acted on the final positions
-4. `turn`: the torques and angular accelerations that the impulses amount to
+2. `drift`, with `contact.timing = "time-of-impact"`: impacts are resolved where they happen on the way
+3. `find`: which bodies touch, colours, and overlaps of contacts at rest undone
+4. `resolve`: impulses, once forces have acted on the final positions
+5. `turn`: the torques and angular accelerations that the impulses amount to
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.flight import NO_IMPACTS, Flight, Impacts
 from carom.physics.contact.graph import (
     OVERFLOW,
     CollisionGraph,
@@ -19,11 +21,13 @@ from carom.physics.contact.graph import (
     colour_contacts,
     empty_graph,
 )
+from carom.physics.contact.impact import MOST
 from carom.physics.contact.lasting import Hold
 from carom.physics.contact.load import OVERLAP
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_coordinate, largest_square, rest_speeds
 from carom.physics.contact.search import PlaneSearch, search_by
+from carom.physics.contact.sighting import NOTHING, Sighting
 from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
@@ -93,6 +97,10 @@ class ContactStage:
         self.warned: set[str] = set()  # limits reached and told so far
         self._bench = Workbench(bodies, planes, law, box, requirements.friction.modelled, team)
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
+        self._flight = None
+        if requirements.impact_time.modelled:
+            flight = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
+            self._flight = Flight(bodies, planes, law, box, field, *flight, self._search, team)
         self._compile()
 
     def forget(self) -> None:
@@ -102,6 +110,8 @@ class ContactStage:
         if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
+        self.impacts: Impacts = NO_IMPACTS  # of the drift
+        self.seen: Sighting = NOTHING  # what others see of the step
 
     @property
     def memory(self) -> ContactMemory | None:
@@ -145,6 +155,11 @@ class ContactStage:
             self._hold_contacts(self._dt, kick, dt, 0.0)
             self.held = ledger.sum(axis=0, keepdims=True)
 
+    def drift(self, kick: float, dt: float) -> None:
+        """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way."""
+        assert self._flight is not None, "the scene asks for times of impact"
+        self.impacts = self._flight.drift(kick, dt, *self._nearness(dt))
+
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
         pairs = self._near(dt)
@@ -173,6 +188,8 @@ class ContactStage:
             self._resolve(dt, kick, profile)
         else:
             self._hold = Hold.empty()
+        bench, shown = self._bench, self._shown
+        self.seen = Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown]).after(self.impacts, dt)
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
@@ -190,6 +207,8 @@ class ContactStage:
                 f"Contacts were still closing after contact.sweeps = {self._contact.sweeps} passes; "
                 "what is left is resolved in later steps."
             )
+        if self._flight and self._flight.is_exhausted:
+            reached.append(f"A body had {MOST} impacts in one step; what is left is resolved at its end.")
         fresh = [text for text in reached if text not in self.warned]
         self.warned.update(fresh)
         return fresh
@@ -201,14 +220,19 @@ class ContactStage:
         never comes to rest: 300 bodies kept 5 × 10⁻⁴ of their energy, instead of 10⁻²².
         """
         position = self._bodies.position
-        stretch, slack = 1.0, 0.0
-        if self._lasts:
-            fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
-            if fall > 0.0:  # otherwise all contacts are impacts, and what only nearly touches is none
-                self._rounding = ROUNDING * float(np.spacing(largest_coordinate(position)))
-                stretch, slack = 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
+        stretch, slack = self._nearness(dt)
         pairs = self._search.pairs(position, stretch, slack)
         return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
+
+    def _nearness(self, dt: float) -> tuple[float, float]:
+        """Return stretch and slack, in m: what is no farther apart than ``(r_i + r_j) stretch + slack`` is near."""
+        if not self._lasts:
+            return 1.0, 0.0
+        fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
+        if fall == 0.0:  # all contacts are impacts, and what only nearly touches is none
+            return 1.0, 0.0
+        self._rounding = ROUNDING * float(np.spacing(largest_coordinate(self._bodies.position)))
+        return 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Take contacts, with nothing done to them yet."""
@@ -285,23 +309,14 @@ class ContactStage:
 
     @property
     def contributions(self) -> FloatArray:
-        """(m, 3) J, the ledger of each contact of the graph in this step."""
-        return self._bench.ledger[self._shown]
+        """(m, 3) J, the ledger of each contact seen in this step."""
+        return self.seen.sums(self._bench.ledger[self._shown], self.impacts.ledger)
 
     @property
     def work(self) -> FloatArray:
-        """(m, 3) J, the ledger of each contact, seen or not."""
-        return np.ascontiguousarray(self._bench.ledger)
-
-    @property
-    def approach(self) -> FloatArray:
-        """(m,) m/s, closing speed of each contact of the graph before the impulses."""
-        return self._bench.approach[self._shown]
-
-    @property
-    def rest_speed(self) -> FloatArray:
-        """(m,) m/s, up to which each contact of the graph is at rest."""
-        return self._bench.rest_speed[self._shown]
+        """(k, 3) J, the ledger of each impact on the way, and of each contact at the end, seen or not."""
+        late = np.ascontiguousarray(self._bench.ledger)
+        return np.concatenate((self.impacts.ledger, late)) if len(self.impacts) else late
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""

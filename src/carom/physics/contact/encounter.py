@@ -1,0 +1,140 @@
+"""When two bodies on straight paths meet, and whether that is an impact.
+
+With d the separation and v the relative velocity, both of j as seen from i, and R = r_i + r_j, bodies that close,
+d·v < 0, pass each other at t_c = -d·v/v² at a distance p = d + v t_c, and touch before that if p < R:
+
+    τ = t_c - √((R² - p²)/v²)
+
+p is found as a vector: in the discriminant (d·v)² - v² (d² - R²) the radii of a small sphere that comes from afar would
+be lost. Bodies that overlap already and close meet at once.
+
+A drift goes with the velocity of the middle of the step. At τ it is v + a (τ - h), h being how far the kick before the
+drift has taken it. A meeting is an impact if bodies then close faster than a contact at rest does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.physics.kernel import kernel
+
+
+@kernel
+def meeting(
+    dx: float,
+    dy: float,
+    dz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    R: float,
+    span: float,
+    since_kick: float,
+    slow: float,
+) -> float:
+    """Return the time in s until the impact of two bodies, infinite if there is none within a span.
+
+    Parameters
+    ----------
+    dx, dy, dz, vx, vy, vz, ax, ay, az
+        m, m/s and m/s²: separation, velocity and acceleration of one body as seen from the other.
+    R
+        m, the sum of radii.
+    span
+        s.
+    since_kick
+        s, from the moment that the velocities are for to now.
+    slow
+        m/s, the fastest approach that is no impact.
+    """
+    b = dx * vx + dy * vy + dz * vz
+    if not b < 0.0:
+        return np.inf
+    tau = 0.0
+    if dx * dx + dy * dy + dz * dz > R * R:
+        v2 = vx * vx + vy * vy + vz * vz
+        tau = -b / v2
+        px, py, pz = dx + vx * tau, dy + vy * tau, dz + vz * tau
+        room = R * R - (px * px + py * py + pz * pz)
+        if not room > 0.0:  # a graze does not close
+            return np.inf
+        tau = max(0.0, tau - np.sqrt(room / v2))
+        if tau > span:
+            return np.inf
+    nx, ny, nz, s = dx + vx * tau, dy + vy * tau, dz + vz * tau, since_kick + tau
+    closing = -((vx + ax * s) * nx + (vy + ay * s) * ny + (vz + az * s) * nz)
+    return tau if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
+
+
+@kernel
+def meeting_in_box(
+    dx: float,
+    dy: float,
+    dz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    R: float,
+    span: float,
+    since_kick: float,
+    slow: float,
+    Lx: float,
+    Ly: float,
+    Lz: float,
+) -> float:
+    """Return the same in a periodic box, (Lx, Ly, Lz) m, however often the paths lead through it.
+
+    The way is taken in legs of half a box at most. On a leg a body can meet the nearest image of another, or in each
+    direction the one that comes towards it.
+    """
+    gone = 0.0
+    while True:
+        dx -= Lx * np.floor(dx / Lx + 0.5)
+        dy -= Ly * np.floor(dy / Ly + 0.5)
+        dz -= Lz * np.floor(dz / Lz + 0.5)
+        leg = span - gone
+        leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
+        leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg
+        leg = min(leg, 0.5 * Lz / abs(vz)) if vz != 0.0 else leg
+        sx, sy, sz = _next_image(dx, vx, Lx, R, leg), _next_image(dy, vy, Ly, R, leg), _next_image(dz, vz, Lz, R, leg)
+        first = np.inf
+        for kx in range(2 if sx != 0.0 else 1):
+            for ky in range(2 if sy != 0.0 else 1):
+                for kz in range(2 if sz != 0.0 else 1):
+                    tau = meeting(
+                        dx + kx * sx,
+                        dy + ky * sy,
+                        dz + kz * sz,
+                        vx,
+                        vy,
+                        vz,
+                        ax,
+                        ay,
+                        az,
+                        R,
+                        leg,
+                        since_kick + gone,
+                        slow,
+                    )
+                    first = min(first, tau)
+        if first < np.inf:
+            return gone + first
+        if not gone < gone + leg < span:
+            return np.inf
+        dx, dy, dz, gone = dx + vx * leg, dy + vy * leg, dz + vz * leg, gone + leg
+
+
+@kernel
+def _next_image(d: float, v: float, L: float, R: float, leg: float) -> float:
+    """Return where the image that comes towards the origin stands, as seen from the nearest one; 0 if out of reach."""
+    if v > 0.0:
+        return -L if L - d - v * leg <= R else 0.0
+    if v < 0.0:
+        return L if L + d + v * leg <= R else 0.0
+    return 0.0

@@ -1,0 +1,73 @@
+"""What a step shows of its contacts: those found at its end, and the impacts on the way there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.flight import Impacts
+from carom.physics.contact.graph import CollisionGraph, empty_graph
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """The contacts of a step, each pair once, in the order of the graph."""
+
+    graph: CollisionGraph
+    approach: FloatArray  # (m,) m/s, closing speed before the impulses, the largest where there were several
+    rest_speed: FloatArray  # (m,) m/s, up to which each is at rest
+    impacts: int  # how many closed faster than that; a pair may have done so more than once
+    _order: IntArray | None = None  # (l,) of all that happened, by pair; None where each pair did once
+    _first: IntArray | None = None  # (m,) the first of each pair, in that order
+
+    @classmethod
+    def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> Sighting:
+        """Describe the contacts found at the end of a step."""
+        return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
+
+    def after(self, struck: Impacts, dt: float) -> Sighting:
+        """Add the impacts on the way through a step of dt, in s.
+
+        A pair that no longer touches at the end has the normal of its hardest impact, no overlap, and the first
+        colour: it was resolved before all others.
+        """
+        if len(struck) == 0:
+            return self
+        graph, late = self.graph, len(self.graph)
+        pairs = np.concatenate((graph.pairs, struck.pairs))
+        approach = np.concatenate((self.approach, struck.approach))
+        # of the rows of a pair the one found at the end comes first, then the hardest impact
+        softness = -np.concatenate((np.full(late, np.inf), struck.approach))
+        order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
+        first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
+        shown = order[first]
+        seen = CollisionGraph(
+            pairs[shown],
+            np.concatenate((graph.normals, struck.normal))[shown],
+            np.concatenate((graph.overlaps, np.zeros(len(struck))))[shown],
+            np.concatenate((graph.colours, np.zeros(len(struck), dtype=np.int64)))[shown],
+            graph.body_colours,
+            np.minimum.reduceat(np.concatenate((np.full(late, dt), struck.time))[order], first),
+        )
+        return Sighting(
+            seen,
+            np.maximum.reduceat(approach[order], first),
+            np.concatenate((self.rest_speed, struck.rest_speed))[shown],
+            self.impacts + len(struck),
+            order,
+            first,
+        )
+
+    def sums(self, late: FloatArray, struck: FloatArray) -> FloatArray:
+        """Sum up by contact what those found at the end did, and what the impacts did; in rows like theirs."""
+        if self._order is None or self._first is None:
+            return late
+        return np.add.reduceat(np.concatenate((late, struck))[self._order], self._first)
+
+
+NOTHING = Sighting.of(empty_graph(), np.empty(0), np.empty(0))

@@ -1,0 +1,91 @@
+"""How late an impact is, against the exact course: of first order in dt at the end of a step, of second within it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from carom.experiment.exact import solve
+from carom.experiment.trajectory import follow, sample_times
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+from examples import scene_of
+from published.test_two_body_bounce import BOUNCES
+
+END = 16.0  # s
+PHASES = 40  # of the moment within a step: the error swings with it
+
+
+def rolling_pair(dt: float, timing: str, integrator: str = "leapfrog") -> Scene:
+    """Two unequal spheres that fall on each other slightly askew, and bounce twice."""
+    bodies = [
+        {"position": [x, 0.3 * k, 0], "velocity": [0, v, 0], "radius": 2.0, "mass": 1.0 + k}
+        for k, (x, v) in enumerate(((-3, 0.02), (3, -0.02)))
+    ]
+    return scene_of(
+        bodies,
+        gravity={"constant": 1.0},
+        contact={"restitution": 0.7, "timing": timing},
+        time={"duration": END, "fixed_dt": dt, "integrator": integrator},
+        record={"every": 1.0},
+    )
+
+
+def moments_of(scene: Scene) -> list[float]:
+    """Moments of all impacts in s."""
+    space, moments = Space(scene), []
+    while space.time < scene.time.duration:
+        before, count = space.time, space.moments.impacts
+        space.compute_dynamics(space.step + 1)
+        if space.moments.impacts > count:
+            into_step = space.contacts.into_step
+            moments.append(before + (space.dt if into_step is None else float(into_step[0])))
+    return moments
+
+
+@pytest.mark.parametrize(
+    ("timing", "integrator", "order"),
+    [("end-of-step", "leapfrog", 1), ("time-of-impact", "leapfrog", 2), ("time-of-impact", "euler", 1)],
+)
+def test_impact_times_have_their_order(timing: str, integrator: str, order: int) -> None:
+    # Rms over both bounces and steps of slightly different length; the slope is fitted over a factor of eight.
+    exact = np.array(solve(Space(rolling_pair(0.1, timing)), np.array([END])).time)
+    assert len(exact) == 2
+    steps, errors = [], []
+    for dt in 0.16 / 2.0 ** np.arange(4):
+        squares = [
+            (np.array(moments_of(rolling_pair(dt * factor, timing, integrator))[:2]) - exact) ** 2
+            for factor in np.linspace(0.9, 1.1, PHASES)
+        ]
+        steps.append(dt)
+        errors.append(math.sqrt(np.mean(squares)))
+    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert slope == pytest.approx(order, abs=0.1)
+
+
+def test_bounces_come_when_kepler_says_to_second_order() -> None:
+    # the published pair of test_two_body_bounce.py; the path of a drift is off by a τ (dt - τ)/2, at most a dt²/8,
+    # and so is each flight, at speeds from 0.9 to 0.06 m/s: 1e-5 s a flight at dt = 0.01 s
+    bodies = [{"position": [x, 0, 0], "radius": 2.0, "mass": 1.0} for x in (-10, 10)]
+    scene = scene_of(
+        bodies,
+        gravity={"constant": 1.0},
+        contact={"restitution": 0.5, "timing": "time-of-impact"},
+        time={"duration": 83.0, "fixed_dt": 0.01},
+        record={"every": 10.0},
+    )
+    assert moments_of(scene)[:4] == pytest.approx(BOUNCES, abs=5e-5)
+
+
+def test_a_trajectory_is_right_within_the_steps_of_impacts_too() -> None:
+    # Newton's cradle at a step of half a collision: what is compared between the steps is the exact course
+    overrides = ["contact.timing=time-of-impact", "time.fixed_dt=0.07"]
+    scene = Scene.load("newtons-cradle", overrides)
+    exact, run = solve(Space(scene), sample_times(scene)).trajectory, follow(Space(scene), sample_times(scene))
+    assert np.array_equal(np.sort(exact.pair, axis=0), np.sort(run.pair, axis=0))
+    late = {tuple(pair): met for pair, met in zip(run.pair.tolist(), run.met.tolist(), strict=True)}
+    for pair, met in zip(exact.pair.tolist(), exact.met.tolist(), strict=True):
+        assert late[tuple(pair)] == pytest.approx(met, abs=1e-12)
+    assert np.median(np.abs(run.position - exact.position)) <= 1e-13
