@@ -16,9 +16,10 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.agenda import put
 from carom.physics.contact.grid import Grid
 from carom.physics.contact.impact import APPROACH, COLUMNS, LEDGER, NORMAL, REST, TIME, foresee, resolve
-from carom.physics.contact.paths import AHEAD, EXHAUSTED, Paths, arrive, set_out
+from carom.physics.contact.paths import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
 from carom.physics.contact.rest import pile_speeds
 from carom.physics.contact.search import Search
+from carom.physics.integrator import SOME, drift
 from carom.physics.kernel import kernel
 from carom.physics.team import Team
 from carom.scene.halfspace import HalfSpaces
@@ -122,10 +123,22 @@ class Flight:
             none=np.zeros(n, dtype=np.int64),
             total=np.full(n, n),
             stray_count=np.zeros(n, dtype=np.int64),
-            numbers=np.zeros(6),
+            bulk=np.zeros(3),
+            numbers=np.zeros(3),
             counts=np.zeros(3, dtype=np.int64),
         )
-        self._resolve(np.empty((0, 2), dtype=np.int64))  # nothing: the first impact does not wait for a compiler
+        self._compile()
+
+    def _compile(self) -> None:
+        """Send no impact through every kernel, so that the first real one does not wait for a compiler."""
+        nobody, none = np.empty((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        set_out(self._paths, 0.0, 0.0)
+        if self._forces:
+            self._press(nobody, 0.0, 1.0, 0.0)
+        foresee(0, 0, none, none, none, self._paths)
+        _gather(self._paths)
+        self._resolve(nobody)
+        arrive(0, 0, self._paths)
 
     @property
     def is_exhausted(self) -> bool:
@@ -141,26 +154,40 @@ class Flight:
             1 and m: bodies no farther apart than ``(r_i + r_j) stretch + slack`` belong to the same pile.
         """
         paths, bodies, n = self._paths, self._bodies, len(self._bodies)
-        pairs = self._neighbours(set_out(paths, bodies.mass, self._anchored, dt, kick), stretch, slack)
-        if self._forces:
-            pile_speeds(
-                pairs,
-                paths.x,
-                paths.radius,
-                paths.box,
-                stretch,
-                slack,
-                paths.a,
-                paths.inverse_mass,
-                self._field,
-                dt,
-                paths.rest,
-            )
-        ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
-        self._team.divide(n, SOME, foresee, ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]), paths)
-        impacts = self._resolve(pairs) if _gather(paths) else NO_IMPACTS
-        self._team.divide(n, SOME, arrive, paths)
+        paths.counts[:] = 0
+        farthest = reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, paths.reach, paths.bulk)
+        pairs = self._neighbours(farthest, stretch, slack)
+        impacts = NO_IMPACTS
+        if len(pairs) or len(paths.offset):
+            set_out(paths, dt, kick)
+            if self._forces:
+                self._press(pairs, dt, stretch, slack)
+            ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
+            self._team.divide(n, SOME, foresee, ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]), paths)
+            if _gather(paths):
+                impacts = self._resolve(pairs)
+        if len(impacts):
+            self._team.divide(n, SOME, arrive, paths)
+        else:
+            drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
+
+    def _press(self, pairs: IntArray, dt: float, stretch: float, slack: float) -> None:
+        """Find up to which speed contacts of each body are at rest."""
+        paths = self._paths
+        pile_speeds(
+            pairs,
+            paths.x,
+            paths.radius,
+            paths.box,
+            stretch,
+            slack,
+            paths.a,
+            paths.inverse_mass,
+            self._field,
+            dt,
+            paths.rest,
+        )
 
     def _neighbours(self, farthest: float, stretch: float, slack: float) -> IntArray:
         """Return the pairs whose reaches meet, given the largest reach in radii; where there is room, widen all."""

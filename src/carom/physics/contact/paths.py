@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROUNDING = 1e-14  # of a body's speed so far; what closes more slowly has been resolved
-DT, KICK, CLOCK, DRIFTING = 0, 1, 2, 3  # numbers: s, the drift and the kick before it; s; m/s, the bulk's velocity
+DT, KICK, CLOCK = 0, 1, 2  # numbers, s: the drift, the kick before it, and what time it is
 AHEAD, STRAYS, EXHAUSTED = 0, 1, 2  # counts: bodies with an impact ahead, strays, bodies that had `MOST` impacts
 FARTHEST = 1e150  # m; what might go farther is not followed, since the square of its way is no number
 
@@ -50,36 +50,43 @@ class Paths(NamedTuple):
     none: IntArray  # (n,) 0: where each body's part of one of the two lists above begins,
     total: IntArray  # (n,) n, and where it ends
     stray_count: IntArray  # (n,) likewise
-    numbers: FloatArray  # (6,)
+    bulk: FloatArray  # (3,) m/s, the velocity that the reach counts from
+    numbers: FloatArray  # (3,)
     counts: IntArray  # (3,)
 
 
 @kernel
-def set_out(paths: Paths, mass: FloatArray, anchored: bool, dt: float, kick: float) -> float:
-    """Begin a drift; return the largest reach in parts of the radius.
+def reaches(
+    v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, reach: FloatArray, bulk: FloatArray
+) -> float:
+    """Write how far bodies may get in dt, and the velocity that this counts from; return the largest part of a radius.
 
     A body stays within what it would cover at its own speed and the mean speed of all, seen from the centre of mass, or
     from what stands still: enough room for what most impacts do to it, and one fast body widens no other's reach.
     """
-    n, numbers = len(paths.x), paths.numbers
-    Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(paths.v[:n], mass)
-    numbers[DT], numbers[KICK], numbers[CLOCK] = dt, kick, 0.0
-    numbers[DRIFTING], numbers[DRIFTING + 1], numbers[DRIFTING + 2] = Vx, Vy, Vz
-    paths.counts[:] = 0
-    mean = 0.0
-    for i in range(n):
-        ux, uy, uz = paths.v[i, 0] - Vx, paths.v[i, 1] - Vy, paths.v[i, 2] - Vz
-        paths.reach[i] = np.sqrt(ux * ux + uy * uy + uz * uz)
-        mean += paths.reach[i] / n
-        for k in range(3):
-            paths.start[i, k] = paths.x[i, k]
-        paths.now[i], paths.moment[i], paths.impacts[i], paths.place[i] = 0.0, np.inf, 0, -1
-        paths.noise[i] = ROUNDING * (abs(paths.v[i, 0]) + abs(paths.v[i, 1]) + abs(paths.v[i, 2]))
-    largest = 0.0
-    for i in range(n):
-        paths.reach[i] = min(FARTHEST, dt * (paths.reach[i] + mean))
-        largest = max(largest, paths.reach[i] / paths.radius[i])
+    bulk[0], bulk[1], bulk[2] = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
+    mean, largest = 0.0, 0.0
+    for i in range(len(reach)):
+        ux, uy, uz = v[i, 0] - bulk[0], v[i, 1] - bulk[1], v[i, 2] - bulk[2]
+        reach[i] = np.sqrt(ux * ux + uy * uy + uz * uz)
+        mean += reach[i] / len(reach)
+    for i in range(len(reach)):
+        reach[i] = min(FARTHEST, dt * (reach[i] + mean))
+        largest = max(largest, reach[i] / radius[i])
     return largest
+
+
+@kernel
+def set_out(paths: Paths, dt: float, kick: float) -> None:
+    """Begin a drift."""
+    paths.numbers[DT], paths.numbers[KICK], paths.numbers[CLOCK] = dt, kick, 0.0
+    paths.counts[:] = 0
+    x, v, start, noise = paths.x, paths.v, paths.start, paths.noise
+    now, moment, impacts, place = paths.now, paths.moment, paths.impacts, paths.place
+    for i in range(len(x)):
+        start[i, 0], start[i, 1], start[i, 2] = x[i, 0], x[i, 1], x[i, 2]
+        now[i], moment[i], impacts[i], place[i] = 0.0, np.inf, 0, -1
+        noise[i] = ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2]))
 
 
 @kernel
@@ -98,7 +105,7 @@ def strays(i: int, paths: Paths) -> bool:
     way2 = 0.0
     for k in range(3):
         end = paths.x[i, k] + paths.v[i, k] * (numbers[DT] - paths.now[i])
-        way = end - numbers[DRIFTING + k] * numbers[DT] - paths.start[i, k]
+        way = end - paths.bulk[k] * numbers[DT] - paths.start[i, k]
         way2 += way * way
     return bool(way2 > paths.reach[i] * paths.reach[i])
 

@@ -188,8 +188,7 @@ class ContactStage:
             self._resolve(dt, kick, profile)
         else:
             self._hold = Hold.empty()
-        bench, shown = self._bench, self._shown
-        self.seen = Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown]).after(self.impacts, dt)
+        self.seen = self._sighting(dt) if len(self.graph) or len(self.impacts) else NOTHING
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
@@ -306,6 +305,10 @@ class ContactStage:
             )
         self.graph: CollisionGraph = graph
         self._shown = self._bench.stages.place[which]
+
+    def _sighting(self, dt: float) -> Sighting:
+        bench, shown = self._bench, self._shown
+        return Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown]).after(self.impacts, dt)
 
     @property
     def contributions(self) -> FloatArray:
