@@ -37,6 +37,13 @@ def test_many_bodies_are_refined_until_they_part_and_the_horizon_is_there() -> N
     assert "40 bodies are more than 20" in reference.text
 
 
+def test_where_nothing_pulls_the_reference_has_times_of_impact() -> None:
+    # the same impacts whatever the step: two refinements are apart by rounding, and by what four collisions make of it
+    reference = make_reference(Scene.load("elastic-gas", ["time.duration=1"]), finest=0.125, budget=0.0)
+    assert reference.kind == "refined" and reference.horizon == 1.0
+    assert reference.uncertainty.impact <= 1e-9 and reference.trajectory.overlap <= 1e-12
+
+
 @pytest.mark.parametrize("rule", [{"fixed_dt": 0.02}, {"max_dt": 0.3, "cfl": 0.2}, {"target_dx": 0.01}])
 def test_a_refined_scene_has_smaller_steps_whatever_sets_them(rule: dict[str, float]) -> None:
     scene = pair(gravity={"constant": 1.0}, time=rule)

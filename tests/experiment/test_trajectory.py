@@ -101,3 +101,12 @@ def test_a_pair_that_never_meets_counts_as_met_at_the_horizon() -> None:
     )
     errors = compare(missing, reference.trajectory, reference.scale, reference.samples, True)
     assert errors.missed == 1.0 and errors.impact == pytest.approx(reference.horizon - 1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("steps_left", [0.5, 1.5, 2.5])
+def test_contacts_of_the_last_steps_are_noted(steps_left: float) -> None:
+    # the last step is none that a schedule asks for, and the one before it was forgotten with it
+    scene = pair(time={"fixed_dt": 0.01, "duration": 1.0 + 0.01 * steps_left}, contact={"restitution": 1.0})
+    run = follow(Space(scene), sample_times(scene))
+    assert run.pair.tolist() == [[0, 1]]
+    assert 1.0 <= run.met[0] <= 1.0 + 0.01 * min(steps_left, 1.0) + 1e-12

@@ -1,7 +1,8 @@
 """What the settings of a scene are held against: the exact course of a few bodies, or the scene itself, refined.
 
 A few bodies in open space are solved exactly (`exact.py`), twice, with tolerances a factor of ten apart. Other scenes
-are run with ever smaller steps, each half of the one before. In both cases the last two tell how far the reference is
+are run with ever smaller steps, each half of the one before; where nothing pulls, so that flight is free and only the
+moments of impacts can be wrong, with times of impact. In both cases the last two tell how far the reference is
 to be trusted: up to the *horizon*, where they are first apart by more than a thousandth of the size of the system, and
 there to within what they are apart. Beyond it every trajectory is as good as another, and only statistics mean
 anything.
@@ -22,7 +23,7 @@ from carom.experiment.exact import TIGHTEST, solve, why_not
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import gravity_method, target_dx
+from carom.scene.requirements import gravity_method, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -163,8 +164,11 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps, and without the error of a tree."""
-    return Space(scene_from_text(scene.toml, scene.title, refined(scene, factor) + _finer_pull(scene)[0]), threads)
+    """Return the scene with smaller steps, without the error of a tree, and where nothing pulls with times of impact."""
+    overrides = refined(scene, factor) + _finer_pull(scene)[0]
+    if not require(scene).pulls:
+        overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
+    return Space(scene_from_text(scene.toml, scene.title, overrides), threads)
 
 
 def _finer_pull(scene: Scene) -> tuple[list[str], str]:

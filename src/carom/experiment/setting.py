@@ -54,13 +54,13 @@ def default_settings(scene: Scene) -> list[Setting]:
     else:
         choices += [f"{STEP}=8", f"{STEP}=0.25"]
     choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
-    choices += ["contact.timing=time-of-impact"]
+    located = vary(scene, ["contact.timing=time-of-impact", f"{STEP}=1" if forces else f"{STEP}=8,1"])
     if parts.adaptive_step.modelled:
         choices += ["time.velocity_limit=fastest-body", "time.smoothing=1"]
     if parts.gravity.modelled and scene.count > FEW:
         tree = ["gravity.opening_angle=0.3,0.8", "gravity.quadrupoles=false"]
         choices += tree if gravity_method(scene) == "tree" else ["gravity.method=tree"]
-    return [setting for choice in choices for setting in vary(scene, [choice])]
+    return [setting for choice in choices for setting in vary(scene, [choice])] + located
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:

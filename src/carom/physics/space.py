@@ -302,7 +302,7 @@ class Space:
         before, self.time = self.time, end if self.dt_limit == "end" else self.time + self.dt
         if not self.time > before:
             raise PhysicsError(self._stuck(before))
-        due = self.dt_limit == "end" or schedule(self.step + 1, before, self.time)
+        due = schedule(self.step + 1, before, self.time) or self.dt_limit == "end"  # a schedule sees every step
         if checked and contact:
             self._accounts.suspect(self.step, self.contacts, contact.contributions)
         self.step += 1
