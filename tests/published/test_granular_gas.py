@@ -4,7 +4,9 @@ Haff, J. Fluid Mech. 134, 401 (1983): T = T₀/(1 + t/τ)², 1/τ = (1 - e²) Γ
 Huthmann & Zippelius, Phys. Rev. E 56, R6275 (1997), Luding et al., Phys. Rev. E 58, 3416 (1998): rough spheres cool
 with a constant T_rot/T_tr. Spheres that stick in every contact (β = 0; carom's stick ends without slip) have
 η = q/(2 (1 + q)), q = 2/5, and R = T_rot/T_tr solves B + (A - C) R - B R² = 0 with
-A = (1 - e²)/4 + η(1 - η), B = η²/q, C = (η/q)(1 - η/q).
+A = (1 - e²)/4 + η(1 - η), B = η²/q, C = (η/q)(1 - η/q). That takes Maxwellian distributions. They are not quite that:
+Santos, Kremer & dos Santos, Phys. Fluids 23, 030604 (2011), Megías & Santos, Phys. Rev. E 108, 014902 (2023), whose
+event-driven simulations follow Boltzmann's equation. So it is what carom is held to.
 """
 
 from __future__ import annotations
@@ -45,15 +47,15 @@ def test_a_cooling_gas_follows_haffs_law() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("restitution", "runs"), [(1.0, 5), (0.9, 6)])
-def test_rough_spheres_share_their_energy_as_boltzmanns_equation_says(restitution: float, runs: int) -> None:
-    # Runs begin without spin and with equal temperatures, in turn; collisions 25 to 75 of a sphere are averaged. 4 %:
-    # the runs scatter by 3 %, so their mean is good to 1.3 %, three times that; spheres that are found overlapping
-    # have shorter lever arms, which raises the ratio by 0.9 %.
-    rows = [rough_ratio(restitution, float(seed % 2), cfl=0.02, until=75.0, seed=seed) for seed in range(runs)]
+@pytest.mark.parametrize("restitution", [1.0, 0.9])
+def test_rough_spheres_share_their_energy_as_boltzmanns_equation_says(restitution: float) -> None:
+    # Runs begin without spin and with equal temperatures, in turn; collisions 25 to 75 of a sphere are averaged. 2 %:
+    # runs scatter by 2.5 %, so the mean of 32 is good to 0.45 %, three times that; a packing of 0.02 and 500 spheres
+    # add 0.7 % (docs/validation.md).
+    rows = [rough_ratio(restitution, float(seed % 2), until=75.0, seed=seed) for seed in range(32)]
     measured = np.mean([run[run[:, 0] > 25.0, 1].mean() for run in rows])
     boltzmann = rough_gas(restitution, spheres=20_000, until=75.0, seed=0)
-    assert measured == pytest.approx(boltzmann[boltzmann[:, 0] > 25.0, 1].mean(), rel=0.04)
+    assert measured == pytest.approx(boltzmann[boltzmann[:, 0] > 25.0, 1].mean(), rel=0.02)
 
 
 @pytest.mark.parametrize(("restitution", "error"), [(1.0, -0.034), (0.9, -0.048)])
