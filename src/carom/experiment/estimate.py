@@ -34,6 +34,7 @@ MARKS = {
     "timestep": ("adaptive-step", "integrator"),
     "orientation": ("orientation", "integrator"),
     "integrate": ("integrator", "integrator"),
+    "impacts": ("time-of-impact", "integrator"),
     "search": ("broad-phase", "contact"),
     "colouring": ("colouring", "contact"),
     "stabilisation": ("stabilisation", "contact"),

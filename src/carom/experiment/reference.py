@@ -164,7 +164,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps, without the error of a tree, and where nothing pulls with times of impact."""
+    """Return the scene with smaller steps, without a tree's error, and where nothing pulls with times of impact."""
     overrides = refined(scene, factor) + _finer_pull(scene)[0]
     if not require(scene).pulls:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]

@@ -2,8 +2,8 @@
 
 The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
 after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, of
-third where the integrator has no forces there, or, for a body that was struck, the flight from the beginning of the step
-to its first impact, and from there to the end.
+third where the integrator has no forces there, or, for a body that was struck, the flight from the beginning of the
+step to its first impact, and from there to the end.
 """
 
 from __future__ import annotations

@@ -80,6 +80,7 @@ def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, tea
 
 @long_kernel
 def turn(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
+    """Turn the orientations [lo, hi)."""
     for i in range(lo, hi):
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
         w = np.sqrt(wx * wx + wy * wy + wz * wz)
