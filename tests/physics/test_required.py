@@ -158,7 +158,7 @@ DIRECT = {"gravity.direct._total"}
 TURNING = {"rotation._rotate", "contact.stage._turn"}
 MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.crew.work"}
 RESTING = {"contact.rest._rest_speeds", "contact.rest.largest_square"}
-PUSHING = {"contact.stabilisation.push_apart", "contact.stabilisation.work_of_pushes"}
+PUSHING = {"contact.stabilisation.work_of_pushes"}  # the pushes themselves are a phase of contact.crew.work
 FIELD, STEP = {"integrator._add"}, {"timestep._limits"}
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
