@@ -146,7 +146,8 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
     ("choice", "message"),
     [
         ("time.integrator", "expected key=a,b,c"),
-        ("time.integrator=", "expected key=a,b,c"),
+        ("time.integrator=", "expected a list such as 0.2,0.6"),
+        ("time.cfl=0.1:0.5:1", "a range has two values or more"),
         ("step=0", "no number above 0"),
         ("step=two", "no number above 0"),
         ("threads=0", "no number of threads"),
@@ -214,6 +215,16 @@ def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
 def test_a_comma_in_quotes_parts_no_values() -> None:
     (setting,) = vary(pair(), ["title='a, b'"])
     assert setting.apply(pair()).title == "a, b"
+
+
+def test_a_range_is_what_it_is_to_a_sweep() -> None:
+    settings = vary(pair(), ["time.cfl=0.1:0.4:3log"])
+    assert [setting.apply(pair()).time.cfl for setting in settings] == [0.1, 0.2, 0.4]
+    assert [setting.name for setting in vary(pair(), ["contact.sweeps=2:4:3"])] == [
+        "sweeps = 2",
+        "sweeps = 3",
+        "sweeps = 4",
+    ]
 
 
 def test_a_vector_is_one_value() -> None:

@@ -20,9 +20,8 @@ VaryOption = Annotated[
     typer.Option(
         "--vary",
         metavar="KEY=A,B,C",
-        help="Values of a key of the scene, of `step`, a factor on the step, or of `threads`; every combination if "
-        "given again. "
-        "Default: about a dozen settings of what the scene requires.",
+        help="Values of a key of the scene, a list or a range as for `carom sweep`; of `step`, a factor on it; or of "
+        "`threads`. Every combination if given again. Default: about a dozen settings of what the scene requires.",
     ),
 ]
 RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Runs that are timed of each.", min=1)]

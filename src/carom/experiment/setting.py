@@ -13,7 +13,7 @@ from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.requirements import gravity_method, require
 from carom.scene.schema import Scene
-from carom.scene.variation import split
+from carom.scene.variation import texts_of
 
 STEP = "step"  # a key of its own: so many times the step, whatever rule sets it
 THREADS = "threads"  # likewise: for the kernels; they change the cost and no bit
@@ -69,8 +69,9 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     Parameters
     ----------
     choices
-        ``key=a,b,c`` each; every value of one is combined with every value of the others. The key ``step`` multiplies
-        whatever sets the step, and ``threads`` is not of the scene: it changes the cost alone.
+        ``key=a,b,c`` or ``key=first:last:count`` each, as `carom sweep` takes it; every value of one is combined with
+        every value of the others. The key ``step`` multiplies whatever sets the step, and ``threads`` is not of the
+        scene: it changes the cost alone.
 
     Raises
     ------
@@ -122,9 +123,13 @@ def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
 def _axis(choice: str) -> list[_Choice]:
     """Read the values of a key."""
     key, separator, values = choice.partition("=")
-    key, parts = key.strip(), split(values)
-    if not separator or not key or not all(parts):
+    key = key.strip()
+    if not separator or not key:
         raise SceneError(f"--vary {choice}: expected key=a,b,c, such as time.integrator=euler,leapfrog")
+    try:
+        parts = texts_of(values)
+    except ValueError as error:
+        raise SceneError(f"--vary {key}: {error}") from None
     if key == STEP:
         return [_step(choice, value) for value in parts]
     if key == THREADS:

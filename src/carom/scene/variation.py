@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import tomlkit
@@ -35,10 +35,20 @@ def values_of(text: str) -> Values:
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
-    parts = split(text)
-    if not all(parts):
-        raise ValueError(f'"{text}": expected {_EXAMPLES}')
-    return alike(_value(part) for part in parts)
+    return alike(_value(part) for part in _parts(text))
+
+
+def texts_of(text: str) -> list[str]:
+    """Read the same values, each as a person writes it.
+
+    Raises
+    ------
+    ValueError
+        Saying what would be right.
+    """
+    if matched := _RANGE.fullmatch(text):
+        return [repr(value) for value in _range(text, *matched.groups())]
+    return _parts(text)
 
 
 def alike(values: Any) -> Values:
@@ -97,20 +107,11 @@ def override(key: str, value: Any) -> str:
     return f"{key}={tomlkit.item(value).as_string()}"
 
 
-def split(text: str) -> Sequence[str]:
-    """Split at the commas that are not inside brackets, braces or quotes."""
-    parts, depth, quote = [""], 0, ""
-    for character in text:
-        if quote:
-            quote = "" if character == quote else quote
-        elif character in "\"'":
-            quote = character
-        depth += (not quote) * ((character in "[{") - (character in "]}"))
-        if character == "," and not quote and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return [part.strip() for part in parts]
+def _parts(text: str) -> list[str]:
+    parts = _split(text)
+    if not all(parts):
+        raise ValueError(f'"{text}": expected {_EXAMPLES}')
+    return parts
 
 
 def _range(text: str, first: str, last: str, count: str, log: str | None) -> Values:
@@ -141,6 +142,22 @@ def _value(text: str) -> Any:
         return tomlkit.value(text).unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError):
         return text
+
+
+def _split(text: str) -> list[str]:
+    """Split at the commas that are not inside brackets, braces or quotes."""
+    parts, depth, quote = [""], 0, ""
+    for character in text:
+        if quote:
+            quote = "" if character == quote else quote
+        elif character in "\"'":
+            quote = character
+        depth += (not quote) * ((character in "[{") - (character in "]}"))
+        if character == "," and not quote and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += character
+    return [part.strip() for part in parts]
 
 
 def _is_number(value: Any) -> bool:
