@@ -24,7 +24,9 @@ import numpy as np
 import rebound
 from numpy.typing import NDArray
 
+from carom.physics.kernel import long_kernel
 from carom.physics.space import Space
+from carom.physics.team import Team
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
 from measurement import medians, save
@@ -130,10 +132,11 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
     for n in sizes:
         spaces = {threads: in_open_space(n, threads, constant) for threads in (1, 2)}
         steps = max(4, min(STEPS, 2_000_000 // n))
-        times = medians(
-            {f"{threads} threads": stepping(space, steps) for threads, space in spaces.items()}, rounds, 20.0
-        )
-        step = {name: float(f"{seconds / steps * 1e3:.4g}") for name, seconds in times.items()}
+        contenders = {f"{threads} threads": stepping(space, steps) for threads, space in spaces.items()}
+        bare = {f"bare loop, {threads} threads": bare_loop(threads) for threads in spaces}
+        times = medians(contenders | bare, rounds, 20.0)
+        step = {name: float(f"{times[name] / steps * 1e3:.4g}") for name in contenders}
+        one, two = (times[name] for name in bare)
         parts = spaces[1].profile.seconds()
         whole = sum(parts.values())
         rows.append(
@@ -141,6 +144,7 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
                 "bodies": n,
                 "contacts": len(spaces[1].contacts),
                 "ms": step,
+                "bare_loop_gain": round(one / two, 2),
                 "shares": {part: round(seconds / whole, 3) for part, seconds in parts.items()},
                 "peak_megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
             }
@@ -152,6 +156,19 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
     }
     print("exponents", fitted)
     return {"rows": rows, "exponent": fitted}
+
+
+def bare_loop(threads: int) -> Callable[[], object]:
+    """Return a loop that needs nothing but cores: what two threads gain at all while this is measured."""
+    team, x = Team(threads), np.ones(500_000)
+    return lambda: team.divide(len(x), 10_000, _roots, x)
+
+
+@long_kernel
+def _roots(lo: int, hi: int, x: FloatArray) -> None:
+    for i in range(lo, hi):
+        for _ in range(20):
+            x[i] = np.sqrt(x[i] + 1.0)
 
 
 def in_open_space(n: int, threads: int, constant: float) -> Space:

@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.error import PhysicsError
-from carom.physics.kernel import kernel
+from carom.physics.kernel import long_kernel
+from carom.physics.team import SOLO, Team
 
 MOST_NAMES = 5
+SOME = 20_000  # bodies that are worth a part of their own
 
 
-def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float) -> None:
+def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, team: Team = SOLO) -> None:
     """Check positions and velocities.
 
     Raises
@@ -20,22 +22,27 @@ def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float) 
     PhysicsError
         If one is infinite or not a number; it names the bodies, the step and the time in seconds.
     """
-    if _all_finite(bodies.position, bodies.velocity):
+    lost = np.zeros(1, dtype=np.bool_)
+    team.divide(len(bodies), SOME, _look_for_infinities, bodies.position, bodies.velocity, lost)
+    if not lost[0]:
         return
     finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)
-    lost = np.flatnonzero(~finite.all(axis=1))
-    among = ", ".join(f'{body} "{names[body]}"' for body in lost[:MOST_NAMES])
+    bodies_lost = np.flatnonzero(~finite.all(axis=1))
+    among = ", ".join(f'{body} "{names[body]}"' for body in bodies_lost[:MOST_NAMES])
     raise PhysicsError(
-        f"the state is no longer finite at step {step}, t = {time:.6g} s: {len(lost)} bodies, among them {among}"
+        f"the state is no longer finite at step {step}, t = {time:.6g} s: {len(bodies_lost)} bodies, among them {among}"
     )
 
 
-@kernel
-def _all_finite(position: NDArray[np.float64], velocity: NDArray[np.float64]) -> bool:
-    """Tell whether all numbers are finite: without an array for the answers, which NumPy's way takes three of."""
-    lost = 0
-    for i in range(len(position)):
+@long_kernel
+def _look_for_infinities(
+    lo: int, hi: int, position: NDArray[np.float64], velocity: NDArray[np.float64], lost: NDArray[np.bool_]
+) -> None:
+    """Say so if a number is not finite: without an array for the answers, of which NumPy's way takes three."""
+    infinities = 0
+    for i in range(lo, hi):
         for k in range(3):
             x, v = position[i, k], velocity[i, k]
-            lost += (x - x != 0.0) | (v - v != 0.0)  # infinity - infinity is not a number, and none equals 0
-    return lost == 0
+            infinities += (x - x != 0.0) | (v - v != 0.0)  # infinity - infinity is not a number, and none equals 0
+    if infinities > 0:
+        lost[0] = True

@@ -347,7 +347,7 @@ class Space:
                 drift(state.position, state.velocity, substep.drift * dt, self._team)
                 self.profile.mark("integrate")
             if last and self._contact:
-                refuse_infinities(self.state, self.names, self.step, self.time)
+                refuse_infinities(self.state, self.names, self.step, self.time, self._team)
                 self._contact.find(dt, self.profile)
             if self._box[0] > 0.0:
                 wrap(state.position, self._box, self._team)
