@@ -15,9 +15,10 @@ the thread has been asleep for a millisecond; a helper that still looks out for 
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,9 @@ class Team:
         self.size = threads
         self._pool = ThreadPoolExecutor(threads - 1, "team") if threads > 1 else None
         self._board = np.zeros(WORDS, dtype=np.int64)
-        self._watches: list[Future[None]] = []  # of the helpers: who has ended his is asleep
+        self._falling_asleep = threading.Lock()
+        self._awake = [True] + [False] * (threads - 1)
+        self._answered = [0] * threads  # the last call that each has heard
         self._job: Job = _nothing
         self._call: Callable[[], None] | None = None
         self._failure: BaseException | None = None
@@ -112,19 +115,23 @@ class Team:
     def _rouse(self) -> None:
         """Wake the helpers that are asleep."""
         assert self._pool is not None
-        for who in range(1, self.size):
-            if who > len(self._watches):
-                self._watches.append(self._pool.submit(self._look_out, who, self._board[CALLS] - 1))
-            elif self._watches[who - 1].done():
-                self._watches[who - 1] = self._pool.submit(self._look_out, who, self._board[CALLS] - 1)
+        with self._falling_asleep:  # a helper that is about to has either seen what was posted, or is seen asleep
+            for who, awake in enumerate(self._awake):
+                if not awake:
+                    self._awake[who] = True
+                    self._pool.submit(self._look_out, who)
 
-    def _look_out(self, who: int, calls: int) -> None:
+    def _look_out(self, who: int) -> None:
         """Help with whatever comes, until nothing has come for a while."""
-        while (piece := _look(self._board, calls)) != GONE:
+        while self._awake[who]:
+            piece = _look(self._board, self._answered[who])
             if piece == CALLED:
-                calls = self._board[CALLS]
+                self._answered[who] = int(self._board[CALLS])
                 if self._call:
                     self._call()
+            elif piece == GONE:
+                with self._falling_asleep:
+                    self._awake[who] = self._is_wanted(who)
             else:
                 try:
                     self._job(who, piece)
@@ -132,6 +139,9 @@ class Team:
                     self._failure = failure
                 finish(self._board)
                 _offer_core()
+
+    def _is_wanted(self, who: int) -> bool:
+        return bool(self._board[LEFT] > 0 or self._board[CALLS] != self._answered[who])
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers
