@@ -9,8 +9,8 @@ spans.
 From step to step bodies hardly change cells. Sorted in the order of the step before they are read and written nearly in
 order; to renumber the bodies themselves along a space-filling curve would gain nothing more.
 
-Rejected: hashing always (1.5 times the time at 10⁵ bodies, twice at 10⁶, whose neighbours are then anywhere in
-memory), one width of cells for all radii (n² candidates as soon as one body is huge).
+Rejected: hashing always (what is near in space is then anywhere in memory), one width of cells for all radii (n²
+candidates as soon as one body is huge).
 """
 
 from __future__ import annotations
