@@ -3,8 +3,8 @@
 Within an octave a pair is found from the cell that comes first. Of two octaves it is found from one of them: either
 the smaller bodies look into the few cells of the larger ones that they meet, or the larger ones into the many cells
 that they cover; whichever are fewer cells in all. Among radii by a power law it is the latter, in the gravel on a
-planet the former. Rejected: the smaller ones always, each octave in a hashed
-grid of its own (4 times the time for 10⁵ radii from 1 to 100).
+planet the former. Rejected: the smaller ones always, each octave in a hashed grid of its own (4 times the time for 10⁵
+radii from 1 to 100).
 """
 
 from __future__ import annotations
