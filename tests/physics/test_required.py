@@ -155,11 +155,19 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"gravity.direct._total"}
-TURNING = {"rotation._rotate", "contact.stage._turn"}
+TURNING = {"rotation.turn", "contact.stage._turn"}
 MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.crew.work"}
 RESTING = {"contact.rest._rest_speeds", "contact.rest.largest_square"}
 PUSHING = {"contact.stabilisation.work_of_pushes"}  # the pushes themselves are a phase of contact.crew.work
 FIELD, STEP = {"integrator._add"}, {"timestep._limits"}
+TIMING = (
+    "contact.flight",
+    "contact.paths",
+    "contact.impact.",
+    "contact.encounter",
+    "contact.agenda",
+    "contact.rest.pile",
+)
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
 CHOICES: list[tuple[str, Sections, set[str]]] = [
@@ -178,4 +186,5 @@ def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections,
     done = subprocess.run([sys.executable, "-c", KERNELS, document], capture_output=True, text=True, check=True)
     loaded = set(json.loads(done.stdout))
     assert ALL - loaded == absent
-    assert not any(name.startswith(("gravity.tree", "gravity.walk", "gravity.boxes")) for name in loaded)
+    others = ("gravity.tree", "gravity.walk", "gravity.boxes", *TIMING)
+    assert not any(name.startswith(others) for name in loaded)

@@ -137,6 +137,11 @@ MISTAKES = {
         "[gravity]\nopening_angle = 1.5\n" + ONE_BODY,
         ["gravity.opening_angle", "at most 1"],
     ),
+    "impacts in a step of two drifts": (
+        "[contact]\ntiming = 'time-of-impact'\n[time]\nintegrator = 'leapfrog-dkd'\n[gravity]\nconstant = 0\n"
+        "[[group]]\nvelocity = { dispersion = 1.0 }\n",
+        ["contact.timing", "drifts twice", "leapfrog"],
+    ),
     "impacts at times that run backwards": (
         "[contact]\ntiming = 'time-of-impact'\n[time]\nintegrator = 'yoshida4'\n"
         "[[group]]\nvelocity = { dispersion = 1.0 }\n",
