@@ -31,6 +31,9 @@ PILE = [{"position": [0.3 * k, 0.1 * k, 1.0 + 2.0 * k], "velocity": [0.0, 0.1, -
 SCENES: dict[str, Scene] = {
     "a smooth gas": pair(contact=SMOOTH),
     "a smooth gas that spins": cloud(contact=SMOOTH, gravity={"constant": 0.0}),
+    "a smooth gas that spins, with times of impact": cloud(
+        contact={**SMOOTH, "timing": "time-of-impact"}, gravity={"constant": 0.0}
+    ),
     "a smooth cloud that pulls itself together": cloud(group=[{"count": 30, "radius": 0.3}], contact=SMOOTH),
     "bodies that move alike": scene_of(APART, gravity={"constant": 0.0}),
     "a body alone": scene_of(APART[:1]),

@@ -200,12 +200,14 @@ def _collide(i: int, j: int, row: int, paths: Paths, log: FloatArray) -> None:
             Jt = slip / Kt
             if Jt > paths.law[material, 1] * Jn:
                 Jt = paths.law[material, 2] * Jn
-            log[row, LEDGER + 1] = Jt * (slip - 0.5 * Jt * Kt)
-            Jx, Jy, Jz = Jx - Jt * (ux / slip), Jy - Jt * (uy / slip), Jz - Jt * (uz / slip)
-            tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy
-            _spin_up(i, ri, tx, ty, tz, paths)
-            if j < n:
-                _spin_up(j, rj, tx, ty, tz, paths)
+            if Jt > 0.0:
+                log[row, LEDGER + 1] = Jt * (slip - 0.5 * Jt * Kt)
+                fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
+                Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
+                tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part turns nothing
+                _spin_up(i, ri, tx, ty, tz, paths)
+                if j < n:
+                    _spin_up(j, rj, tx, ty, tz, paths)
     v[i, 0], v[i, 1], v[i, 2] = v[i, 0] - Jx * mi, v[i, 1] - Jy * mi, v[i, 2] - Jz * mi
     if mj > 0.0:
         v[j, 0], v[j, 1], v[j, 2] = v[j, 0] + Jx * mj, v[j, 1] + Jy * mj, v[j, 2] + Jz * mj

@@ -183,7 +183,8 @@ def _total(
     potential: FloatArray | None,
 ) -> None:
     """Add up the slabs: each has sums for its own blocks and those before them."""
-    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
+    # softened, a body would sit in its own potential, m/ε: taken away with the rounding with which it was added
+    own = 1.0 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0
     slab = 0
     for i in range(len(m)):
         while edges[slab + 1] * LANES <= i:
@@ -199,7 +200,7 @@ def _total(
         acceleration[i, 1] = G * ay
         acceleration[i, 2] = G * az
         if potential is not None:
-            potential[i] = -G * (p - own * m[i])
+            potential[i] = -G * (p - m[i] * own * eps2)
 
 
 @kernel
