@@ -226,6 +226,13 @@ def _look(board: IntArray, calls: int) -> int:
     return GONE
 
 
+def load_helpers() -> None:
+    """Load the kernels that leader and helpers wait in; a run does so when it first shares work out."""
+    board = np.zeros(WORDS, dtype=np.int64)
+    _wait(board, 0)
+    _look(board, CALLED)  # not the calls on the board: it ends at once
+
+
 @kernel
 def dismiss(board: IntArray) -> None:
     """Send the helpers away."""
