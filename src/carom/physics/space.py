@@ -340,7 +340,7 @@ class Space:
                 self._contact.hold(substep.before * dt, dt)
                 self.profile.mark("resting")
             if self._contact and self.requirements.impact_time.modelled:
-                refuse_infinities(self.state, self.names, self.step, self.time)
+                refuse_infinities(self.state, self.names, self.step, self.time, self._team)
                 self._contact.drift(substep.before * dt, substep.drift * dt)
                 self.profile.mark("impacts")
             else:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import atomic_add
-from carom.physics.team import Team
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -39,9 +39,9 @@ class Grid:
         Who searches; nobody but the caller if left out.
     """
 
-    def __init__(self, radius: FloatArray, box: FloatArray, team: Team | None = None) -> None:
+    def __init__(self, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
         n = len(radius)
-        self._team = team or Team(1)
+        self._team = team
         self._cells = Cells(radius, box, self._team)
         self._counts = np.zeros(n + 1, dtype=np.int64)
         self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that searchers have claimed

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.grid import Grid
 from carom.physics.kernel import kernel
-from carom.physics.team import Team
+from carom.physics.team import SOLO, Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.neighbours import overlapping_pairs
 
@@ -37,7 +37,7 @@ class KdTree:
         return overlapping_pairs(position, self._radius * stretch + 0.5 * slack, self._box)
 
 
-def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team | None = None) -> Search:
+def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
     """Return the search that a scene names in ``contact.search``; the grids are searched by a team."""
     return KdTree(radius, box) if method == "k-d-tree" else Grid(radius, box, team)
 
