@@ -1,21 +1,26 @@
 """Gravity beside its peers, in one run: the same bodies, rounds interleaved, medians compared.
 
-    python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound]
-                                 [--rounds N]
+    python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound
+                                 fmm3d] [--rounds N]
 
 `direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: carom gets
-the largest opening angle, in steps of 0.02, whose median and 99th percentile of the error are both no larger than the
-peer's. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one
-peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it. Rows take
-the place of those of the same bodies, shape and peer in benchmarks/results/gravity.json.
+the largest opening angle, in steps of 0.005, whose median and 99th percentile of the error are both no larger than the
+peer's. FMM3D, which is for high accuracy, gets the tolerance that leaves it at 10⁻⁴ in the last of them. Without
+`--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one peer at a
+time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it. Rows take the place
+of those of the same bodies, shape and peer in benchmarks/results/gravity.json.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from typing import Any
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # FMM3D's, read when it is loaded
+
+import fmm3dpy
 import numpy as np
 import pytreegrav
 import rebound
@@ -34,7 +39,8 @@ DIRECT_BODIES = [1024, 4096, 16384]
 TREE_BODIES = [100_000]
 SAMPLE = 1000  # bodies whose error is measured
 ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
-PEERS = ("rebound", "pytreegrav")
+PEERS = ("rebound", "pytreegrav", "fmm3dpy")
+CHOICES = ("pytreegrav", "rebound", "fmm3d")  # of trees
 TINY = 1e-12  # s: REBOUND's step is one evaluation of the forces, and drifts that cost n
 
 
@@ -105,10 +111,22 @@ def pytreegrav_force(position: FloatArray, mass: FloatArray, theta: float) -> Fo
     return lambda: np.asarray(pytreegrav.Accel(position, mass, theta=theta, quadrupole=True, method="tree"))
 
 
+def fmm3d_force(position: FloatArray, mass: FloatArray, tolerance: float) -> Force:
+    sources = np.asfortranarray(position.T)
+
+    def force() -> FloatArray:
+        field = fmm3dpy.lfmm3d(eps=tolerance, sources=sources, charges=mass, pg=2)  # of potentials 1/(4π r)
+        return np.asarray(4 * np.pi * field.grad.T)
+
+    return force
+
+
 def peer_force(peer: str, shape: str, position: FloatArray, mass: FloatArray) -> tuple[str, Force]:
     """Return a peer as its users run it, and what that is."""
     if peer == "rebound":
         return "REBOUND, tree, 0.5", rebound_force(position, mass, "tree", 0.5)
+    if peer == "fmm3d":
+        return "FMM3D, 1e-3", fmm3d_force(position, mass, 1e-3)
     theta = 0.7 if shape == "plummer" else 0.5  # its default, and one that serves a ball as well
     return f"pytreegrav, quadrupole, {theta}", pytreegrav_force(position, mass, theta)
 
@@ -148,13 +166,13 @@ class Errors:
 
 
 def opening_angle(position: FloatArray, mass: FloatArray, errors: Errors, median: float, last: float) -> float:
-    """Return the largest opening angle of carom, in steps of 0.02, with no larger errors than these."""
-    low, high = 1, 50  # fiftieths; the errors grow with the angle
+    """Return the largest opening angle of carom, in steps of 0.005, with no larger errors than these."""
+    low, high = 1, 200  # two-hundredths; the errors grow with the angle
     while low < high:
         middle = (low + high + 1) // 2
-        found = errors.of(carom_tree(position, mass, middle / 50, 2)())
+        found = errors.of(carom_tree(position, mass, middle / 200, 2)())
         low, high = (middle, high) if found[0] <= median and found[1] <= last else (low, middle - 1)
-    return low / 50
+    return low / 200
 
 
 def compare_direct(bodies: list[int], rounds: int) -> list[dict[str, Any]]:
@@ -232,7 +250,7 @@ def main() -> None:
     parser.add_argument("parts", nargs="*", help="direct, tree; both by default")
     parser.add_argument("--bodies", type=int, nargs="+", default=[])
     parser.add_argument("--shapes", nargs="+", choices=list(SHAPES), default=list(SHAPES))
-    parser.add_argument("--peers", nargs="*", choices=["pytreegrav", "rebound"], default=["pytreegrav", "rebound"])
+    parser.add_argument("--peers", nargs="*", choices=CHOICES, default=CHOICES)
     parser.add_argument("--rounds", type=int, default=5)
     chosen = parser.parse_args()
     parts = chosen.parts or ["direct", "tree"]
