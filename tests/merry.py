@@ -50,6 +50,7 @@ class Merry:
             "has_friction": spins,
             "gravitates": True,
             "collides": collides,
+            "stabilises": collides,
             "has_field": False,
             "body_colouring": False,
             "duration": 10.0,

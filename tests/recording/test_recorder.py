@@ -94,9 +94,12 @@ def test_what_a_scene_does_not_require_leaves_no_entity(tmp_path: Path) -> None:
         "/energy/gravitational",
         "/energy/ledger/friction",
         "/energy/ledger/restitution",
+        "/energy/ledger/stabilisation",
         "/step/contacts",
     }
     assert not any(path.startswith("/energy/field") for path in entities(tmp_path / "all.rrd"))
+    record(tmp_path / "none.rrd", Merry(5, stabilises=False), 30)
+    assert entities(tmp_path / "all.rrd") - entities(tmp_path / "none.rrd") == {"/energy/ledger/stabilisation"}
 
 
 @pytest.mark.parametrize(("bodies", "spins", "expected"), [(2001, True, "InstancePoses3D"), (2001, False, "Points3D")])

@@ -241,6 +241,7 @@ def header_of(space: Space) -> Header:
         has_friction=needs.friction.modelled,
         gravitates=needs.gravity.modelled,
         collides=needs.contact.modelled,
+        stabilises=needs.stabilisation.modelled,
         has_field=needs.field.modelled,
         body_colouring=scene.contact.colouring == "bodies",
         duration=scene.time.duration,

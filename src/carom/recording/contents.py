@@ -20,7 +20,7 @@ _PARTS = {  # entity → the part of the model without which it is not there
     f"{paths.ENERGY}/field": "uniform-field",
     f"{paths.LEDGER}/restitution": "contact",
     f"{paths.LEDGER}/friction": "friction",
-    f"{paths.LEDGER}/stabilisation": "contact",
+    f"{paths.LEDGER}/stabilisation": "stabilisation",
     paths.STEP_CONTACTS: "contact",
     paths.COLOURS: "contact",
     paths.SWEEPS: "contact",

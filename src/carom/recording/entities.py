@@ -102,7 +102,9 @@ def ledger_terms(header: Header) -> dict[str, tuple[str, int]]:
     terms = {"restitution": ("restitution: taken out", palette.SKY)}
     if header.has_friction:
         terms["friction"] = ("friction: taken out", palette.ORANGE)
-    return terms | {"stabilisation": ("stabilisation: put in", palette.VERMILION)}
+    if header.stabilises:
+        terms["stabilisation"] = ("stabilisation: put in", palette.VERMILION)
+    return terms
 
 
 class BatchEncoder:

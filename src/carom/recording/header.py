@@ -46,6 +46,7 @@ class Header:
     has_friction: bool
     gravitates: bool
     collides: bool
+    stabilises: bool  # overlaps are undone, which puts energy in
     has_field: bool
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for

@@ -55,6 +55,7 @@ def _header(recording: Recording) -> Header:
         has_friction=bool(info.get("has_friction", info["spins"])),
         gravitates=bool(info["gravitates"]),
         collides=bool(info["collides"]),
+        stabilises=bool(info.get("stabilises", info["collides"])),
         has_field=bool(info["has_field"]),
         body_colouring=bool(info["body_colouring"]),
         duration=float(info["duration"]),

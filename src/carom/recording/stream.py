@@ -140,6 +140,7 @@ class Stream:
             "has_friction": header.has_friction,
             "gravitates": header.gravitates,
             "collides": header.collides,
+            "stabilises": header.stabilises,
             "has_field": header.has_field,
             "body_colouring": header.body_colouring,
             "duration": float(header.duration),
