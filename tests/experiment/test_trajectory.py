@@ -13,7 +13,7 @@ from carom.experiment.setting import vary
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import cloud, pair
+from examples import cloud, pair, scene_of
 
 
 def test_following_a_run_changes_no_bit() -> None:
@@ -110,3 +110,26 @@ def test_contacts_of_the_last_steps_are_noted(steps_left: float) -> None:
     run = follow(Space(scene), sample_times(scene))
     assert run.pair.tolist() == [[0, 1]]
     assert 1.0 <= run.met[0] <= 1.0 + 0.01 * min(steps_left, 1.0) + 1e-12
+
+
+def test_what_comes_to_rest_has_sunk_by_the_overlap_it_keeps() -> None:
+    def sinking(how: str) -> float:
+        stack = [{"position": [0.0, 0.0, 1.0 + 2.0 * k], "velocity": [0.0, 0.0, -0.5]} for k in range(3)]
+        scene = scene_of(
+            stack,
+            plane=[{}],
+            contact={"stabilisation": how, "restitution": 0.0, "static_friction": 0.0},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            time={"duration": 2.0, "fixed_dt": 0.01},
+        )
+        space = Space(scene)
+        run = follow(space, sample_times(scene))
+        kept = space.contacts.overlaps.mean()  # radii of 1: nothing moves any more, and all late samples are alike
+        assert run.sinking == pytest.approx(kept, rel=1e-3, abs=1e-12)
+        return run.sinking
+
+    # the lowest lands at up to 0.6 m/s, and sinks by up to a step of that; pushes undo it to rounding
+    assert 1e-4 < sinking("none") < 6e-3
+    assert sinking("split") < 1e-14
+    gas = pair(time={"duration": 2.0})
+    assert np.isnan(follow(Space(gas), sample_times(gas)).sinking)

@@ -34,11 +34,12 @@ COLUMNS = {
     "energy_gain": "gain",
     "momentum": "momentum",
     "overlap": "overlap",
+    "sinking": "sinking",
     "impacts": "count",
     "size": "size",
     "dispersion": "dispersion",
 }
-PIPE_WIDTH = 200  # characters of the table where the output is not a terminal
+PIPE_WIDTH = 212  # characters of the table where the output is not a terminal
 
 
 def tradeoff(

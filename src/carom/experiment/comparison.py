@@ -25,6 +25,7 @@ class Errors:
     momentum: float  # largest error of the momentum over its scale
     angular_momentum: float
     overlap: float  # deepest overlap over the smaller radius
+    sinking: float  # mean overlap of what touches late in the run, likewise; NaN where nothing can rest
     impacts: float  # | number of impacts / that of the reference - 1 |
     size: float  # rms over all samples of the rms radius, over the reference's
     dispersion: float  # likewise of the rms speed about the centre
@@ -89,6 +90,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: Scale, samples: int, 
         momentum=run.momentum_error,
         angular_momentum=run.angular_momentum_error,
         overlap=run.overlap,
+        sinking=run.sinking,
         impacts=abs(run.impacts / reference.impacts - 1.0) if whole and reference.impacts else np.nan,
         size=_total(size / scale.length) if scale.box is None else np.nan,
         dispersion=_total(dispersion / scale.speed),

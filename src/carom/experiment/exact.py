@@ -116,6 +116,7 @@ class _Solver:
             momentum_error=np.nan,
             angular_momentum_error=np.nan,
             overlap=0.0,
+            sinking=0.0,
             impacts=len(self._struck),
             steps=0,
         )

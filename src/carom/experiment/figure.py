@@ -19,10 +19,11 @@ PANELS = {
     "impact": "first contacts, rms / s",
     "energy": "integration error / energy",
     "overlap": "deepest overlap / radius",
+    "sinking": "mean overlap at rest / radius",
     "energy_gain": "rise of the energy / energy",
     "impacts": "number of impacts, relative",
 }
-MOST_PANELS = 4
+MOST_PANELS = 6
 LEAST = 1e-14  # rounding: what is smaller is drawn there
 INK, FAINT, ACCENT = "#1b2a3a", "#8a94a0", "#d55e00"
 LINE = 9.0  # points between two lines of labels
@@ -94,7 +95,7 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=ACCENT, lw=1.0)
     floor = document["reference"]["uncertainty"][error]
     if (
-        error not in ("energy", "energy_gain", "overlap")
+        error not in ("energy", "energy_gain", "overlap", "sinking")
         and floor
         and floor > LEAST
         and floor > min(w for _, w, _ in points) / 30

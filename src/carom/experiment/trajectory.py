@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES = 200  # times at which trajectories are compared
+LATE = 0.9  # of the samples: from then on what was going to come to rest should have
 FEW, SAMPLES_OF_FEW = 20, 600  # so few bodies cost nothing, and their paths can be drawn
 
 
@@ -41,6 +42,7 @@ class Trajectory:
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # likewise
     overlap: float  # deepest overlap over the smaller radius; NaN where no contact is possible
+    sinking: float  # mean overlap over the smaller radius of what touches late in the run; NaN where nothing can rest
     impacts: int  # contacts that closed faster than at rest, summed over the steps
     steps: int
 
@@ -105,6 +107,7 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
         momentum_error=moments.momentum_error.value if moments.momentum_error else np.nan,
         angular_momentum_error=moments.angular_momentum_error.value if moments.angular_momentum_error else np.nan,
         overlap=(moments.overlap.value if moments.overlap else 0.0) if collides else np.nan,
+        sinking=watch.sinking if space.requirements.resting.modelled else np.nan,
         impacts=moments.impacts,
         steps=space.step,
     )
@@ -119,6 +122,7 @@ class _Watch:
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times = space, times
         self._ends = len(space.state) + len(space.planes)
+        self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
         self._began = 0.0  # s, when that step began
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
@@ -146,9 +150,17 @@ class _Watch:
                 self.met.setdefault(pair, moment)
             self._touching = touching
 
+    @property
+    def sinking(self) -> float:
+        """Mean overlap over the smaller radius of the contacts late in the run; 0 if there was none."""
+        overlaps = np.concatenate(self._overlaps) if self._overlaps else np.empty(0)
+        return float(overlaps.mean()) if len(overlaps) else 0.0
+
     def sample(self, frame: Frame) -> None:
         """Take the samples that the step of a frame has passed."""
         n, graph = len(frame.position), frame.contacts
+        if len(self.position) >= LATE * len(self._times):
+            self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
         begin, x, v, a = self._before
         dt = frame.time - begin
         hit = np.full(self._ends, np.inf)  # s from the beginning of the step
