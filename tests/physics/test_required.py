@@ -54,7 +54,12 @@ def frames_of(scene: Scene, steps: int = STEPS) -> list[Frame]:
 
 
 def forced_on(scene: Scene, part: str) -> Scene | None:
-    """Return the scene with a part forced on that it does not require; None where that contradicts it."""
+    """Return the scene with a part forced on that it does not require; None where that contradicts it.
+
+    Impacts that are forced to their own moments are at other moments: that changes all that follows.
+    """
+    if part == "time-of-impact" and require(scene).contact.modelled:
+        return None
     forced = scene.model_copy(update={"model": scene.model.model_copy(update={"force": (part,)})})
     try:
         require(forced)

@@ -11,7 +11,7 @@ from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
-from carom.scene.requirements import frame_interval, gravity_method, integrator, require, target_dx
+from carom.scene.requirements import cfl, frame_interval, gravity_method, integrator, require, target_dx, timing
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -129,6 +129,42 @@ def test_the_fourth_order_takes_twice_the_step_where_it_is_chosen_for_its_order(
     assert target_dx(many) == target_dx(fourth)
 
 
+AUTO, NOW = {"timing": "auto"}, {"timing": "time-of-impact"}
+
+
+@pytest.mark.parametrize(
+    ("scene", "chosen", "why", "step"),
+    [
+        (pair(contact=AUTO), "time-of-impact", "nothing presses contacts together", 1.0),
+        (pair(contact=AUTO, gravity=FALLING), "time-of-impact", "nothing presses contacts together", 1.0),
+        (pair(contact=AUTO, time={"integrator": "euler"}), "time-of-impact", "nothing presses", 1.0),
+        (pair(contact=AUTO, time={"cfl": 0.2}), "time-of-impact", "nothing presses", 0.2),
+        (scene_of(MOVING, contact=AUTO), "end-of-step", "gravity presses contacts together: an impact is", 0.5),
+        (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "end-of-step", "the field presses contacts together", 0.5),
+        (pair(contact=AUTO, time={"integrator": "yoshida4"}), "end-of-step", "yoshida4 is more than one drift", 0.5),
+        (scene_of(RESTING, gravity={"constant": 0}, contact=AUTO), "end-of-step", "no contact is possible", 0.5),
+        (pair(contact={"timing": "end-of-step"}), "end-of-step", 'contact.timing = "end-of-step"', 0.5),
+        (scene_of(MOVING, contact=NOW), "time-of-impact", 'contact.timing = "time-of-impact"', 0.5),
+    ],
+)
+def test_impacts_are_at_their_own_moments_where_nothing_presses(
+    scene: Scene, chosen: str, why: str, step: float
+) -> None:
+    assert timing(scene) == chosen
+    assert require(scene).impact_time.modelled == (chosen == "time-of-impact")
+    assert why in require(scene).impact_time.why
+    assert cfl(scene) == step
+
+
+def test_times_of_impact_can_be_forced_on_where_a_step_is_one_drift() -> None:
+    pressed = cloud(contact=AUTO, model={"force": "time-of-impact"})
+    part = require(pressed).impact_time
+    assert part.modelled and part.why.startswith("forced; otherwise not: gravity presses contacts together")
+    assert Space(pressed)._contact is not None
+    with pytest.raises(SceneError, match=r'set time\.integrator = "leapfrog"'):
+        require(cloud(contact=AUTO, time={"integrator": "yoshida4"}, model={"force": "time-of-impact"}))
+
+
 def test_the_parts_are_those_that_have_names() -> None:
     assert tuple(part.name for part in require(pair()).parts) == PARTS
 
@@ -209,6 +245,6 @@ def test_the_seeds_hundredth_of_a_metre_is_what_a_person_writes_or_what_many_bod
     assert target_dx(Scene.from_dict({"group": [metres]})) == pytest.approx(0.01, rel=1e-15)
 
 
-def test_the_reason_for_the_adaptive_step_names_its_distance() -> None:
-    assert require(pair(time={"target_dx": 0.25})).adaptive_step.why == "target_dx = 0.25 m"
+def test_the_reason_for_the_adaptive_step_names_what_it_follows() -> None:
+    assert require(pair(time={"target_dx": 0.25, "cfl": 0.1})).adaptive_step.why == "cfl = 0.1, target_dx = 0.25 m"
     assert "target_dx = 4e-06 m: 0.002 of a fall" in require(pair()).adaptive_step.why

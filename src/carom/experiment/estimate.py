@@ -19,7 +19,8 @@ from carom.physics.team import Team
 from carom.recording.contents import Content, contents
 from carom.recording.trial import Taken, trial
 from carom.scene.limits import memory_estimate
-from carom.scene.requirements import Part, Requirements, frame_interval
+from carom.scene.parts import Part
+from carom.scene.requirements import Requirements, frame_interval
 from carom.scene.schema import Scene
 
 TRIAL_SECONDS = 1.0

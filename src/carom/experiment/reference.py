@@ -23,7 +23,7 @@ from carom.experiment.exact import TIGHTEST, solve, why_not
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import gravity_method, require, target_dx
+from carom.scene.requirements import cfl, gravity_method, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -101,7 +101,7 @@ def refined(scene: Scene, factor: float) -> list[str]:
         return [f"time.fixed_dt={rule.fixed_dt / factor!r}"]
     return [
         f"time.max_dt={rule.max_dt / factor!r}",
-        f"time.cfl={rule.cfl / factor!r}",
+        f"time.cfl={cfl(scene) / factor!r}",
         f"time.target_dx={target_dx(scene) / factor**2!r}",
     ]
 
@@ -111,7 +111,7 @@ def fineness(scene: Scene, setting: Scene) -> float:
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or base.max_dt) / (rule.fixed_dt or rule.max_dt)
-    return max(base.max_dt / rule.max_dt, base.cfl / rule.cfl, math.sqrt(target_dx(scene) / target_dx(setting)))
+    return max(base.max_dt / rule.max_dt, cfl(scene) / cfl(setting), math.sqrt(target_dx(scene) / target_dx(setting)))
 
 
 def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:

@@ -32,7 +32,7 @@ from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import frame_interval, integrator, require, target_dx
+from carom.scene.requirements import cfl, frame_interval, integrator, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -92,7 +92,7 @@ class Space:
         self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, target_dx(scene), self._falling, scene.anchored)
+        self._timestep = Timestep(scene.time, cfl(scene), target_dx(scene), self._falling, scene.anchored)
         self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))

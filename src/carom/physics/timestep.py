@@ -32,8 +32,9 @@ END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged 
 class Timestep:
     """Chooses each step and remembers what the average needs."""
 
-    def __init__(self, time: Time, target_dx: float, field: FloatArray, anchored: bool = False) -> None:
+    def __init__(self, time: Time, cfl: float, target_dx: float, field: FloatArray, anchored: bool = False) -> None:
         self._time = time
+        self._cfl = cfl
         self._target_dx = target_dx  # m
         self._field = field  # (3,) m/s², as far as it pulls all alike
         self._anchored = anchored  # whether something stands still: speeds then count from it
@@ -78,7 +79,7 @@ class Timestep:
             bodies.radius,
             self._field,
             self._anchored,
-            time.cfl,
+            self._cfl,
         )
         a_max, fastest, every = _limits(*state)
         dt_a = math.sqrt(2.0 * self._target_dx / a_max) if a_max > 0.0 else math.inf

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from carom.scene.error import SceneError
-from carom.scene.requirements import gravity_method, integrator, require
+from carom.scene.requirements import ONE_DRIFT, gravity_method, integrator, require
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
@@ -39,7 +39,7 @@ def refuse_impossible(scene: Scene) -> None:
 def _refuse_times_of_impact(scene: Scene) -> None:
     """Refuse times of impact where a step is more than one drift."""
     chosen = integrator(scene)
-    if chosen in ("yoshida4", "leapfrog-dkd") and require(scene).impact_time.modelled:
+    if chosen not in ONE_DRIFT and require(scene).impact_time.modelled:
         why = "goes back in time within each step" if chosen == "yoshida4" else "drifts twice in each step"
         raise SceneError(
             f'contact.timing = "time-of-impact" with time.integrator = "{chosen}", which {why}; '

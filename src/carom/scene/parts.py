@@ -1,6 +1,8 @@
-"""The parts of the model by name, as `carom explain` prints them and `model.force` takes them."""
+"""The parts of the model, by the names that `carom explain` prints and `model.force` takes."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 from carom.scene.nearest import suggestion
 
@@ -26,6 +28,15 @@ PARTS = (  # in the order in which a step uses them
     "torque",
     "energy",
 )
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of the model: its name, whether it is modelled, and the reason."""
+
+    name: str  # as in `PARTS`
+    modelled: bool
+    why: str
 
 
 def unknown(name: str) -> str:

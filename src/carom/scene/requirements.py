@@ -10,7 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from carom.scene import contacts, pulls
 from carom.scene.error import SceneError
+from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
 FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
@@ -25,16 +27,11 @@ SMOOTH_UP_TO = 8  # bodies without contacts: of more, encounters decide, and the
 SMOOTH_STEP = 2.0  # times the step that leapfrog gets: with it Yoshida's method takes 1.5 times the force sums and errs
 # by 0.0007 (3 bodies) to 0.42 (8) of what leapfrog does; leapfrog for that price, by 0.44 (benchmarks/integrators.py)
 
+ONE_DRIFT = ("euler", "leapfrog")  # a step of these drifts once, and forward: impacts have a place on the way
+LATE_CFL = 0.5  # of its radius a body may cross in a step, where impacts wait for the step's end
+FREE_CFL = 1.0  # likewise, where they do not wait and nothing pulls: shorter steps only cost more (docs/trade.md)
+
 TREE_FROM = 5000  # bodies, for "auto": here a tree takes a half to a third of the time of a direct sum
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of the model: its name, whether it is modelled, and the reason."""
-
-    name: str  # as in `carom.scene.parts.PARTS`
-    modelled: bool
-    why: str
 
 
 @dataclass(frozen=True)
@@ -120,10 +117,10 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
-    gravity, field = decide(_gravity(scene)), decide(_field(scene))
-    contact = decide(_contact(scene))
-    friction = decide(_friction(scene, contact))
-    torque = decide(_torque(friction))
+    gravity, field = decide(pulls.gravity(scene)), decide(pulls.field(scene))
+    contact = decide(contacts.contact(scene))
+    friction = decide(contacts.friction(scene, contact))
+    torque = decide(contacts.torque(friction))
     return Requirements(
         warm_up=decide(_warm_up(scene)),
         adaptive_step=decide(_adaptive_step(scene)),
@@ -131,17 +128,17 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
-        broad_phase=decide(_broad_phase(scene, contact)),
-        narrow_phase=decide(_narrow_phase(contact)),
+        broad_phase=decide(contacts.broad_phase(scene, contact)),
+        narrow_phase=decide(contacts.narrow_phase(contact)),
         impact_time=decide(_impact_time(scene, contact)),
-        colouring=decide(_colouring(scene, contact)),
-        stabilisation=decide(_stabilisation(scene, contact)),
+        colouring=decide(contacts.colouring(scene, contact)),
+        stabilisation=decide(contacts.stabilisation(scene, contact)),
         gravity=gravity,
         tree=decide(_tree(scene)),
         potential=decide(_potential(scene, gravity)),
         field=field,
-        resting=decide(_resting(scene, contact)),
-        restitution=decide(_restitution(scene, contact)),
+        resting=decide(contacts.resting(scene, contact)),
+        restitution=decide(contacts.restitution(scene, contact)),
         friction=friction,
         torque=torque,
         energy=_energy(scene),
@@ -172,20 +169,11 @@ def _contradiction(scene: Scene, name: str) -> str:
             return 'contact.stabilisation = "none"; set it to "split"'
         case "time-of-impact" if scene.contact.timing == "end-of-step":
             return 'contact.timing = "end-of-step"; set it to "time-of-impact"'
+        case "time-of-impact" if integrator(scene) not in ONE_DRIFT:
+            return f'a step of {integrator(scene)} is more than one drift; set time.integrator = "leapfrog"'
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
     return ""
-
-
-def _gravity(scene: Scene) -> Part:
-    name, n = "gravity", scene.count
-    if scene.gravity.method == "none":
-        return Part(name, False, 'gravity.method = "none"')
-    if scene.gravity.constant == 0:
-        return Part(name, False, "gravity.constant = 0")
-    if n == 1:
-        return Part(name, False, "one body pulls nothing else")
-    return Part(name, True, f"{n} bodies, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²")
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
@@ -195,7 +183,7 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
     there a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
     """
     method = scene.gravity.method
-    if method == "none" or not (_gravity(scene).modelled or "gravity" in _forced(scene)):
+    if method == "none" or not (pulls.gravity(scene).modelled or "gravity" in _forced(scene)):
         return "none"
     if method == "auto":
         return "direct" if scene.count < TREE_FROM else "tree"
@@ -220,102 +208,38 @@ def _potential(scene: Scene, gravity: Part) -> Part:
     return Part("potential", True, f"every {scene.record.log_freq} steps and at frames")
 
 
-def _field(scene: Scene) -> Part:
-    if any(scene.gravity.uniform):
-        return Part("uniform-field", True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²")
-    return Part("uniform-field", False, "gravity.uniform is zero")
-
-
 def _energy(scene: Scene) -> Part:
     return Part("energy", True, f"every {scene.record.log_freq} steps and at frames; the ledger")
 
 
-def _contact(scene: Scene) -> Part:
-    name = "contact"
-    if not scene.contact.enabled:
-        return Part(name, False, "contact.enabled = false")
-    solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
-    if scene.count == 1 and solids == 0:
-        return Part(name, False, "one body has nothing to touch")
-    if not _gravity(scene).modelled and not _moves_relatively(scene):
-        return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
-    if solids:
-        return Part(name, True, f"{scene.count} bodies and {solids} planes may meet")
-    return Part(name, True, f"{scene.count} bodies may meet")
+def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
+    """Decide when impacts are resolved: at their own moments where nothing presses contacts together.
 
-
-def _moves_relatively(scene: Scene) -> bool:
-    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed).
-
-    Planes, walls and fixed bodies stand still, and the uniform field does not pull them.
+    There flight is free, and a run is exact to rounding with steps many times as long. Where contacts are pressed an
+    impact at its own moment costs more than it gains (docs/trade.md).
     """
-    velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
-    if scene.anchored:
-        velocities.add((0.0, 0.0, 0.0))
-        if _field(scene).modelled:
-            return True
-    stirred = any(group.velocity.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
-    return len(velocities) > 1 or stirred or scene.contact.allow_overlap
+    return "end-of-step" if _why_late(scene) else "time-of-impact"
 
 
-def _where_bodies_meet(name: str, contact: Part, why: str) -> Part:
-    return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
-
-
-def _broad_phase(scene: Scene, contact: Part) -> Part:
-    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hashed grid"
-    return _where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
-
-
-def _narrow_phase(contact: Part) -> Part:
-    return _where_bodies_meet("narrow-phase", contact, "the distance of each pair that may touch")
-
-
-def _colouring(scene: Scene, contact: Part) -> Part:
-    what = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
-    return _where_bodies_meet("colouring", contact, what)
-
-
-def _stabilisation(scene: Scene, contact: Part) -> Part:
-    how = scene.contact.stabilisation
-    if contact.modelled and how == "none":
-        return Part("stabilisation", False, 'contact.stabilisation = "none"')
-    return _where_bodies_meet("stabilisation", contact, f"{how}: overlaps are undone")
-
-
-def _resting(scene: Scene, contact: Part) -> Part:
-    name, falls = "resting-contacts", scene.anchored and _field(scene).modelled
-    if contact.modelled and not (_gravity(scene).modelled or falls):
-        return Part(name, False, "no load: every contact is an impact")
-    how = "impulses that last" if scene.contact.solver == "lasting" else "stages without restitution"
-    return _where_bodies_meet(name, contact, f"{'the field' if falls else 'gravity'} presses: {how}")
-
-
-def _restitution(scene: Scene, contact: Part) -> Part:
-    name, e = "restitution", scene.contact.restitution
-    if contact.modelled and e == 0 and all(plane.law(scene.contact)[0] == 0 for plane in scene.plane):
-        return Part(name, False, "every coefficient is 0: no bounce")
-    return _where_bodies_meet(name, contact, f"e = {e:g}")
+def _why_late(scene: Scene) -> str:
+    """Say why impacts wait for the end of the step; empty if they do not."""
+    asked, chosen = scene.contact.timing, integrator(scene)
+    if asked != "auto":
+        return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
+    if not contacts.contact(scene).modelled:
+        return "no contact is possible"
+    if load := contacts.load(scene):
+        return f"{load} presses contacts together"
+    return "" if chosen in ONE_DRIFT else f"a step of {chosen} is more than one drift"
 
 
 def _impact_time(scene: Scene, contact: Part) -> Part:
-    name = "time-of-impact"
-    if contact.modelled and scene.contact.timing == "end-of-step":
-        return Part(name, False, 'contact.timing = "end-of-step": an impact is resolved up to a step late')
-    return _where_bodies_meet(name, contact, "impacts are resolved at their own moments within a step")
-
-
-def _friction(scene: Scene, contact: Part) -> Part:
-    name, law = "friction", scene.contact
-    if contact.modelled and law.static_friction == 0 and all(plane.law(law)[1] == 0 for plane in scene.plane):
-        return Part(name, False, "both coefficients are 0")
-    return _where_bodies_meet(name, contact, f"μs = {law.static_friction:g}, μk = {law.kinetic_friction:g}")
-
-
-def _torque(friction: Part) -> Part:
-    if friction.modelled:
-        return Part("torque", True, "friction turns bodies")
-    return Part("torque", False, "the normal force acts on the centre")
+    name, late = "time-of-impact", _why_late(scene)
+    if contact.modelled and late:
+        return Part(name, False, f"{late}: an impact is resolved up to a step late")
+    asked = scene.contact.timing == "time-of-impact"
+    why = 'contact.timing = "time-of-impact"' if asked else "nothing presses contacts together"
+    return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own moments within a step")
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
@@ -346,7 +270,7 @@ def integrator(scene: Scene) -> Literal["euler", "leapfrog", "leapfrog-dkd", "yo
 
 
 def _is_smooth(scene: Scene) -> bool:
-    return _gravity(scene).modelled and not _contact(scene).modelled and scene.count <= SMOOTH_UP_TO
+    return pulls.gravity(scene).modelled and not contacts.contact(scene).modelled and scene.count <= SMOOTH_UP_TO
 
 
 def _integrator(scene: Scene) -> Part:
@@ -355,12 +279,13 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f'time.integrator = "{chosen}"')
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
-    if _contact(scene).modelled:
-        why = "contacts are found at the end of a step, whatever the order"
-    elif _gravity(scene).modelled:
-        why = f"more than {SMOOTH_UP_TO} bodies, whose encounters are sudden"
-    else:
+    if not pulls.gravity(scene).modelled:
         why = "exact without a pull between bodies"
+    elif contacts.contact(scene).modelled:
+        late = timing(scene) == "end-of-step"
+        why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step, whatever the order"
+    else:
+        why = f"more than {SMOOTH_UP_TO} bodies, whose encounters are sudden"
     return Part(name, True, f"leapfrog: {why}")
 
 
@@ -368,7 +293,7 @@ def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
-    why = f"target_dx = {target_dx(scene):.3g} m"
+    why = f"cfl = {cfl(scene):g}, target_dx = {target_dx(scene):.3g} m"
     if scene.time.target_dx != "auto":
         return Part(name, True, why)
     share = _auto_step(scene)
@@ -390,6 +315,13 @@ def target_dx(scene: Scene) -> float:
         return scene.time.target_dx
     radii = [body.radius for body in scene.body] + [group.radius.min for group in scene.group]
     return _auto_step(scene) ** 2 * min(radii)
+
+
+def cfl(scene: Scene) -> float:
+    """Return the part of its own radius that a body may cross in a step."""
+    if scene.time.cfl != "auto":
+        return scene.time.cfl
+    return FREE_CFL if timing(scene) == "time-of-impact" and not contacts.load(scene) else LATE_CFL
 
 
 def _auto_step(scene: Scene) -> float:

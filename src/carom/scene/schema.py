@@ -39,7 +39,11 @@ class Time(Section):
         description="m, farthest that the largest acceleration may move a body in a step; "
         '"auto" is a part of the smallest radius, the smaller the fewer bodies there are',
     )
-    cfl: Positive = Field(0.5, description="fraction of its own radius that a body may cross in a step; more than 0")
+    cfl: Positive | Literal["auto"] = Field(
+        "auto",
+        description="fraction of its own radius that a body may cross in a step, more than 0; "
+        '"auto" is 0.5, and 1 where impacts are resolved at their own moments and nothing presses contacts together',
+    )
     smoothing: Positive = Field(
         0.2, le=1, description="weight of the new dt in the moving average, above 0; 1 is no smoothing"
     )
@@ -93,9 +97,10 @@ class Contact(Section):
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split", description="how overlaps are undone; baumgarte is the seed's"
     )
-    timing: Literal["end-of-step", "time-of-impact"] = Field(
+    timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "end-of-step",
-        description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed",
+        description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed; auto is "
+        "the latter where nothing presses contacts together",
     )
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"

@@ -1,0 +1,105 @@
+"""Which parts of the response to contacts a scene needs."""
+
+from __future__ import annotations
+
+from carom.scene.parts import Part
+from carom.scene.pulls import field, gravity
+from carom.scene.schema import Scene
+
+
+def contact(scene: Scene) -> Part:
+    """Decide whether anything can touch."""
+    name = "contact"
+    if not scene.contact.enabled:
+        return Part(name, False, "contact.enabled = false")
+    solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
+    if scene.count == 1 and solids == 0:
+        return Part(name, False, "one body has nothing to touch")
+    if not gravity(scene).modelled and not _moves_relatively(scene):
+        return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
+    if solids:
+        return Part(name, True, f"{scene.count} bodies and {solids} planes may meet")
+    return Part(name, True, f"{scene.count} bodies may meet")
+
+
+def _moves_relatively(scene: Scene) -> bool:
+    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed).
+
+    Planes, walls and fixed bodies stand still, and the uniform field does not pull them.
+    """
+    velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
+    if scene.anchored:
+        velocities.add((0.0, 0.0, 0.0))
+        if field(scene).modelled:
+            return True
+    stirred = any(group.velocity.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
+    return len(velocities) > 1 or stirred or scene.contact.allow_overlap
+
+
+def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
+    """Decide that a part is modelled where contacts are."""
+    return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
+
+
+def broad_phase(scene: Scene, contact: Part) -> Part:
+    """Decide whether pairs that may touch are searched."""
+    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hashed grid"
+    return where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
+
+
+def narrow_phase(contact: Part) -> Part:
+    """Decide whether distances are tested."""
+    return where_bodies_meet("narrow-phase", contact, "the distance of each pair that may touch")
+
+
+def colouring(scene: Scene, contact: Part) -> Part:
+    """Decide whether contacts are put into stages."""
+    what = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
+    return where_bodies_meet("colouring", contact, what)
+
+
+def stabilisation(scene: Scene, contact: Part) -> Part:
+    """Decide whether overlaps are undone."""
+    how = scene.contact.stabilisation
+    if contact.modelled and how == "none":
+        return Part("stabilisation", False, 'contact.stabilisation = "none"')
+    return where_bodies_meet("stabilisation", contact, f"{how}: overlaps are undone")
+
+
+def load(scene: Scene) -> str:
+    """Say what presses contacts together; empty if nothing does, and every contact is an impact."""
+    if gravity(scene).modelled:
+        return "gravity"
+    return "the field" if scene.anchored and field(scene).modelled else ""
+
+
+def resting(scene: Scene, contact: Part) -> Part:
+    """Decide whether contacts can be at rest."""
+    name, pressing = "resting-contacts", load(scene)
+    if contact.modelled and not pressing:
+        return Part(name, False, "no load: every contact is an impact")
+    how = "impulses that last" if scene.contact.solver == "lasting" else "stages without restitution"
+    return where_bodies_meet(name, contact, f"{pressing} presses: {how}")
+
+
+def restitution(scene: Scene, contact: Part) -> Part:
+    """Decide whether anything bounces."""
+    name, e = "restitution", scene.contact.restitution
+    if contact.modelled and e == 0 and all(plane.law(scene.contact)[0] == 0 for plane in scene.plane):
+        return Part(name, False, "every coefficient is 0: no bounce")
+    return where_bodies_meet(name, contact, f"e = {e:g}")
+
+
+def friction(scene: Scene, contact: Part) -> Part:
+    """Decide whether contacts resist sliding."""
+    name, law = "friction", scene.contact
+    if contact.modelled and law.static_friction == 0 and all(plane.law(law)[1] == 0 for plane in scene.plane):
+        return Part(name, False, "both coefficients are 0")
+    return where_bodies_meet(name, contact, f"μs = {law.static_friction:g}, μk = {law.kinetic_friction:g}")
+
+
+def torque(friction: Part) -> Part:
+    """Decide whether contacts turn bodies."""
+    if friction.modelled:
+        return Part("torque", True, "friction turns bodies")
+    return Part("torque", False, "the normal force acts on the centre")
