@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import impacts
+from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.contact.impact import MOST
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
@@ -378,3 +379,65 @@ def test_a_warning_names_what_struck_within_the_step() -> None:
     space.compute_dynamics(1)
     assert space._contact is not None
     assert space._contact.contributions.shape == (1, 3)
+
+
+# ------------------------------------------------------------------------------------------- colours
+
+
+def assert_coloured(graph: CollisionGraph, moves: NDArray[np.bool_]) -> None:
+    """No two contacts of a colour share a body that moves."""
+    for colour in np.unique(graph.colours[graph.colours < OVERFLOW]):
+        ends = graph.pairs[graph.colours == colour].ravel()
+        ends = ends[moves[ends]]
+        assert len(np.unique(ends)) == len(ends)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_no_two_impacts_of_a_step_that_share_a_body_have_the_same_colour(dt: float) -> None:
+    gas = Scene.load("elastic-gas", ["contact.timing=time-of-impact", f"time.fixed_dt={dt}", "time.duration=2"])
+    space, most = Space(gas), 0
+    for frame in space.run():
+        assert_coloured(frame.contacts, np.ones(1000, dtype=np.bool_))
+        most = max(most, int(frame.contacts.colours.max(initial=0)))
+    assert 1 <= most < 23, "some body is struck twice; few are struck by many"
+
+
+def test_nor_does_an_impact_have_the_colour_of_a_contact_that_one_of_its_bodies_rests_in() -> None:
+    # a shower on a pile: contacts at rest keep the colours in which they are resolved
+    shower = [
+        {
+            "position": [0.9 * (k % 4), 0.9 * (k // 4 % 4), 0.5 + 1.2 * (k // 16)],
+            "velocity": [0.1, 0, -2.0],
+            "radius": 0.4,
+        }
+        for k in range(64)
+    ]
+    walls = [{"normal": normal, "point": [-1.0 * n for n in normal]} for normal in ([0, 0, 1.0], [1.0, 0, 0])]
+    space = Space(
+        scene(
+            shower,
+            {"restitution": 0.3},
+            plane=walls,
+            gravity={"constant": 0.0, "uniform": [0, 0, -9.81]},
+            time={"duration": 3.0, "fixed_dt": 0.05},
+            record={"every": "step"},
+        )
+    )
+    moves = np.arange(64 + 2) < 64
+    mixed = 0
+    for frame in space.run():
+        graph = frame.contacts
+        assert_coloured(graph, moves)
+        mixed += graph.into_step is not None and bool(np.any(graph.overlaps > 0)) and bool(np.any(graph.overlaps == 0))
+    assert mixed > 5, "impacts on the way and contacts at the end in one step"
+
+
+def test_bodies_that_strike_each_other_differ_in_the_seeds_colouring() -> None:
+    overrides = ["contact.timing=time-of-impact", "contact.colouring=bodies", "time.fixed_dt=0.5", "time.duration=2"]
+    for frame in Space(Scene.load("elastic-gas", overrides)).run():
+        graph = frame.contacts
+        if len(graph) == 0:
+            continue
+        assert graph.body_colours is not None
+        ends = graph.body_colours[graph.pairs]
+        assert np.all(ends[:, 0] != ends[:, 1]) and np.array_equal(graph.colours, ends.min(axis=1))

@@ -81,13 +81,29 @@ def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
     inverse_mass
         (n + p,) 1/kg of bodies and planes; 0 for what does not move, which any number of a stage's contacts may share.
     """
-    colours = np.empty(len(pairs), dtype=np.int64)
-    _colour_contacts(pairs, inverse_mass, np.empty(len(inverse_mass), dtype=np.uint64), colours)
+    return colour_rest(pairs, np.full(len(pairs), -1), np.arange(len(pairs)), inverse_mass)
+
+
+def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mass: FloatArray) -> IntArray:
+    """Colour likewise, in an order, the contacts that have no colour yet, -1; return all (m,) colours.
+
+    Parameters
+    ----------
+    order
+        The contacts without a colour, the first to be given one first.
+    """
+    colours = colours.astype(np.int64)
+    _colour_contacts(pairs, order, inverse_mass, np.empty(len(inverse_mass), dtype=np.uint64), colours)
     return colours
 
 
-def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
+def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tuple[IntArray, IntArray]:
     """Colour bodies greedily, in order, so that no two that touch share a colour: the seed's rule.
+
+    Parameters
+    ----------
+    given
+        (n,) colours that are kept, -1 where there is none; two of them may touch in spite of it.
 
     Returns
     -------
@@ -98,7 +114,7 @@ def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     """
     met = pairs[:, 1] < n
     offsets, neighbours = adjacency(pairs[met], n)
-    bodies = np.full(n, -1, dtype=np.int64)
+    bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
     bodies[on_plane] = np.maximum(bodies[on_plane], 0)  # a plane is no node: alone on it, a body has the first colour
@@ -108,18 +124,22 @@ def colour_bodies(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
 
 
 @kernel
-def _colour_contacts(pairs: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray) -> None:
+def _colour_contacts(
+    pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
+) -> None:
     one = np.uint64(1)
     for c in range(len(pairs)):
         used[pairs[c, 0]] = used[pairs[c, 1]] = np.uint64(0)
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        taken = used[i] | used[j]
-        colour = 0
-        while colour < OVERFLOW and (taken >> np.uint64(colour)) & one:
-            colour += 1
-        colours[c] = colour
-        if colour < OVERFLOW:
+    for k in range(-len(pairs), len(order)):  # first those that have a colour, then those that get one
+        c = k + len(pairs) if k < 0 else order[k]
+        i, j, colour = pairs[c, 0], pairs[c, 1], colours[c]
+        if k >= 0:
+            taken = used[i] | used[j]
+            colour = 0
+            while colour < OVERFLOW and (taken >> np.uint64(colour)) & one:
+                colour += 1
+            colours[c] = colour
+        if 0 <= colour < OVERFLOW:
             bit = one << np.uint64(colour)
             if inverse_mass[i] > 0.0:
                 used[i] |= bit
@@ -131,7 +151,7 @@ def _colour_contacts(pairs: IntArray, inverse_mass: FloatArray, used: NDArray[np
 def _colour_bodies(offsets: IntArray, neighbours: IntArray, bodies: IntArray) -> None:
     for i in range(len(bodies)):
         first, last = offsets[i], offsets[i + 1]
-        if first == last:
+        if first == last or bodies[i] >= 0:
             continue
         colour = 0
         free = False

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.flight import Impacts
-from carom.physics.contact.graph import CollisionGraph, empty_graph
+from carom.physics.contact.graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -30,11 +30,11 @@ class Sighting:
         """Describe the contacts found at the end of a step."""
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
-    def after(self, struck: Impacts, dt: float) -> Sighting:
-        """Add the impacts on the way through a step of dt, in s.
+    def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> Sighting:
+        """Add the impacts on the way through a step of dt, in s; (n + p,) 1/kg of bodies and planes.
 
-        A pair that no longer touches at the end has the normal of its hardest impact, no overlap, and the first
-        colour: it was resolved before all others.
+        A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts found at
+        the end keep the colours in which they were resolved; the others get theirs in the order of time.
         """
         if len(struck) == 0:
             return self
@@ -46,13 +46,15 @@ class Sighting:
         order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
         first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
         shown = order[first]
+        into_step = np.minimum.reduceat(np.concatenate((np.full(late, dt), struck.time))[order], first)
+        colours, body_colours = self._colours(pairs[shown], shown, into_step, inverse_mass)
         seen = CollisionGraph(
             pairs[shown],
             np.concatenate((graph.normals, struck.normal))[shown],
             np.concatenate((graph.overlaps, np.zeros(len(struck))))[shown],
-            np.concatenate((graph.colours, np.zeros(len(struck), dtype=np.int64)))[shown],
-            graph.body_colours,
-            np.minimum.reduceat(np.concatenate((np.full(late, dt), struck.time))[order], first),
+            colours,
+            body_colours,
+            into_step,
         )
         return Sighting(
             seen,
@@ -62,6 +64,19 @@ class Sighting:
             order,
             first,
         )
+
+    def _colours(
+        self, pairs: IntArray, shown: IntArray, into_step: FloatArray, inverse_mass: FloatArray
+    ) -> tuple[IntArray, IntArray | None]:
+        """Colour pairs, of which ``shown`` says where they stand in this graph; past its end they are not in it."""
+        graph = self.graph
+        if graph.body_colours is not None:
+            return colour_bodies(pairs, len(graph.body_colours), graph.body_colours)
+        struck = shown >= len(graph)
+        colours = np.full(len(pairs), -1)
+        colours[~struck] = graph.colours[shown[~struck]]
+        in_time = np.argsort(into_step, kind="stable")
+        return colour_rest(pairs, colours, in_time[struck[in_time]], inverse_mass), None
 
     def sums(self, late: FloatArray, struck: FloatArray) -> FloatArray:
         """Sum up by contact what those found at the end did, and what the impacts did; in rows like theirs."""

@@ -308,7 +308,8 @@ class ContactStage:
 
     def _sighting(self, dt: float) -> Sighting:
         bench, shown = self._bench, self._shown
-        return Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown]).after(self.impacts, dt)
+        late = Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown])
+        return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
 
     @property
     def contributions(self) -> FloatArray:
