@@ -84,19 +84,6 @@ def test_the_overlapped_start_is_set_apart_without_any_speed() -> None:
     assert space.contacts.overlaps.max() <= 1e-9 * 2.0  # the stabilisation's own tolerance, of the sum of radii
 
 
-def test_the_pythagorean_problem_has_its_closest_approach_where_it_is_published() -> None:
-    # Szebehely & Peters, Astron. J. 72, 876 (1967): t = 15.8299, 4 × 10⁻⁴, between the bodies of mass 4 and 5.
-    space = extreme("pythagorean", 'record.every="step"')
-    for _ in space.run(until=15.82):
-        pass
-    approach = [
-        (float(np.linalg.norm(frame.position[1] - frame.position[2])), frame.time) for frame in space.run(until=15.84)
-    ]
-    closest, at = min(approach)
-    assert at == pytest.approx(15.8299, abs=1e-4)  # the digits that are published
-    assert closest == pytest.approx(4e-4, rel=0.1)  # one digit is published
-
-
 def test_the_orbit_of_eccentricity_0999_closes() -> None:
     # An energy error of 10⁻⁹ of the scale is 4 × 10⁻⁶ of the orbit's energy, so 6 × 10⁻⁶ of its period of 2 π, twice;
     # at apocentre the comet moves at 0.022 and hardly accelerates.
