@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.gravity.boxes import GROUP, LEAF, Boxes
+from carom.physics.gravity.boxes import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
 from carom.physics.space import Space
@@ -270,10 +270,10 @@ def test_a_state_that_is_not_finite_still_comes_to_an_end() -> None:
     pulled(position, mass, 0.5)
 
 
+@pytest.mark.parametrize("n", [1000, 2 * GRAIN])  # sorted by one thread, and by whoever is free
 @pytest.mark.parametrize("shape", SHAPES)
-def test_boxes_stand_in_preorder_and_hold_every_body_once(shape: Shape) -> None:
-    n = 1000
-    boxes = Boxes(n)
+def test_boxes_stand_in_preorder_and_hold_every_body_once(shape: Shape, n: int) -> None:
+    boxes = Boxes(np.ones(n))
     position = shape(n)
     boxes.sort(position)
     assert np.array_equal(np.sort(boxes.body), np.arange(n))
@@ -286,6 +286,19 @@ def test_boxes_stand_in_preorder_and_hold_every_body_once(shape: Shape) -> None:
     assert boxes.groups[0] == 0 and boxes.groups[-1] == n
     sizes = np.diff(boxes.groups)
     assert sizes.min() > 0 and sizes.max() <= GROUP
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_boxes_are_the_same_on_any_number_of_threads(shape: Shape) -> None:
+    n = 8 * GRAIN + 1
+    found = set()
+    for threads in (1, 2, 4):
+        boxes = Boxes(np.ones(n), Team(threads))
+        for _ in range(3):  # who sorts what is left to chance
+            boxes.sort(shape(n))
+            parts = [array[: boxes.count].tobytes() for array in (boxes.first, boxes.last, boxes.skip)]
+            found.add((boxes.count, boxes.body.tobytes(), boxes.position.tobytes(), boxes.groups.tobytes(), *parts))
+    assert len(found) == 1
 
 
 def test_a_cloud_falls_together_by_a_tree_as_by_the_direct_sum() -> None:

@@ -18,14 +18,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import long_kernel
+from carom.physics.kernel import kernel, long_kernel
+from carom.physics.machine import atomic_add, atomic_load, atomic_store
+from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LEAF = 12  # bodies at most, unless they coincide
 GROUP = 128  # bodies at most that share a walk: at 64, 8 % slower at equal error, since the walks are shared by fewer
-DEPTH = 2200  # levels at most: each halves the longest side, and there are 2098 powers of two in float64
+GRAIN = 2048  # bodies at most that one thread sorts to the end; of more it leaves a half to whoever is free
+SOME = 20_000  # bodies that are worth a part of their own when they are copied
+
+UNSORTED, PUT, TAKEN, QUEUE = 0, 8, 16, 24  # words of the queue, each in a cache line of its own; then its ranges,
+RANGE = 3  # words each: its end, 0 until it is there, its begin, and the place of its box
 
 
 class Boxes:
@@ -33,8 +39,8 @@ class Boxes:
 
     Attributes
     ----------
-    position, body
-        Of the sorted bodies: (3, n) m, and their indices.
+    position, mass, body
+        Of the sorted bodies: (3, n) m, (n,) kg, and their indices.
     count
         Number of boxes.
     first, last, skip
@@ -43,79 +49,151 @@ class Boxes:
         Where each group of the sorted bodies begins, and the end of the last one.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, mass: FloatArray, team: Team = SOLO) -> None:
+        n = len(mass)
         self.most = 2 * n  # a halving leaves a body on either side; pages that are never touched take no memory
         self.position = np.empty((3, n))
+        self.mass = np.empty(n)
         self.body = np.empty(n, np.int64)
         self.count = 0
         self.first, self.last, self.skip = (np.empty(self.most, np.int64) for _ in range(3))
         self.groups = np.empty(0, np.int64)
-        self._indices = np.arange(n)
-        self._spare = np.empty((3, n))
-        self._spare_body = np.empty(n, np.int64)
-        self._stack = np.empty((DEPTH, 2), np.int64)
+        self._mass = mass
+        self._team = team
+        self._rows, self._spare = np.empty((n, 4)), np.empty((n, 4))
+        self._queue = np.zeros(QUEUE + RANGE * (n + team.size), np.int64)
+        self._stacks = [np.empty((GRAIN, 2), np.int64) for _ in range(team.size)]
         self._begins = np.empty(n + 1, np.int64)
         self._edges = np.empty(n + 1, np.int64)
 
     def sort(self, position: FloatArray) -> None:
         """Sort the bodies at (n, 3) m into boxes."""
-        self.position[:] = position.T
-        self.body[:] = self._indices  # always from the same order: the bits must not depend on the steps before
-        self.count = _sort(self.position, self.body, self._spare, self._spare_body, self.first, self.last, self._stack)
-        _link(self.count, self.first, self.last, self.skip, self._begins)
-        groups = _group(self.count, self.first, self.last, self.skip, self._edges)
+        n = len(position)
+        self._team.divide(n, SOME, _lay_out, position, self._rows)  # in the same order in every step
+        _begin(self._queue, n)
+        self._team.share(self._team.size, self._sort)
+        self.count, groups = _put_in_order(n, self.first, self.last, self.skip, self._begins, self._edges)
         self.groups = self._edges[: groups + 1]
+
+    def _sort(self, who: int, _: int) -> None:
+        _sort(
+            self._queue,
+            self._mass,
+            self._rows,
+            self._spare,
+            self.position,
+            self.mass,
+            self.body,
+            self.first,
+            self.last,
+            self.skip,
+            self._stacks[who],
+        )
+
+
+@long_kernel
+def _lay_out(lo: int, hi: int, position: FloatArray, rows: FloatArray) -> None:
+    """Write a row for each of the bodies from lo to hi: where it is, and its index."""
+    for i in range(lo, hi):
+        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = position[i, 0], position[i, 1], position[i, 2], i
+
+
+@kernel
+def _begin(queue: IntArray, n: int) -> None:
+    """Clear the queue, and put all bodies on it."""
+    for word in range(QUEUE + RANGE * queue[PUT]):
+        queue[word] = 0
+    queue[UNSORTED] = n
+    _put(queue, 0, n, 0)
+
+
+@kernel
+def _put(queue: IntArray, lo: int, hi: int, box: int) -> None:
+    """Put a range of bodies on the queue, with the place of its box."""
+    at = QUEUE + RANGE * atomic_add(queue, PUT, 1)
+    queue[at + 1], queue[at + 2] = lo, box
+    atomic_store(queue, at, hi)  # last: who finds it finds the others, too
 
 
 @long_kernel
 def _sort(
-    x: FloatArray,
-    body: IntArray,
+    queue: IntArray,
+    mass: FloatArray,
+    rows: FloatArray,
     spare: FloatArray,
-    spare_body: IntArray,
+    x: FloatArray,
+    m: FloatArray,
+    body: IntArray,
     first: IntArray,
     last: IntArray,
+    boxes: IntArray,
     stack: IntArray,
-) -> int:
-    """Sort bodies into boxes; return how many there are."""
-    boxes, top = 0, 1
-    stack[0, 0], stack[0, 1] = 0, len(body)
-    while top > 0:
-        top -= 1
-        lo, hi = stack[top, 0], stack[top, 1]
-        first[boxes], last[boxes] = lo, hi
-        boxes += 1
-        if hi - lo <= LEAF:
-            continue
-        axis, middle = _longest_side(x, lo, hi)
-        half, over = lo, 0
-        for i in range(lo, hi):  # without a branch: either half is written to, and one of them moves on
-            x0, x1, x2, b = x[0, i], x[1, i], x[2, i], body[i]
-            below = 1 if x[axis, i] < middle else 0
-            x[0, half], x[1, half], x[2, half], body[half] = x0, x1, x2, b
-            spare[0, over], spare[1, over], spare[2, over], spare_body[over] = x0, x1, x2, b
-            half += below
-            over += 1 - below
-        for k in range(over):
-            x[0, half + k], x[1, half + k], x[2, half + k] = spare[0, k], spare[1, k], spare[2, k]
-            body[half + k] = spare_body[k]
-        if lo < half < hi:  # else they are at one point, or not finite
-            stack[top, 0], stack[top, 1] = half, hi
-            stack[top + 1, 0], stack[top + 1, 1] = lo, half
-            top += 2
-    return boxes
+) -> None:
+    """Take ranges of bodies from the queue and sort them, until all bodies are sorted.
+
+    A range of k bodies has 2 k - 1 places for its boxes, as many as there can be: so it can be sorted before anybody
+    knows how many boxes stand before its own. At the place of the first one ``boxes`` tells how many there are; it is 0
+    where a box was halved and its halves went their own ways.
+
+    Written out in one piece: each call of a function that takes arrays counts their references, in memory that all
+    threads write to, and that took half as long again.
+    """
+    while True:
+        at = QUEUE + RANGE * atomic_add(queue, TAKEN, 1)
+        while atomic_load(queue, at) == 0:
+            if atomic_load(queue, UNSORTED) == 0:
+                return
+        hi, lo, box = np.uint64(queue[at]), np.uint64(queue[at + 1]), queue[at + 2]
+        begin, end, root, top = lo, hi, box, 0
+        while True:
+            first[box], last[box] = lo, hi
+            half = hi
+            if hi - lo > np.uint64(LEAF):
+                ax = bx = rows[lo, 0]
+                ay = by = rows[lo, 1]
+                az = bz = rows[lo, 2]
+                for i in range(lo, hi):
+                    ax, bx = min(ax, rows[i, 0]), max(bx, rows[i, 0])
+                    ay, by = min(ay, rows[i, 1]), max(by, rows[i, 1])
+                    az, bz = min(az, rows[i, 2]), max(bz, rows[i, 2])
+                axis, middle = _longest_side(ax, bx, ay, by, az, bz)
+                along = np.uint64(axis)
+                half = over = lo
+                for i in range(lo, hi):  # without a branch: either half is written to, and one of them moves on
+                    x0, x1, x2, x3 = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+                    below = np.uint64(rows[i, along] < middle)
+                    rows[half, 0], rows[half, 1], rows[half, 2], rows[half, 3] = x0, x1, x2, x3
+                    spare[over, 0], spare[over, 1], spare[over, 2], spare[over, 3] = x0, x1, x2, x3
+                    half += below
+                    over += np.uint64(1) - below
+                for k in range(over - lo):
+                    for c in range(4):
+                        rows[half + k, c] = spare[lo + k, c]
+            if lo < half < hi:  # else they are few, or at one point, or not finite
+                if hi - lo > np.uint64(GRAIN):
+                    boxes[box] = 0
+                    _put(queue, int(half), int(hi), box + 2 * int(half - lo))
+                    root, end = box + 1, half
+                else:
+                    stack[top, 0], stack[top, 1] = half, hi
+                    top += 1
+                hi = half
+            elif top > 0:
+                top -= 1
+                lo, hi = np.uint64(stack[top, 0]), np.uint64(stack[top, 1])
+            else:
+                break
+            box += 1
+        boxes[root] = box + 1 - root
+        for i in range(begin, end):
+            b = int(rows[i, 3])
+            x[0, i], x[1, i], x[2, i], m[i], body[i] = rows[i, 0], rows[i, 1], rows[i, 2], mass[b], b
+        atomic_add(queue, UNSORTED, int(begin) - int(end))
 
 
-@long_kernel
-def _longest_side(x: FloatArray, lo: int, hi: int) -> tuple[int, float]:
-    """Return the longest side of the box around some bodies, and the middle of it."""
-    ax = bx = x[0, lo]
-    ay = by = x[1, lo]
-    az = bz = x[2, lo]
-    for i in range(lo, hi):
-        ax, bx = min(ax, x[0, i]), max(bx, x[0, i])
-        ay, by = min(ay, x[1, i]), max(by, x[1, i])
-        az, bz = min(az, x[2, i]), max(bz, x[2, i])
+@kernel
+def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: float) -> tuple[int, float]:
+    """Return the longest side of the box from a to b, and the middle of it."""
     axis, low, high = 0, ax, bx
     if by - ay > high - low:
         axis, low, high = 1, ay, by
@@ -126,6 +204,29 @@ def _longest_side(x: FloatArray, lo: int, hi: int) -> tuple[int, float]:
 
 
 @long_kernel
+def _put_in_order(
+    n: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray, edges: IntArray
+) -> tuple[int, int]:
+    """Make of the boxes of the ranges those of the whole; return how many there are, and how many groups."""
+    boxes = _close_up(n, first, last, skip)
+    _link(boxes, first, last, skip, begins)
+    return boxes, _group(boxes, first, last, skip, edges)
+
+
+@kernel
+def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
+    """Close the gaps between the boxes of one range and of the next; return how many boxes there are."""
+    count = box = 0
+    while box < 2 * n - 1:
+        bodies, nested = last[box] - first[box], boxes[box]
+        for k in range(max(nested, 1)):
+            first[count], last[count] = first[box + k], last[box + k]
+            count += 1
+        box += 2 * bodies - 1 if nested > 0 else 1
+    return count
+
+
+@kernel
 def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray) -> None:
     """Write for each box the one that follows all that is in it: the largest one that begins where this one ends."""
     begins[len(begins) - 1] = boxes
@@ -134,7 +235,7 @@ def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: I
         begins[first[box]] = box
 
 
-@long_kernel
+@kernel
 def _group(boxes: int, first: IntArray, last: IntArray, skip: IntArray, edges: IntArray) -> int:
     """Cut the sorted bodies into groups, each the bodies of a box; return how many there are."""
     groups, box = 0, 0

@@ -14,15 +14,13 @@ from numpy.typing import NDArray
 
 from carom.physics.gravity.boxes import GROUP, Boxes
 from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
-from carom.physics.gravity.multipole import expand
+from carom.physics.gravity.multipole import BOXES_AT_A_TIME, expand
 from carom.physics.gravity.walk import pull
 from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 
-BOXES_AT_A_TIME = 512  # fewer are not worth a part of their own
-GROUPS_AT_A_TIME = 4
-PIECES = 32  # for each thread, at most: groups take very different times
+PIECES = 8  # for each thread, at most: between two of them a helper offers its core to other processes
 
 
 class TreeGravity:
@@ -43,12 +41,12 @@ class TreeGravity:
         self._softening_squared = softening * softening
         self._opening_angle = opening_angle
         self._quadrupoles = quadrupoles
-        self._boxes = Boxes(n)
-        self._sorted_mass = np.empty(n)
+        self._team = team if n >= PARALLEL_FROM else SOLO
+        self._boxes = Boxes(mass, self._team)
         self._centre = np.empty((self._boxes.most, 4))
         self._moment = np.empty((self._boxes.most, 8))
         self._potential = np.zeros(n)
-        self._team = team if n >= PARALLEL_FROM else SOLO
+        self._turn = np.zeros(1, np.int64)
         self._workers = [_Worker(n, self._boxes.most) for _ in range(self._team.size)]
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
@@ -65,40 +63,42 @@ class TreeGravity:
         """
         boxes = self._boxes
         boxes.sort(position)
-        np.take(self._mass, boxes.body, out=self._sorted_mass, mode="clip")
-        self._share(boxes.count, BOXES_AT_A_TIME, self._expand)
         into = self._potential if potential else None
-        self._share(
-            len(boxes.groups) - 1,
-            GROUPS_AT_A_TIME,
-            lambda who, lo, hi: self._pull(self._workers[who], lo, hi, acceleration, into),
-        )
+        self._share(self._expand, boxes.count, BOXES_AT_A_TIME)
+        self._share(lambda who, most: self._pull(self._workers[who], most, acceleration, into), len(boxes.groups) - 1)
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _share(self, count: int, at_a_time: int, job: Callable[[int, int, int], None]) -> None:
-        """Do a job, called with who does it, lo and hi, on a number of things."""
-        pieces = max(1, min(count // at_a_time, PIECES * self._team.size))
-        self._team.share(pieces, lambda who, k: job(who, count * k // pieces, count * (k + 1) // pieces))
+    def _share(self, job: Callable[[int, int], None], count: int, at_a_time: int = 1) -> None:
+        """Share out a number of things, which a job takes in turn; it is called with who does it, and turns at most.
 
-    def _expand(self, _: int, lo: int, hi: int) -> None:
+        Whoever is free takes what is next, so that all end at about the same time; with pieces that are cut beforehand
+        a tree over 10⁵ bodies took 4 % longer on two threads.
+        """
+        self._turn[0] = 0
+        turns = -(-count // at_a_time)
+        pieces = min(turns, PIECES * self._team.size)
+        self._team.share(pieces, lambda who, _: job(who, -(-turns // pieces)))
+
+    def _expand(self, _: int, most: int) -> None:
         boxes = self._boxes
         expand(
-            lo,
-            hi,
+            self._turn,
+            most,
+            boxes.count,
             boxes.first,
             boxes.last,
             boxes.position,
-            self._sorted_mass,
+            boxes.mass,
             self._opening_angle,
             self._centre,
             self._moment,
         )
 
-    def _pull(self, worker: _Worker, lo: int, hi: int, acceleration: FloatArray, potential: FloatArray | None) -> None:
+    def _pull(self, worker: _Worker, most: int, acceleration: FloatArray, potential: FloatArray | None) -> None:
         boxes = self._boxes
         pull(
-            lo,
-            hi,
+            self._turn,
+            most,
             boxes.groups,
             boxes.count,
             boxes.first,
@@ -107,7 +107,7 @@ class TreeGravity:
             self._centre,
             self._moment,
             boxes.position,
-            self._sorted_mass,
+            boxes.mass,
             boxes.body,
             self._constant,
             self._softening_squared,

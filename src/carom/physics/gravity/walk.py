@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.kernel import long_kernel
+from carom.physics.machine import atomic_add
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -25,8 +26,8 @@ WIDEST = 8  # lanes of float64 in the widest registers: a loop over whole regist
 
 @long_kernel
 def pull(
-    lo: int,
-    hi: int,
+    turn: IntArray,
+    most: int,
     edges: IntArray,
     boxes: int,
     first: IntArray,
@@ -46,9 +47,15 @@ def pull(
     acceleration: FloatArray,
     potential: FloatArray | None,
 ) -> None:
-    """Write acceleration and potential of the groups from lo to hi."""
+    """Take groups, each the next one that nobody has taken, and write their acceleration and potential.
+
+    ``turn``, (1,), is how many were taken; ``most`` is how many to take at most.
+    """
     own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
-    for group in range(lo, hi):
+    for _ in range(most):
+        group = atomic_add(turn, 0, 1)
+        if group >= len(edges) - 1:
+            return
         i0 = edges[group]
         lanes = edges[group + 1] - i0
         width = -(-lanes // WIDEST) * WIDEST
