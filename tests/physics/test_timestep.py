@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
-from carom.physics.timestep import Timestep
+from carom.physics.team import Team
+from carom.physics.timestep import SOME, Timestep
 from carom.scene.schema import Time
 from examples import random_bodies
 
@@ -66,6 +67,18 @@ def test_a_scene_that_falls_as_a_whole_gets_the_same_steps() -> None:
     falling.acceleration[:] += field
     at_rest = Timestep(Time(max_dt=100.0), 0.5, 0.01, NO_FIELD).choose(bodies, math.inf)
     assert Timestep(Time(max_dt=100.0), 0.5, 0.01, field).choose(falling, math.inf) == at_rest
+
+
+@pytest.mark.parametrize("rule", ["every-body", "fastest-body"])
+@pytest.mark.parametrize("target_dx", [1e-9, 1.0])
+def test_threads_that_share_the_bodies_find_the_same_step(
+    rule: Literal["every-body", "fastest-body"], target_dx: float
+) -> None:
+    bodies, time = random_bodies(5 * SOME, seed=4), Time(max_dt=100.0, velocity_limit=rule)
+    bodies.acceleration[:] = bodies.velocity[::-1]
+    bodies.velocity[[3, -3]] = [100.0, 0.0, 0.0]  # which of two equals sets the limit must not depend on them either
+    chosen = {Timestep(time, target_dx, NO_FIELD, team=Team(threads)).choose(bodies, math.inf) for threads in (1, 2, 4)}
+    assert len(chosen) == 1
 
 
 def test_the_seeds_rule_lets_a_small_body_tunnel_and_ours_does_not() -> None:

@@ -92,7 +92,7 @@ class Space:
         self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, cfl(scene), target_dx(scene), self._falling, scene.anchored)
+        self._timestep = Timestep(scene.time, cfl(scene), target_dx(scene), self._falling, scene.anchored, self._team)
         self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))

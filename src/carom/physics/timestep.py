@@ -20,24 +20,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 from carom.physics.momentum import centre_velocity
+from carom.physics.team import PIECES, SOLO, Team
 from carom.scene.schema import Time
 
 FloatArray = NDArray[np.float64]
+Limits = tuple[float, float, float, float]  # |a|max, m/s²; largest v², m²/s²; dt_v, s, by the seed's rule and by ours
 
+NONE: Limits = (0.0, 0.0, math.inf, math.inf)  # where nothing moves
+SOME = 4000  # bodies that are worth a part of their own
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 
 
 class Timestep:
     """Chooses each step and remembers what the average needs."""
 
-    def __init__(self, time: Time, cfl: float, target_dx: float, field: FloatArray, anchored: bool = False) -> None:
+    def __init__(
+        self,
+        time: Time,
+        cfl: float,
+        target_dx: float,
+        field: FloatArray,
+        anchored: bool = False,
+        team: Team = SOLO,
+    ) -> None:
         self._time = time
         self._cfl = cfl
         self._target_dx = target_dx  # m
         self._field = field  # (3,) m/s², as far as it pulls all alike
         self._anchored = anchored  # whether something stands still: speeds then count from it
+        self._team = team
         self.previous = 0.0  # s, the average; 0 until there is one
 
     def choose(self, bodies: Bodies, remaining: float) -> tuple[float, str]:
@@ -72,21 +85,29 @@ class Timestep:
     def target(self, bodies: Bodies) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         time = self._time
-        state = (
-            bodies.velocity,
-            bodies.acceleration,
-            bodies.mass,
-            bodies.radius,
-            self._field,
-            self._anchored,
-            self._cfl,
-        )
-        a_max, fastest, every = _limits(*state)
+        a_max, _, fastest, every = self._limits(bodies)
         dt_a = math.sqrt(2.0 * self._target_dx / a_max) if a_max > 0.0 else math.inf
         dt_v = fastest if time.velocity_limit == "fastest-body" else every
         dt = min(dt_a, dt_v, time.max_dt)
         limit = "cap" if dt == time.max_dt else "velocity" if dt == dt_v else "acceleration"
         return dt, limit
+
+    def _limits(self, bodies: Bodies) -> Limits:
+        """Find the limits that all bodies set. Each is that of one body, so that it is the same in whatever parts."""
+        n, team, cfl = len(bodies), self._team, self._cfl
+        v, a, r, field = bodies.velocity, bodies.acceleration, bodies.radius, self._field
+        if team.size == 1 or n < 2 * SOME:
+            return _limits(v, a, bodies.mass, r, field, self._anchored, cfl)
+        V = (0.0, 0.0, 0.0) if self._anchored else centre_velocity(v, bodies.mass)
+        pieces = min(n // SOME, PIECES * team.size)
+        found: list[Limits] = [NONE] * pieces
+
+        def look(_: int, k: int) -> None:
+            found[k] = _limits_among(n * k // pieces, n * (k + 1) // pieces, v, a, r, field, *V, cfl)
+
+        team.share(pieces, look)
+        _, v2_max, fastest, _ = max(found, key=lambda limits: limits[1])  # the first of them, as in one loop
+        return max(limits[0] for limits in found), v2_max, fastest, min(limits[3] for limits in found)
 
 
 @kernel
@@ -98,11 +119,28 @@ def _limits(
     field: FloatArray,
     anchored: bool,
     cfl: float,
-) -> tuple[float, float, float]:
-    """Return |a|max in m/s², and dt_v in s by the seed's rule and by ours: infinite where nothing moves."""
+) -> Limits:
+    """Find the limits that all bodies set; in one call, which is what a step of a few bodies consists of."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
+    return _limits_among(0, len(mass), velocity, acceleration, radius, field, Vx, Vy, Vz, cfl)
+
+
+@long_kernel
+def _limits_among(
+    lo: int,
+    hi: int,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    radius: FloatArray,
+    field: FloatArray,
+    Vx: float,
+    Vy: float,
+    Vz: float,
+    cfl: float,
+) -> Limits:
+    """Find the limits that the bodies from lo to hi set."""
     a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
-    for i in range(len(mass)):
+    for i in range(lo, hi):
         ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
         a = np.sqrt(ax * ax + ay * ay + az * az)
         a_max = max(a_max, a)
@@ -113,4 +151,4 @@ def _limits(
         v2 = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1] + velocity[i, 2] * velocity[i, 2]
         if v2 > v2_max:
             v2_max, fastest = v2, s / np.sqrt(v2)
-    return a_max, fastest, every
+    return a_max, v2_max, fastest, every
