@@ -29,7 +29,7 @@ FloatArray = NDArray[np.float64]
 Limits = tuple[float, float, float, float]  # |a|max, m/s²; largest v², m²/s²; dt_v, s, by the seed's rule and by ours
 
 NONE: Limits = (0.0, 0.0, math.inf, math.inf)  # where nothing moves
-SOME = 4000  # bodies that are worth a part of their own
+SOME = 10_000  # bodies that are worth a part of their own
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 
 

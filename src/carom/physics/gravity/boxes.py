@@ -62,7 +62,7 @@ class Boxes:
         self._team = team
         self._rows, self._spare = np.empty((n, 4)), np.empty((n, 4))
         self._queue = np.zeros(QUEUE + RANGE * (n + team.size), np.int64)
-        self._stacks = [np.empty((GRAIN, 2), np.int64) for _ in range(team.size)]
+        self._stacks = np.empty((team.size, GRAIN, 2), np.int64)
         self._begins = np.empty(n + 1, np.int64)
         self._edges = np.empty(n + 1, np.int64)
 
@@ -71,24 +71,12 @@ class Boxes:
         n = len(position)
         self._team.divide(n, SOME, _lay_out, position, self._rows)  # in the same order in every step
         _begin(self._queue, n)
-        self._team.share(self._team.size, self._sort)
+        bodies = self._rows, self._spare, self.position, self.mass, self.body
+        self._team.divide(
+            self._team.size, 1, _sort, self._queue, self._mass, *bodies, self.first, self.last, self.skip, self._stacks
+        )
         self.count, groups = _put_in_order(n, self.first, self.last, self.skip, self._begins, self._edges)
         self.groups = self._edges[: groups + 1]
-
-    def _sort(self, who: int, _: int) -> None:
-        _sort(
-            self._queue,
-            self._mass,
-            self._rows,
-            self._spare,
-            self.position,
-            self.mass,
-            self.body,
-            self.first,
-            self.last,
-            self.skip,
-            self._stacks[who],
-        )
 
 
 @long_kernel
@@ -117,6 +105,8 @@ def _put(queue: IntArray, lo: int, hi: int, box: int) -> None:
 
 @long_kernel
 def _sort(
+    lo: int,
+    hi: int,
     queue: IntArray,
     mass: FloatArray,
     rows: FloatArray,
@@ -127,9 +117,9 @@ def _sort(
     first: IntArray,
     last: IntArray,
     boxes: IntArray,
-    stack: IntArray,
+    stacks: IntArray,
 ) -> None:
-    """Take ranges of bodies from the queue and sort them, until all bodies are sorted.
+    """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
     A range of k bodies has 2 k - 1 places for its boxes, as many as there can be: so it can be sorted before anybody
     knows how many boxes stand before its own. At the place of the first one ``boxes`` tells how many there are; it is 0
@@ -138,49 +128,50 @@ def _sort(
     Written out in one piece: each call of a function that takes arrays counts their references, in memory that all
     threads write to, and that took half as long again.
     """
+    stack = stacks[lo]
     while True:
         at = QUEUE + RANGE * atomic_add(queue, TAKEN, 1)
         while atomic_load(queue, at) == 0:
             if atomic_load(queue, UNSORTED) == 0:
                 return
-        hi, lo, box = np.uint64(queue[at]), np.uint64(queue[at + 1]), queue[at + 2]
-        begin, end, root, top = lo, hi, box, 0
+        i1, i0, box = np.uint64(queue[at]), np.uint64(queue[at + 1]), queue[at + 2]
+        begin, end, root, top = i0, i1, box, 0
         while True:
-            first[box], last[box] = lo, hi
-            half = hi
-            if hi - lo > np.uint64(LEAF):
-                ax = bx = rows[lo, 0]
-                ay = by = rows[lo, 1]
-                az = bz = rows[lo, 2]
-                for i in range(lo, hi):
+            first[box], last[box] = i0, i1
+            half = i1
+            if i1 - i0 > np.uint64(LEAF):
+                ax = bx = rows[i0, 0]
+                ay = by = rows[i0, 1]
+                az = bz = rows[i0, 2]
+                for i in range(i0, i1):
                     ax, bx = min(ax, rows[i, 0]), max(bx, rows[i, 0])
                     ay, by = min(ay, rows[i, 1]), max(by, rows[i, 1])
                     az, bz = min(az, rows[i, 2]), max(bz, rows[i, 2])
                 axis, middle = _longest_side(ax, bx, ay, by, az, bz)
                 along = np.uint64(axis)
-                half = over = lo
-                for i in range(lo, hi):  # without a branch: either half is written to, and one of them moves on
+                half = over = i0
+                for i in range(i0, i1):  # without a branch: either half is written to, and one of them moves on
                     x0, x1, x2, x3 = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
                     below = np.uint64(rows[i, along] < middle)
                     rows[half, 0], rows[half, 1], rows[half, 2], rows[half, 3] = x0, x1, x2, x3
                     spare[over, 0], spare[over, 1], spare[over, 2], spare[over, 3] = x0, x1, x2, x3
                     half += below
                     over += np.uint64(1) - below
-                for k in range(over - lo):
+                for k in range(over - i0):
                     for c in range(4):
-                        rows[half + k, c] = spare[lo + k, c]
-            if lo < half < hi:  # else they are few, or at one point, or not finite
-                if hi - lo > np.uint64(GRAIN):
+                        rows[half + k, c] = spare[i0 + k, c]
+            if i0 < half < i1:  # else they are few, or at one point, or not finite
+                if i1 - i0 > np.uint64(GRAIN):
                     boxes[box] = 0
-                    _put(queue, int(half), int(hi), box + 2 * int(half - lo))
+                    _put(queue, int(half), int(i1), box + 2 * int(half - i0))
                     root, end = box + 1, half
                 else:
-                    stack[top, 0], stack[top, 1] = half, hi
+                    stack[top, 0], stack[top, 1] = half, i1
                     top += 1
-                hi = half
+                i1 = half
             elif top > 0:
                 top -= 1
-                lo, hi = np.uint64(stack[top, 0]), np.uint64(stack[top, 1])
+                i0, i1 = np.uint64(stack[top, 0]), np.uint64(stack[top, 1])
             else:
                 break
             box += 1

@@ -65,13 +65,10 @@ class DirectGravity:
         n = len(position)
         self._source[:3, :n] = position.T
         into = self._potential if potential else None
-        self._team.share(len(self._edges) - 1, lambda _, slab: self._sum(slab, into))
+        law = len(self._mass), self._source, self._softening_squared
+        self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
         _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, acceleration, into)
         return potential_energy(self._mass, self._potential) if potential else None
-
-    def _sum(self, slab: int, potential: FloatArray | None) -> None:
-        lo, hi = self._edges[slab], self._edges[slab + 1]
-        _pull(lo, hi, len(self._mass), self._source, self._softening_squared, self._sums[slab], potential)
 
 
 def _slabs(blocks: int, count: int) -> IntArray:
@@ -92,84 +89,87 @@ def _lanes(count: int) -> FloatArray:
 def _pull(
     lo: int,
     hi: int,
+    edges: IntArray,
     n: int,
     source: FloatArray,
     eps2: float,
-    slab: FloatArray,
+    sums: FloatArray,
     potential: FloatArray | None,
 ) -> None:
-    """Write what the blocks from lo to hi, and all before them, do to each other: Σ m d/R³, and Σ m/R."""
+    """Write what the blocks of the slabs from lo to hi, and all before them, do to each other: Σ m d/R³, and Σ m/R."""
     L, H = np.uint64(LANES), np.uint64(LANES // 2)
     tx, ty, tz, tm = _lanes(LANES), _lanes(LANES), _lanes(LANES), _lanes(LANES)
     ax, ay, az, ap = _lanes(LANES), _lanes(LANES), _lanes(LANES), _lanes(LANES)
     bx, by, bz, bp = _lanes(LANES * LANES), _lanes(LANES * LANES), _lanes(LANES * LANES), _lanes(LANES * LANES)
-    for k in range(hi * LANES):
-        slab[0, k] = slab[1, k] = slab[2, k] = slab[3, k] = 0.0
-    for block in range(lo, hi):
-        first = np.uint64(block) * L
-        twos = np.uint64((min(LANES, n - block * LANES) + 1) // 2)
-        for k in range((twos + twos) * L):
-            bx[k] = by[k] = bz[k] = bp[k] = 0.0
-        for targets in range(block + 1):
-            i = np.uint64(targets) * L
-            weight = (
-                1.0 if i < first else 0.0
-            )  # a block's own bodies pull its lanes, each once, and nothing is mirrored
-            for k in range(L):
-                tx[k], ty[k], tz[k] = source[0, i + k], source[1, i + k], source[2, i + k]
-                tm[k] = weight * source[3, i + k]
-                ax[k] = ay[k] = az[k] = ap[k] = 0.0
-            for two in range(twos):  # sources at a time, which share the loads and stores of the lanes
-                j = first + two + two
-                q = (two + two) * L
-                jj = j + np.uint64(1)
-                xj, yj, zj, mj = source[0, j], source[1, j], source[2, j], source[3, j]
-                xx, yy, zz, mm = source[0, jj], source[1, jj], source[2, jj], source[3, jj]
+    for s in range(lo, hi):
+        slab = sums[s]
+        for k in range(edges[s + 1] * LANES):
+            slab[0, k] = slab[1, k] = slab[2, k] = slab[3, k] = 0.0
+        for block in range(edges[s], edges[s + 1]):
+            first = np.uint64(block) * L
+            twos = np.uint64((min(LANES, n - block * LANES) + 1) // 2)
+            for k in range((twos + twos) * L):
+                bx[k] = by[k] = bz[k] = bp[k] = 0.0
+            for targets in range(block + 1):
+                i = np.uint64(targets) * L
+                weight = (
+                    1.0 if i < first else 0.0
+                )  # a block's own bodies pull its lanes, each once, and nothing is mirrored
                 for k in range(L):
-                    dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
-                    ex, ey, ez = xx - tx[k], yy - ty[k], zz - tz[k]
-                    d2 = dx * dx + dy * dy + dz * dz + eps2
-                    e2 = ex * ex + ey * ey + ez * ez + eps2
-                    d3 = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
-                    e3 = 1.0 / (e2 * np.sqrt(e2)) if e2 > 0.0 else 0.0
-                    f, g = mj * d3, mm * e3
-                    ax[k] = ax[k] + f * dx + g * ex
-                    ay[k] = ay[k] + f * dy + g * ey
-                    az[k] = az[k] + f * dz + g * ez
+                    tx[k], ty[k], tz[k] = source[0, i + k], source[1, i + k], source[2, i + k]
+                    tm[k] = weight * source[3, i + k]
+                    ax[k] = ay[k] = az[k] = ap[k] = 0.0
+                for two in range(twos):  # sources at a time, which share the loads and stores of the lanes
+                    j = first + two + two
+                    q = (two + two) * L
+                    jj = j + np.uint64(1)
+                    xj, yj, zj, mj = source[0, j], source[1, j], source[2, j], source[3, j]
+                    xx, yy, zz, mm = source[0, jj], source[1, jj], source[2, jj], source[3, jj]
+                    for k in range(L):
+                        dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
+                        ex, ey, ez = xx - tx[k], yy - ty[k], zz - tz[k]
+                        d2 = dx * dx + dy * dy + dz * dz + eps2
+                        e2 = ex * ex + ey * ey + ez * ez + eps2
+                        d3 = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
+                        e3 = 1.0 / (e2 * np.sqrt(e2)) if e2 > 0.0 else 0.0
+                        f, g = mj * d3, mm * e3
+                        ax[k] = ax[k] + f * dx + g * ex
+                        ay[k] = ay[k] + f * dy + g * ey
+                        az[k] = az[k] + f * dz + g * ez
+                        if potential is not None:
+                            ap[k] = ap[k] + f * d2 + g * e2
+                        f, g = tm[k] * d3, tm[k] * e3
+                        bx[q + k] -= f * dx
+                        by[q + k] -= f * dy
+                        bz[q + k] -= f * dz
+                        bx[q + L + k] -= g * ex
+                        by[q + L + k] -= g * ey
+                        bz[q + L + k] -= g * ez
+                        if potential is not None:
+                            bp[q + k] += f * d2
+                            bp[q + L + k] += g * e2
+                for k in range(L):
+                    slab[0, i + k] += ax[k]
+                    slab[1, i + k] += ay[k]
+                    slab[2, i + k] += az[k]
                     if potential is not None:
-                        ap[k] = ap[k] + f * d2 + g * e2
-                    f, g = tm[k] * d3, tm[k] * e3
-                    bx[q + k] -= f * dx
-                    by[q + k] -= f * dy
-                    bz[q + k] -= f * dz
-                    bx[q + L + k] -= g * ex
-                    by[q + L + k] -= g * ey
-                    bz[q + L + k] -= g * ez
-                    if potential is not None:
-                        bp[q + k] += f * d2
-                        bp[q + L + k] += g * e2
-            for k in range(L):
-                slab[0, i + k] += ax[k]
-                slab[1, i + k] += ay[k]
-                slab[2, i + k] += az[k]
+                        slab[3, i + k] += ap[k]
+            for row in range(twos + twos):
+                j, q = first + row, row * L
+                h = H
+                while h > np.uint64(0):
+                    for k in range(h):
+                        bx[q + k] += bx[q + h + k]
+                        by[q + k] += by[q + h + k]
+                        bz[q + k] += bz[q + h + k]
+                        if potential is not None:
+                            bp[q + k] += bp[q + h + k]
+                    h = h // np.uint64(2)
+                slab[0, j] += bx[q]
+                slab[1, j] += by[q]
+                slab[2, j] += bz[q]
                 if potential is not None:
-                    slab[3, i + k] += ap[k]
-        for row in range(twos + twos):
-            j, q = first + row, row * L
-            h = H
-            while h > np.uint64(0):
-                for k in range(h):
-                    bx[q + k] += bx[q + h + k]
-                    by[q + k] += by[q + h + k]
-                    bz[q + k] += bz[q + h + k]
-                    if potential is not None:
-                        bp[q + k] += bp[q + h + k]
-                h = h // np.uint64(2)
-            slab[0, j] += bx[q]
-            slab[1, j] += by[q]
-            slab[2, j] += bz[q]
-            if potential is not None:
-                slab[3, j] += bp[q]
+                    slab[3, j] += bp[q]
 
 
 @kernel

@@ -23,8 +23,9 @@ FEW = 4  # bodies at most that are taken one by one: hardly slower than their mo
 
 @long_kernel
 def expand(
+    lo: int,
+    hi: int,
     turn: IntArray,
-    most: int,
     boxes: int,
     first: IntArray,
     last: IntArray,
@@ -34,12 +35,14 @@ def expand(
     centre: FloatArray,
     moment: FloatArray,
 ) -> None:
-    """Write the moments of boxes that nobody has taken yet.
+    """Write the moments of all boxes.
 
     Parameters
     ----------
-    turn, most
-        (1,), how often somebody took `BOXES_AT_A_TIME` boxes, the next ones; and how often to take some at most.
+    lo, hi
+        Threads, of which each takes the next `BOXES_AT_A_TIME` boxes until there are no more.
+    turn
+        (1,), how often some were taken.
     boxes, first, last
         How many, and the bodies of each.
     x, m
@@ -51,9 +54,11 @@ def expand(
     moment
         (boxes, 8): M, the upper triangle of Q by rows, and tr Q / 6.
     """
-    for _ in range(most):
-        lo = BOXES_AT_A_TIME * atomic_add(turn, 0, 1)
-        for box in range(lo, min(lo + BOXES_AT_A_TIME, boxes)):
+    while True:
+        begin = BOXES_AT_A_TIME * atomic_add(turn, 0, 1)
+        if begin >= boxes:
+            return
+        for box in range(begin, min(begin + BOXES_AT_A_TIME, boxes)):
             i0, i1 = first[box], last[box]
             x0, y0, z0 = x[0, i0], x[1, i0], x[2, i0]
             M = X = Y = Z = 0.0

@@ -26,9 +26,9 @@ WIDEST = 8  # lanes of float64 in the widest registers: a loop over whole regist
 
 @long_kernel
 def pull(
+    lo: int,
+    hi: int,
     turn: IntArray,
-    most: int,
-    edges: IntArray,
     boxes: int,
     first: IntArray,
     last: IntArray,
@@ -38,21 +38,24 @@ def pull(
     x: FloatArray,
     m: FloatArray,
     body: IntArray,
+    edges: IntArray,
     G: float,
     eps2: float,
     quadrupoles: bool,
-    T: FloatArray,
-    far: IntArray,
-    near: IntArray,
+    lanes_of: FloatArray,
+    far_of: IntArray,
+    near_of: IntArray,
     acceleration: FloatArray,
     potential: FloatArray | None,
 ) -> None:
-    """Take groups, each the next one that nobody has taken, and write their acceleration and potential.
+    """Write acceleration and potential of all groups.
 
-    ``turn``, (1,), is how many were taken; ``most`` is how many to take at most.
+    Each of the threads from lo to hi takes the next group until there are no more; ``turn``, (1,), is how many were
+    taken.
     """
     own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
-    for _ in range(most):
+    T, far, near = lanes_of[lo], far_of[lo], near_of[lo]
+    while True:
         group = atomic_add(turn, 0, 1)
         if group >= len(edges) - 1:
             return
