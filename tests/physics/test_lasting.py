@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.lasting import Hold
 from carom.physics.contact.load import HOT, IMPULSE
 from carom.physics.space import Space
+from carom.physics.team import SOLO
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -262,12 +263,12 @@ def test_impulses_are_found_again_by_their_pair_and_turned_into_the_new_tangenti
     pairs, place = np.array([[0, 2], [0, 3], [1, 3], [2, 3], [5, 6]]), np.array([2, 0, 1, 4, 3])
     new = np.zeros((5, HOT))
     new[:, 2] = 1.0  # normals along z
-    old.carry_to(pairs, place, 0.25, new)
+    old.carry_to(pairs, place, 0.25, new, SOLO)
     expected = np.zeros((5, 4))
     expected[1] = [2.0, 2.5, 3.0, 0.0]  # half of them: half the kick, no part along n
     expected[3] = [4.0, 4.5, 5.0, 0.0]
     assert np.array_equal(new[place, IMPULSE : IMPULSE + 4], expected)
-    Hold.empty().carry_to(pairs, place, 0.25, new)
+    Hold.empty().carry_to(pairs, place, 0.25, new, SOLO)
     assert not new[:, IMPULSE : IMPULSE + 4].any()
 
 

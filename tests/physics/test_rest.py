@@ -6,12 +6,31 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from carom.physics.contact.rest import rest_speeds
+from carom.physics.contact.load import COLD, REST
+from carom.physics.contact.rest import Piles
 from carom.physics.space import Space
+from carom.physics.team import SOLO, Team
 from examples import scene_of
 
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
 NO_FIELD = np.zeros(3)
+
+
+def rest_speeds(
+    pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, field: FloatArray, dt: float, team: Team = SOLO
+) -> FloatArray:
+    cold = np.full((len(pairs), COLD), np.nan)
+    state = (acceleration, inverse_mass, field, dt)
+    presses = Piles(len(acceleration), team).write_rest_speeds(pairs, np.unique(pairs), *state, cold)
+    speeds: FloatArray = cold[:, REST]
+    assert presses == np.any(speeds > 0.0)
+    return speeds
 
 
 def test_the_rest_speed_is_what_gravity_causes_in_a_step_and_no_field_counts() -> None:
@@ -28,6 +47,27 @@ def test_a_pile_shares_its_load_and_piles_are_apart() -> None:
     acceleration[3, 0], acceleration[6, 0] = 4.0, 9.0
     pairs = np.array([[0, 2], [1, 2], [1, 3], [4, 5], [5, 6]])
     assert np.array_equal(rest_speeds(pairs, acceleration, np.ones(7), NO_FIELD, 1.0), [8.0, 8.0, 8.0, 18.0, 18.0])
+
+
+def test_piles_are_what_a_search_of_the_graph_finds_on_any_number_of_threads() -> None:
+    # Bodies in random order along many rows, with fixed ones that pass nothing on.
+    rng = np.random.default_rng(2)
+    n = 40_000
+    rows = rng.permutation(n).reshape(200, -1)
+    pairs = np.sort(np.stack((rows[:, :-1], rows[:, 1:]), axis=-1).reshape(-1, 2), axis=1)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    inverse_mass = np.where(rng.random(n) < 0.01, 0.0, 1.0)
+    acceleration = rng.standard_normal((n, 3)) * (inverse_mass > 0.0)[:, None]
+    moving = pairs[np.all(inverse_mass[pairs] > 0.0, axis=1)]
+    graph = coo_array((np.ones(len(moving)), (moving[:, 0], moving[:, 1])), shape=(n, n))
+    pile = connected_components(graph, directed=False)[1]
+    squares = acceleration[:, 0] ** 2 + acceleration[:, 1] ** 2 + acceleration[:, 2] ** 2
+    largest = np.zeros(pile.max() + 1)
+    np.maximum.at(largest, pile, squares)
+    mover = np.where(inverse_mass[pairs[:, 0]] > 0.0, pairs[:, 0], pairs[:, 1])
+    expected = 2.0 * np.sqrt(largest[pile[mover]]) * 0.1
+    for threads in (1, 2, 4):
+        assert np.array_equal(rest_speeds(pairs, acceleration, inverse_mass, NO_FIELD, 0.1, Team(threads)), expected)
 
 
 def test_an_impact_keeps_its_bounce_beside_a_heavy_pile_far_away() -> None:

@@ -10,9 +10,12 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.grid import Grid
 from carom.physics.contact.load import IMPULSE
+from carom.physics.contact.search import PlaneSearch
 from carom.physics.contact.workbench import SHARED_FROM
+from carom.physics.space import Space
 from carom.physics.team import Team
-from examples import bench_of, random_bodies
+from carom.scene.halfspace import HalfSpaces
+from examples import bench_of, random_bodies, scene_of
 
 FloatArray = NDArray[np.float64]
 
@@ -55,6 +58,49 @@ def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
     assert len(alone) > 3 * n
     for threads in (2, 4):
         assert np.array_equal(Grid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
+
+
+def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
+    # Blocks of bodies without a contact among them, and fixed bodies, which touch neither each other nor a plane.
+    rng = np.random.default_rng(6)
+    n = 40_000
+    position, fixed = rng.uniform(0.0, 60.0, (n, 3)), rng.random(n) < 0.1
+    position[5000:9000] += 1e3 * np.arange(1, 4001)[:, None]
+    planes = HalfSpaces(["floor", "wall"], np.eye(3)[[2, 0]], np.array([0.5, 0.0]), np.zeros((2, 3)))
+    pairs = Grid(np.ones(n), np.zeros(3)).pairs(position)
+    found = [
+        PlaneSearch(np.ones(n), np.where(fixed, 0.0, 1.0), planes, Team(threads)).merged(pairs, position, 1.0, 0.0)
+        for threads in (1, 2, 4)
+    ]
+    kept = pairs[~np.all(fixed[pairs], axis=1)]
+    heights = position @ planes.normal.T - planes.offset
+    expected = [tuple(pair) for pair in kept] + [(i, n + k) for i, k in np.argwhere(heights <= 1.0) if not fixed[i]]
+    assert [tuple(pair) for pair in found[0]] == sorted(expected)
+    for many in found[1:]:
+        assert np.array_equal(found[0], many)
+
+
+def test_any_number_of_threads_takes_a_bed_to_the_same_bits() -> None:
+    # Columns and rows of spheres that touch, on a floor, in a field that leans: enough contacts that all is shared out.
+    site = np.stack(np.meshgrid(np.arange(40), np.arange(30), np.arange(6), indexing="ij"), axis=-1).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    position = rng.permutation(site * [2.0, 2.3, 2.0] + [0.0, 0.0, 1.0])
+    velocity = rng.standard_normal(position.shape) * 1e-3
+    bodies = [
+        {"position": list(x), "velocity": list(v), "radius": 1.0} for x, v in zip(position, velocity, strict=True)
+    ]
+    gravity, time = {"constant": 0.0, "uniform": [0.3, 0.1, -9.81]}, {"duration": 1.0, "fixed_dt": 0.002}
+    scene = scene_of(bodies, gravity=gravity, time=time, plane=[{}])
+    told = []
+    for threads in (1, 2, 4):
+        space = Space(scene, threads)
+        for step in range(4):
+            space.compute_dynamics(step + 1)
+        graph = space.contacts
+        assert len(graph) > 10_000
+        shown = (graph.pairs.tobytes(), graph.normals.tobytes(), graph.colours.tobytes())
+        told.append((space.fingerprint(), space.ledger, space.moments, shown))
+    assert told[0] == told[1] == told[2]
 
 
 @pytest.mark.parametrize("count", [0, 1, 19, 20, 1003])

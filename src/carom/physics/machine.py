@@ -56,6 +56,28 @@ def atomic_add(typing: Any, words: Any, word: Any, value: Any) -> Any:
 
 
 @instruction
+def atomic_max(typing: Any, words: Any, word: Any, value: Any) -> Any:
+    """Raise a word of an (n,) int64 array to a value, if it is below."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.atomic_rmw("max", _address(context, builder, signature, args[0], args[1:2]), args[2], "seq_cst")
+        return context.get_dummy_value()
+
+    return types.void(words, types.intp, types.int64), generate
+
+
+@instruction
+def atomic_replace(typing: Any, words: Any, word: Any, expected: Any, value: Any) -> Any:
+    """Write a word of an (n,) int64 array if it is as expected; tell whether it was."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address = _address(context, builder, signature, args[0], args[1:2])
+        return builder.extract_value(builder.cmpxchg(address, args[2], args[3], "seq_cst", "seq_cst"), 1)
+
+    return types.boolean(words, types.intp, types.int64, types.int64), generate
+
+
+@instruction
 def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
     """Fetch the cache line of an element of a (k, l) array, which will be written to."""
 

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from carom.physics.bodies import Bodies
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.contact.sighting import Sighting
+from carom.physics.contact.tally import Tally
 from carom.physics.energy import Energy
 from carom.physics.event import Event
-from carom.physics.kernel import kernel
 from carom.physics.momentum import Momentum
 from carom.physics.names import Names
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,19 +44,14 @@ class Moments:
     impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
     lowest_energy: float = float("inf")  # J
 
-    def see_contacts(self, step: int, time: float, sighting: Sighting, bodies: Bodies) -> float:
-        """Take note of a step's contacts; return the energy of those that were impacts, Σ ½ μ v_n² in joules."""
-        graph, ends, seen = sighting.graph, bodies.ends, np.empty(5)
-        approach, rest_speed = sighting.approach, sighting.rest_speed
-        _extremes(graph.pairs, graph.overlaps, approach, rest_speed, ends.inverse_mass, ends.radius, seen)
-        hardest, energy, deepest, depth, struck = seen.tolist()
-        self.impact = _larger(self.impact, energy, int(hardest), step, time, graph)
-        self.overlap = _larger(self.overlap, depth, int(deepest), step, time, graph)
-        if self.contacts is None or len(graph) > self.contacts.value:
-            self.contacts = Moment(float(len(graph)), step, time)
-        self.total_contacts += len(graph)
-        self.impacts += sighting.impacts
-        return float(struck)
+    def see_contacts(self, step: int, time: float, tally: Tally) -> None:
+        """Take note of a step's contacts."""
+        self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
+        self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)
+        if self.contacts is None or tally.contacts > self.contacts.value:
+            self.contacts = Moment(float(tally.contacts), step, time)
+        self.total_contacts += tally.contacts
+        self.impacts += tally.impacts
 
     def highlights(self, names: Names) -> tuple[Event, ...]:
         """Put the extremes of contacts and energy into words, in order of time."""
@@ -105,34 +92,5 @@ def _worse(known: Moment | None, value: float, step: int, time: float) -> Moment
     return known if known is not None and value <= known.value else Moment(value, step, time)
 
 
-def _larger(
-    known: Moment | None, value: float, worst: int, step: int, time: float, graph: CollisionGraph
-) -> Moment | None:
-    if len(graph) == 0 or (known is not None and value <= known.value):
-        return known
-    return Moment(value, step, time, tuple(int(body) for body in graph.pairs[worst]))
-
-
-@kernel
-def _extremes(
-    pairs: NDArray[np.int64],
-    overlaps: FloatArray,
-    approach: FloatArray,
-    rest_speed: FloatArray,
-    inverse_mass: FloatArray,
-    radius: FloatArray,
-    seen: FloatArray,
-) -> None:
-    """Write the hardest contact and its ½ μ v_n² in J, the deepest and its depth, and Σ ½ μ v_n² of the impacts."""
-    for k in range(5):
-        seen[k] = 0.0
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        energy = 0.5 * approach[c] * approach[c] / (inverse_mass[i] + inverse_mass[j])
-        depth = overlaps[c] / min(radius[i], radius[j])
-        if energy > seen[1]:
-            seen[0], seen[1] = c, energy
-        if depth > seen[3]:
-            seen[2], seen[3] = c, depth
-        if approach[c] > rest_speed[c]:
-            seen[4] += energy
+def _larger(known: Moment | None, value: float, pair: tuple[int, int], step: int, time: float) -> Moment:
+    return known if known is not None and value <= known.value else Moment(value, step, time, pair)

@@ -82,7 +82,6 @@ class Space:
         self.dt_limit = "start"
         self.moments = Moments()
         self.profile = Profile()
-        self.contacts: CollisionGraph = empty_graph()
         self._field = np.array(scene.gravity.uniform)
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
         self._fixed = np.flatnonzero(start.fixed)
@@ -104,6 +103,11 @@ class Space:
     def box(self) -> FloatArray | None:
         """Size of the periodic domain, (3,) m, or None in open space."""
         return self._box if self._box[0] > 0.0 else None
+
+    @property
+    def contacts(self) -> CollisionGraph:
+        """The contacts of the last step; put together when somebody looks."""
+        return self._contact.seen.graph if self._contact else empty_graph()
 
     @property
     def first_dt(self) -> float:
@@ -187,7 +191,6 @@ class Space:
         self.step, self.time = checkpoint.step, checkpoint.time
         self.dt, self.dt_limit = 0.0, "start"
         self._timestep.previous = checkpoint.previous_dt
-        self.contacts = empty_graph()
         if self._contact:
             self._contact.recall(checkpoint.contacts)
             self._contact.warned = set(books.limits)
@@ -394,28 +397,26 @@ class Space:
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""
         contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
-        self.contacts = contact.seen.graph
-        struck = 0.0
         if len(contact.held):
             self._accounts.book(contact.held)
-        if len(self.contacts):
+        if contact.tally.contacts:
             if self.moments.contacts is None:
                 i, j = self.contacts.pairs[self.contacts.first]
                 names = Names(self.names, self.planes.name)
                 self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
-            struck = self._see_contacts(contact, self.moments)
+            self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():
                 self._log("WARN", text)
-        self._phase.see(len(self.contacts), struck, self._accounts.energy.scale)
+        self._phase.see(contact.tally.contacts, contact.tally.struck, self._accounts.energy.scale)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
             contact.turn(self.dt)
             self.profile.mark("torque")
 
-    def _see_contacts(self, contact: ContactStage, moments: Moments) -> float:
-        """Book the contacts of the step; return the energy of the impacts among them, in J."""
-        self._accounts.book(contact.work)
-        return moments.see_contacts(self.step, self.time, contact.seen, self.state)
+    def _see_contacts(self, contact: ContactStage, moments: Moments) -> None:
+        """Book the contacts of the step."""
+        self._accounts.book(contact.tally.work)
+        moments.see_contacts(self.step, self.time, contact.tally)
 
     def _take_stock(self, potential: float, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
@@ -449,7 +450,6 @@ class Space:
         potential = self._accelerate(potential=True)
         if self.requirements.adaptive_step.modelled:
             self._timestep.previous = self._timestep.target(state)[0]
-        self.contacts = empty_graph()
         if self._contact:
             self._contact.forget()
             self._see_contacts(self._contact, Moments())  # none: loads the kernels

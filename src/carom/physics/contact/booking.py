@@ -26,17 +26,20 @@ IntArray = NDArray[np.int64]
 def book(
     lo: int,
     hi: int,
+    piece: int,
     pairs: IntArray,
     C: FloatArray,
     cold: FloatArray,
     a: FloatArray,
     V: FloatArray,
+    found: FloatArray,
     flags: IntArray,
     numbers: FloatArray,
 ) -> None:
-    """Write into the ledger what the impulses of a piece did."""
+    """Write into the ledger what the impulses of a piece did, and the sums over the piece."""
     spins = flags[SPINS] != 0
     kick = numbers[KICK] if numbers[DRIFT] > 0.0 else 0.0
+    bounced, rubbed, injected = 0.0, 0.0, 0.0
     last = len(pairs) - 1
     for c in range(lo, hi):
         ahead = min(last, c + AHEAD)
@@ -52,10 +55,13 @@ def book(
         kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
         kn = kx * nx + ky * ny + kz * nz
         if C[c, 7] < 0.0:  # the bias made it leave; without the bias it would have stayed
-            cold[c, LEDGER + RESTITUTION] -= Jn * (0.5 * cold[c, BEFORE] - kn)
+            lost = -Jn * (0.5 * cold[c, BEFORE] - kn)
             cold[c, LEDGER + STABILISATION] += 0.5 * Jn * vn
+            injected += 0.5 * Jn * vn
         else:
-            cold[c, LEDGER + RESTITUTION] -= Jn * (0.5 * (cold[c, BEFORE] + vn) - kn)
+            lost = -Jn * (0.5 * (cold[c, BEFORE] + vn) - kn)
+        cold[c, LEDGER + RESTITUTION] += lost
+        bounced += lost
         if not spins:
             continue
         ri, rj = C[c, 3], C[c, 4]
@@ -63,8 +69,11 @@ def book(
         ux = ux - vn * nx - (wy * nz - wz * ny)
         uy = uy - vn * ny - (wz * nx - wx * nz)
         uz = uz - vn * nz - (wx * ny - wy * nx)
-        cold[c, LEDGER + FRICTION] -= (
+        lost = -(
             C[c, 9] * (0.5 * (cold[c, BEFORE + 1] + ux) - (kx - kn * nx))
             + C[c, 10] * (0.5 * (cold[c, BEFORE + 2] + uy) - (ky - kn * ny))
             + C[c, 11] * (0.5 * (cold[c, BEFORE + 3] + uz) - (kz - kn * nz))
         )
+        cold[c, LEDGER + FRICTION] += lost
+        rubbed += lost
+    found[piece, RESTITUTION], found[piece, FRICTION], found[piece, STABILISATION] = bounced, rubbed, injected

@@ -192,7 +192,7 @@ def _do(load: Load, k: int) -> None:
             else:
                 relax(lo, hi, k, pairs, C, V, law, found, flags, numbers, ())
         elif phase == BOOK:
-            book(lo, hi, pairs, C, cold, load.acceleration, V, flags, numbers)
+            book(lo, hi, k, pairs, C, cold, load.acceleration, V, found, flags, numbers)
 
 
 @kernel

@@ -124,6 +124,19 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
 
 
 @kernel
+def first_of(body: int, pairs: IntArray) -> int:
+    """Return which of sorted pairs is the first of this body, or of a later one, with another."""
+    first, end = 0, len(pairs)
+    while first < end:
+        middle = (first + end) // 2
+        if pairs[middle, 0] < body:
+            first = middle + 1
+        else:
+            end = middle
+    return first
+
+
+@kernel
 def _colour_contacts(
     pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
 ) -> None:

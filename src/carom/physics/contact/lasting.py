@@ -35,11 +35,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.graph import first_of
 from carom.physics.contact.load import HOT, IMPULSE
-from carom.physics.kernel import kernel
+from carom.physics.kernel import long_kernel
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+SOME = 5000  # contacts that are worth a part of their own
 
 
 @dataclass(slots=True)
@@ -69,7 +73,7 @@ class Hold:
         carried: FloatArray = self.hot[self.place, IMPULSE : IMPULSE + 4]
         return carried
 
-    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, hot: FloatArray) -> None:
+    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, hot: FloatArray, team: Team) -> None:
         """Write what contacts that were there before carried, for a kick of another length; 0 for new ones.
 
         Parameters
@@ -79,16 +83,21 @@ class Hold:
         kick
             s
         hot
-            (m, 16), see `Load`; may be the very array in which the impulses stood before.
+            (m, 16), see `Load`; may be the very array in which the impulses stood before, of the same contacts.
+        team
+            Who looks for them.
         """
         if self.kick > 0.0 and kick > 0.0:
-            _carry(self.pairs, self.place, self.hot, kick / self.kick, pairs, place, hot)
+            before = (self.pairs, self.place, self.hot, kick / self.kick)
+            team.divide(len(pairs), SOME, _carry, *before, pairs, place, hot)
         else:
             hot[:, IMPULSE : IMPULSE + 4] = 0.0
 
 
-@kernel
+@long_kernel
 def _carry(
+    lo: int,
+    hi: int,
     old_pairs: IntArray,
     old_place: IntArray,
     old: FloatArray,
@@ -98,8 +107,8 @@ def _carry(
     hot: FloatArray,
 ) -> None:
     """Find each pair among the old ones, both sorted; turn its tangential impulse into the new tangential plane."""
-    k = 0
-    for c in range(len(pairs)):
+    k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
+    for c in range(lo, hi):
         i, j = pairs[c, 0], pairs[c, 1]
         while k < len(old_pairs) and (old_pairs[k, 0] < i or (old_pairs[k, 0] == i and old_pairs[k, 1] < j)):
             k += 1

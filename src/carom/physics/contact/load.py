@@ -28,7 +28,8 @@ BLOCK = 1024  # bodies of a piece of work
 PUSH, STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO = range(8)  # phases: what is done with each piece
 PHASE, FIRST, SWEEP, SPINS, IMPACTS_ONLY = range(5)  # which one, with which piece it began, after how many sweeps
 DT, DRIFT, KICK, BIAS, ALPHA = range(5)
-CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts
+CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts by a sweep
+FASTEST, RESTING = 1, 2  # by the first one over impacts; in the end the sums of the columns of the ledger
 
 
 CACHE_LINE = 64  # bytes

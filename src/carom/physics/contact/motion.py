@@ -8,22 +8,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.kernel import long_kernel
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SOME = 20_000  # contacts that are worth a part of their own
 
-def those_that_touch(pairs: IntArray, ends: int) -> IntArray:
+
+def those_that_touch(pairs: IntArray, ends: int, team: Team) -> IntArray:
     """Return the bodies and planes, out of so many, that are in a pair, in rising order."""
     touches = np.zeros(ends, dtype=np.bool_)
-    _mark(pairs, touches)
+    team.divide(len(pairs), SOME, _mark, pairs, touches)
     return np.flatnonzero(touches)
 
 
-@kernel
-def _mark(pairs: IntArray, touches: NDArray[np.bool_]) -> None:
-    for c in range(len(pairs)):
+@long_kernel
+def _mark(lo: int, hi: int, pairs: IntArray, touches: NDArray[np.bool_]) -> None:
+    for c in range(lo, hi):
         touches[pairs[c, 0]] = touches[pairs[c, 1]] = True
 
 

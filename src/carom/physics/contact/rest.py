@@ -12,40 +12,79 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.contact.load import REST
+from carom.physics.kernel import kernel, long_kernel
+from carom.physics.machine import atomic_load, atomic_max, atomic_replace
+from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+SOME = 5000  # bodies or contacts that are worth a part of their own
+UNLIKE, PRESSES = range(2)  # what was found of all contacts
 
-def rest_speeds(
-    pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, field: FloatArray, dt: float
-) -> FloatArray:
-    """Return the speed up to which each contact is at rest: 2 |a|max dt of its pile.
 
-    Two bodies that rest on each other close at most that fast at the end of a step that began without motion.
+class Piles:
+    """Finds the pile of each contact, and the speed up to which it is at rest there; keeps its tables.
+
+    Threads join piles at the same time: of two roots the higher one is hung below the lower one, so that the root of a
+    pile is the lowest of its bodies in the end, whoever came first.
 
     Parameters
     ----------
-    pairs
-        (m, 2) contacts.
-    acceleration
-        (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
-    inverse_mass
-        (n + p,) 1/kg; what does not move passes no load on.
-    field
-        (3,) m/s², as far as it pulls all alike.
-
-    Returns
-    -------
-    speeds
-        (m,) m/s.
+    ends
+        How many bodies and planes there are.
+    team
+        Who looks.
     """
-    n = len(acceleration)
-    speeds = np.empty(len(pairs))
-    parent, largest = np.empty(n, dtype=np.int64), np.empty(n)  # touched only where contacts are
-    _rest_speeds(pairs, acceleration, inverse_mass, field, dt, parent, largest, speeds)
-    return speeds
+
+    def __init__(self, ends: int, team: Team) -> None:
+        self._team = team
+        self._parent = np.empty(ends, dtype=np.int64)  # both are touched only where contacts are
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of a pile the largest in it
+
+    def write_rest_speeds(
+        self,
+        pairs: IntArray,
+        who: IntArray,
+        acceleration: FloatArray,
+        inverse_mass: FloatArray,
+        field: FloatArray,
+        dt: float,
+        cold: FloatArray,
+    ) -> bool:
+        """Write the speed up to which each contact is at rest, 2 |a|max dt of its pile, into its row.
+
+        Two bodies that rest on each other close at most that fast at the end of a step that began without motion.
+
+        Parameters
+        ----------
+        pairs
+            (m, 2) contacts.
+        who
+            (b,) bodies and planes that are in any.
+        acceleration
+            (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
+        inverse_mass
+            (n + p,) 1/kg; what does not move passes no load on.
+        field
+            (3,) m/s², as far as it pulls all alike.
+        cold
+            (m, 16), see `Load`; speeds in m/s.
+
+        Returns
+        -------
+        presses
+            Whether a speed is not 0.
+        """
+        team, parent, largest = self._team, self._parent, self._largest
+        found = np.zeros(2, dtype=np.bool_)
+        team.divide(len(who), SOME, _stand_alone, who, acceleration, inverse_mass, field, parent, largest, found)
+        if found[UNLIKE]:
+            team.divide(len(pairs), SOME, _join, pairs, inverse_mass, parent)
+            team.divide(len(who), SOME, _load, who, parent, largest.view(np.int64))
+        team.divide(len(pairs), SOME, _write_speeds, pairs, inverse_mass, parent, largest, dt, cold, found)
+        return bool(found[PRESSES])
 
 
 @kernel
@@ -126,35 +165,80 @@ def _root(parent: IntArray, i: int) -> int:
     return i
 
 
-@kernel
-def _rest_speeds(
-    pairs: IntArray,
+@long_kernel
+def _stand_alone(
+    lo: int,
+    hi: int,
+    who: IntArray,
     acceleration: FloatArray,
     inverse_mass: FloatArray,
     field: FloatArray,
-    dt: float,
     parent: IntArray,
     largest: FloatArray,
-    speeds: FloatArray,
+    found: NDArray[np.bool_],
 ) -> None:
-    for c in range(len(pairs)):
-        for end in range(2):
-            parent[pairs[c, end]], largest[pairs[c, end]] = pairs[c, end], 0.0
-    for c in range(len(pairs)):
-        if inverse_mass[pairs[c, 0]] > 0.0 and inverse_mass[pairs[c, 1]] > 0.0:
-            i, j = _root(parent, pairs[c, 0]), _root(parent, pairs[c, 1])
-            parent[max(i, j)] = min(i, j)
-    for c in range(len(pairs)):
-        for end in range(2):
-            i = pairs[c, end]
-            if inverse_mass[i] == 0.0:
-                continue
-            pile = _root(parent, i)
-            a2 = 0.0
-            for k in range(3):
-                a = acceleration[i, k] - field[k]
-                a2 += a * a
-            largest[pile] = max(largest[pile], a2)
-    for c in range(len(pairs)):
+    """Begin with each body as a pile of its own; tell whether one is accelerated unlike the first: all may fall."""
+    first = -1.0
+    for k in range(len(who)):
+        if inverse_mass[who[k]] > 0.0:
+            first = _square(acceleration, field, who[k])
+            break
+    for k in range(lo, hi):
+        i = who[k]
+        parent[i], largest[i] = i, 0.0
+        if inverse_mass[i] > 0.0:
+            largest[i] = _square(acceleration, field, i)
+            if largest[i] != first:
+                found[UNLIKE] = True
+
+
+@long_kernel
+def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
+    """Join the piles at the ends of each contact."""
+    for c in range(lo, hi):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
+            continue
+        i, j = _root(parent, i), _root(parent, j)
+        while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
+            i, j = _root(parent, i), _root(parent, j)  # another thread has hung one of them elsewhere
+
+
+@long_kernel
+def _load(lo: int, hi: int, who: IntArray, parent: IntArray, largest: IntArray) -> None:
+    """Let the lowest of each pile know the largest |a|²; of numbers that are not negative, bits are in their order."""
+    for k in range(lo, hi):
+        i = who[k]
+        pile = _root(parent, i)
+        if largest[i] > atomic_load(largest, pile):
+            atomic_max(largest, pile, largest[i])
+
+
+@long_kernel
+def _write_speeds(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    inverse_mass: FloatArray,
+    parent: IntArray,
+    largest: FloatArray,
+    dt: float,
+    cold: FloatArray,
+    found: NDArray[np.bool_],
+) -> None:
+    presses = False
+    for c in range(lo, hi):
         mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
-        speeds[c] = 2.0 * np.sqrt(largest[_root(parent, mover)]) * dt
+        cold[c, REST] = 2.0 * np.sqrt(largest[_root(parent, mover)]) * dt
+        presses = presses or cold[c, REST] > 0.0
+    if presses:
+        found[PRESSES] = True
+
+
+@kernel
+def _square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
+    a2 = 0.0
+    for k in range(3):
+        a = acceleration[i, k] - field[k]
+        a2 += a * a
+    return a2

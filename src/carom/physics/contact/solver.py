@@ -26,18 +26,20 @@ from carom.physics.contact.load import (
     APPROACH,
     BIAS,
     CHANGE,
+    FASTEST,
     FOUND,
     FRICTION,
     IMPACTS_ONLY,
     LEDGER,
     OVERLAP,
     REST,
+    RESTING,
     RESTITUTION,
     SPINS,
     STABILISATION,
     SWEEP,
 )
-from carom.physics.kernel import kernel
+from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
@@ -61,7 +63,9 @@ def strike(
     flags: IntArray,
     numbers: FloatArray,
 ) -> None:
-    """Resolve a piece, once; note the largest change of a velocity, and in the first sweep the approach.
+    """Resolve a piece, once; note the largest change of a velocity.
+
+    In the first sweep note the approach, too, the fastest one, and whether a contact is at rest.
 
     ``C`` are the contacts' hot columns and ``V`` the bodies' motion, see `Load`.
     """
@@ -69,7 +73,7 @@ def strike(
     bias_rate = numbers[BIAS]
     bodies = len(V) - (len(law) - 1)
     last = len(pairs) - 1
-    largest_change = 0.0
+    largest_change, fastest, resting = 0.0, 0.0, False
     for c in range(lo, hi):
         prefetch(V, pairs[min(last, c + AHEAD), 0], 0)
         prefetch(V, pairs[min(last, c + AHEAD), 1], 0)
@@ -77,9 +81,10 @@ def strike(
         nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
         vx, vy, vz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
         vn = vx * nx + vy * ny + vz * nz
+        rests = -vn <= cold[c, REST]
         if first:
             cold[c, APPROACH] = max(0.0, -vn)
-        rests = -vn <= cold[c, REST]
+            fastest, resting = max(fastest, -vn), resting or rests
         if impacts_only and (
             rests or (cold[c, OVERLAP] < 0.0 and cold[c, APART] > 0.0)
         ):  # where contacts last, one across a gap has time
@@ -140,18 +145,26 @@ def strike(
             V[j, 1] += Jy * mj
             V[j, 2] += Jz * mj
     found[piece, CHANGE] = largest_change
+    if first:
+        found[piece, FASTEST], found[piece, RESTING] = fastest, resting
 
 
-@kernel
-def still_closing(pairs: IntArray, C: FloatArray, cold: FloatArray, v: FloatArray) -> bool:
-    """Tell whether a contact closes faster than one at rest after the sweeps: there were too few of them."""
-    largest = 0.0
-    for c in range(len(pairs)):
-        largest = max(largest, cold[c, APPROACH])
-    for c in range(len(pairs)):
+@long_kernel
+def look_for_closing(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    C: FloatArray,
+    cold: FloatArray,
+    v: FloatArray,
+    negligible: float,
+    closing: NDArray[np.bool_],
+) -> None:
+    """Say so if one of the contacts [lo, hi) closes faster than one at rest, and than a negligible speed, in m/s."""
+    for c in range(lo, hi):
         vn = 0.0
         for k in range(3):
             vn += (v[pairs[c, 1], k] - v[pairs[c, 0], k]) * C[c, k]
-        if -vn > max(cold[c, REST], CONVERGED * largest):
-            return True
-    return False
+        if -vn > max(cold[c, REST], negligible):
+            closing[0] = True
+            return

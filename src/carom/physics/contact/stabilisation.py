@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST, STABILISATION
-from carom.physics.kernel import kernel
-from carom.physics.machine import AHEAD, prefetch
+from carom.physics.kernel import kernel, long_kernel
+from carom.physics.machine import AHEAD, atomic_add, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -34,19 +34,22 @@ ROW = 2.0  # contacts of each body in a row
 ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another sweep
 
 
-@kernel
-def parts_undone(pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
+@long_kernel
+def count_crowds(lo: int, hi: int, pairs: IntArray, crowd: IntArray) -> None:
+    """Add to the number of contacts of each body or plane."""
+    for c in range(lo, hi):
+        atomic_add(crowd, pairs[c, 0], 1)
+        atomic_add(crowd, pairs[c, 1], 1)
+
+
+@long_kernel
+def parts_undone(lo: int, hi: int, pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
     """Find the part of an overlap that a sweep undoes: the less the more contacts both of its ends have.
 
     A row or a ring is put right by whole overlaps. In a crowd these throw each body into the next, so that a pile that
     has been pressed together never finds rest: no contact is the same in two steps, and no impulse is remembered.
     """
-    for c in range(len(pairs)):
-        crowd[pairs[c, 0]] = crowd[pairs[c, 1]] = 0
-    for c in range(len(pairs)):
-        crowd[pairs[c, 0]] += 1
-        crowd[pairs[c, 1]] += 1
-    for c in range(len(pairs)):
+    for c in range(lo, hi):
         cold[c, PART] = min(1.0, ROW / min(crowd[pairs[c, 0]], crowd[pairs[c, 1]]))
 
 
@@ -134,10 +137,12 @@ def push(
     found[piece, CHANGE] = again
 
 
-@kernel
-def work_of_pushes(pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, cold: FloatArray) -> None:
+@long_kernel
+def work_of_pushes(
+    lo: int, hi: int, pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, cold: FloatArray
+) -> None:
     """Book the potential energy that pushes moved, -μ (a_j - a_i)·Σ δ n, into the ledger in J."""
-    for c in range(len(pairs)):
+    for c in range(lo, hi):
         i, j = pairs[c, 0], pairs[c, 1]
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
         work = 0.0

@@ -14,23 +14,17 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.flight import NO_IMPACTS, Flight, Impacts
-from carom.physics.contact.graph import (
-    OVERFLOW,
-    CollisionGraph,
-    colour_bodies,
-    colour_contacts,
-    empty_graph,
-)
+from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.impact import MOST
 from carom.physics.contact.lasting import Hold
-from carom.physics.contact.load import OVERLAP
 from carom.physics.contact.memory import ContactMemory
-from carom.physics.contact.rest import largest_coordinate, largest_square, rest_speeds
+from carom.physics.contact.rest import largest_coordinate, largest_square
 from carom.physics.contact.search import PlaneSearch, search_by
 from carom.physics.contact.sighting import NOTHING, Sighting
 from carom.physics.contact.stabilisation import BAUMGARTE
-from carom.physics.contact.stages import stages_of
-from carom.physics.contact.workbench import Workbench
+from carom.physics.contact.stages import Stages, stages_of
+from carom.physics.contact.tally import NONE
+from carom.physics.contact.workbench import TOUCHING, Workbench
 from carom.physics.error import PhysicsError
 from carom.physics.kernel import long_kernel
 from carom.physics.profile import Profile
@@ -42,7 +36,6 @@ from carom.scene.schema import Contact
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
 ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
 SOME = 5000  # bodies that are worth a part of their own
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
@@ -85,7 +78,7 @@ class ContactStage:
         self._team = team
         self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
-        self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes)
+        self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
         self._pushes = contact.stabilisation == "split"
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
@@ -97,6 +90,9 @@ class ContactStage:
         self.warned: set[str] = set()  # limits reached and told so far
         self._bench = Workbench(bodies, planes, law, box, requirements.friction.modelled, team)
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
+        self._pairs = empty_graph().pairs  # the contacts of the step, sorted
+        self._body_colours: IntArray | None = None
+        self._stages = self._colour()
         self._flight = None
         if requirements.impact_time.modelled:
             flight = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
@@ -109,9 +105,10 @@ class ContactStage:
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
-        self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of each contact in the first kick
+        self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
-        self.seen: Sighting = NOTHING  # what others see of the step
+        self.tally = NONE  # of the contacts of the step
+        self._seen: Sighting | None = NOTHING  # what others see of them, once somebody has looked
 
     @property
     def memory(self) -> ContactMemory | None:
@@ -120,7 +117,7 @@ class ContactStage:
             return None
         hold, bench = self._hold, self._bench
         return ContactMemory(
-            pairs=self._graph.pairs,
+            pairs=self._pairs,
             rest_speed=bench.rest_speed[bench.stages.place],
             dt=self._dt,
             held_pairs=hold.pairs,
@@ -136,8 +133,8 @@ class ContactStage:
                 raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
             self._order_contacts(memory.pairs, memory.dt)
             self._bench.rest_speed[self._bench.stages.place] = memory.rest_speed
+            self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
             self._hold = Hold.of(memory.held_pairs, memory.impulse, memory.kick)
-            self._show(np.zeros(len(memory.pairs), dtype=np.bool_))
 
     def begin(self, dt: float) -> None:
         """Find what touches at the start of a run, so that it lasts from the first step on, of about dt."""
@@ -150,10 +147,8 @@ class ContactStage:
             self._spin[:] = self._bodies.angular_velocity
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
-            ledger = self._bench.ledger
-            ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0)
-            self.held = ledger.sum(axis=0, keepdims=True)
+            self.held = self._bench.booked
 
     def drift(self, kick: float, dt: float) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way."""
@@ -164,7 +159,7 @@ class ContactStage:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
         pairs = self._near(dt)
         profile.mark("search")
-        if len(pairs) == 0 and len(self._graph) == 0:
+        if len(pairs) == 0 and len(self._pairs) == 0:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
@@ -184,11 +179,15 @@ class ContactStage:
         profile
             Told where the time goes.
         """
-        if len(self._graph):
+        if len(self._pairs):
             self._resolve(dt, kick, profile)
         else:
             self._hold = Hold.empty()
-        self.seen = self._sighting(dt) if len(self.graph) or len(self.impacts) else NOTHING
+        self._seen = None
+        self.tally = self._bench.tally() if len(self._pairs) else NONE
+        if len(self.impacts):
+            self._seen = self._sighting(dt)
+            self.tally = self.tally.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
@@ -199,7 +198,7 @@ class ContactStage:
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
         reached = []
-        if self._contact.colouring == "contacts" and self._graph.colours.max(initial=0) == OVERFLOW:
+        if self._contact.colouring == "contacts" and self._bench.stages.count > OVERFLOW:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
@@ -235,27 +234,23 @@ class ContactStage:
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Take contacts, with nothing done to them yet."""
-        bodies, ends, bench = self._bodies, self._bodies.ends, self._bench
-        body_colours = None
-        if self._contact.colouring == "bodies":
-            colours, body_colours = colour_bodies(pairs, len(bodies))
-        else:
-            colours = colour_contacts(pairs, ends.inverse_mass)
-        bench.lay(stages_of(pairs, colours, independent=body_colours is None), self._hold.hot)
-        place = bench.stages.place
-        if self._needs.resting.modelled:
-            bench.rest_speed[:] = rest_speeds(bench.stages.pairs, ends.acceleration, ends.inverse_mass, self._field, dt)
-        normals, overlaps = np.empty((len(pairs), 3)), np.empty(len(pairs))
-        self._apart = np.empty(len(pairs), dtype=np.bool_)  # by place: only near, not touching
-        described = (place, bench.hot, bench.cold, self._rounding, normals, overlaps, self._apart)
-        self._team.divide(len(place), SOME, _describe, *described)
-        # what touched when found is resolved though a push opens it, or it falls and is pushed back for ever
-        bench.apart[:] = self._apart
-        self._graph = CollisionGraph(pairs, normals, overlaps, colours, body_colours)
+        if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and so their order
+            self._pairs = pairs
+            self._stages = self._colour()
+        self._bench.lay(self._stages, self._hold.hot, self._rounding)
+        self._presses = self._needs.resting.modelled and self._bench.find_rest_speeds(self._field, dt)
         self._dt = dt  # s, the step that they are for
         self.sweeps = 0
         self._too_few_sweeps = False
-        self._show(slice(None))
+
+    def _colour(self) -> Stages:
+        """Colour the contacts; return the stages in which they are resolved."""
+        self._body_colours = None
+        if self._contact.colouring == "bodies":
+            self._colours, self._body_colours = colour_bodies(self._pairs, len(self._bodies))
+        else:
+            self._colours = colour_contacts(self._pairs, self._bodies.ends.inverse_mass)
+        return stages_of(self._pairs, self._colours, independent=self._body_colours is None)
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
         contact, bench = self._contact, self._bench
@@ -266,61 +261,51 @@ class ContactStage:
         lasting = self._is_at_rest()
         self.sweeps = bench.resolve_impacts(bias_rate, contact.sweeps, impacts_only=lasting)
         profile.mark("response")
-        seen = ~self._apart
-        if lasting and np.any(bench.approach <= bench.rest_speed):
+        if lasting and bench.any_rests:
             held = self._hold_contacts(dt, kick, 0.0, bias_rate)
             self.sweeps = max(self.sweeps, held)
-            seen |= bench.pressing
             profile.mark("resting")
         else:
             self._hold = Hold.empty()
-        self._show(slice(None) if seen.all() else seen[bench.stages.place])
         if self.sweeps == contact.sweeps:
             self._too_few_sweeps = bench.is_closing()
         profile.mark("response")
 
     def _is_at_rest(self) -> bool:
         """Tell whether something presses the contacts together: without that, all of them are impacts."""
-        return self._lasts and len(self._graph) > 0 and float(self._bench.rest_speed.max()) > 0.0
+        return self._lasts and self._presses
 
     def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float) -> int:
         """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
-        bench, pairs = self._bench, self._graph.pairs
+        bench, pairs = self._bench, self._pairs
         place = bench.stages.place
-        self._hold.carry_to(pairs, place, kick, bench.hot)
+        self._hold.carry_to(pairs, place, kick, bench.hot, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
             self._hold = Hold(pairs, place, bench.hot, kick)
         return bench.hold(dt, kick, drift, bias_rate, self._contact.sweeps)
 
-    def _show(self, which: slice | NDArray[np.bool_]) -> None:
-        """Let those contacts be seen that touch or carry an impulse, not those that are merely near."""
-        graph = self._graph
-        if not isinstance(which, slice):
-            graph = CollisionGraph(
-                graph.pairs[which],
-                graph.normals[which],
-                graph.overlaps[which],
-                graph.colours[which],
-                graph.body_colours,
-            )
-        self.graph: CollisionGraph = graph
-        self._shown = self._bench.stages.place[which]
-
-    def _sighting(self, dt: float) -> Sighting:
-        bench, shown = self._bench, self._shown
-        late = Sighting.of(self.graph, bench.approach[shown], bench.rest_speed[shown])
-        return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
+    @property
+    def seen(self) -> Sighting:
+        """What others see of the step: contacts that touch or carry an impulse, not those that are merely near."""
+        if self._seen is None:
+            self._seen = self._sighting(self._dt)
+        return self._seen
 
     @property
     def contributions(self) -> FloatArray:
         """(m, 3) J, the ledger of each contact seen in this step."""
-        return self.seen.sums(self._bench.ledger[self._shown], self.impacts.ledger)
+        return self.seen.sums(self._bench.ledger[self._bench.stages.place[self._shown()]], self.impacts.ledger)
 
-    @property
-    def work(self) -> FloatArray:
-        """(k, 3) J, the ledger of each impact on the way, and of each contact at the end, seen or not."""
-        late = np.ascontiguousarray(self._bench.ledger)
-        return np.concatenate((self.impacts.ledger, late)) if len(self.impacts) else late
+    def _sighting(self, dt: float) -> Sighting:
+        bench, shown = self._bench, self._shown()
+        place = bench.stages.place[shown]
+        normals, overlaps = bench.found_normals[place], bench.found_overlaps[place]
+        graph = CollisionGraph(self._pairs[shown], normals, overlaps, self._colours[shown], self._body_colours)
+        late = Sighting.of(graph, bench.approach[place], bench.rest_speed[place])
+        return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
+
+    def _shown(self) -> NDArray[np.bool_]:
+        return self._bench.seen[self._bench.stages.place]
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
@@ -329,35 +314,13 @@ class ContactStage:
             self._bench.part(1)
         self._resolve(1.0, 1.0, Profile())
         self._bench.is_closing()
+        self._bench.tally()
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0)
         if self._needs.torque.modelled:
             self.turn(1.0)
         self.forget()
-
-
-@long_kernel
-def _describe(
-    lo: int,
-    hi: int,
-    place: IntArray,
-    hot: FloatArray,
-    cold: FloatArray,
-    rounding: float,
-    normals: FloatArray,
-    overlaps: FloatArray,
-    apart: NDArray[np.bool_],
-) -> None:
-    """Write normals and overlaps in the order of pairs, and at each place whether there is a gap that counts."""
-    for c in range(lo, hi):
-        p = place[c]
-        for k in range(3):
-            normals[c, k] = hot[p, k]
-        overlap = cold[p, OVERLAP]
-        overlaps[c] = max(0.0, overlap)
-        reach = hot[p, 3] + hot[p, 4] + overlap
-        apart[p] = overlap < -(TOUCHING * reach + rounding)
 
 
 @long_kernel

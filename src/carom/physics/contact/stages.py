@@ -29,6 +29,11 @@ class Stages:
     edges: IntArray  # (s + 1,) first piece of each stage, and k
     independent: int  # so many stages, from the first on, have no two contacts that share a body that moves
 
+    @property
+    def count(self) -> int:
+        """How many stages there are."""
+        return len(self.edges) - 1
+
 
 def stages_of(pairs: IntArray, colours: IntArray, independent: bool = True) -> Stages:
     """Order contacts by their colours.

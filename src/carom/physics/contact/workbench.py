@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +17,7 @@ from carom.physics.contact.load import (
     COLD,
     DRIFT,
     DT,
+    FASTEST,
     FOUND,
     HOT,
     IMPACTS_ONLY,
@@ -24,6 +27,7 @@ from carom.physics.contact.load import (
     MOTION,
     OVERLAP,
     REST,
+    RESTING,
     SPINS,
     Load,
     Room,
@@ -31,9 +35,11 @@ from carom.physics.contact.load import (
 )
 from carom.physics.contact.meeting import meet
 from carom.physics.contact.motion import pack, those_that_touch, unpack
-from carom.physics.contact.solver import still_closing
-from carom.physics.contact.stabilisation import parts_undone, work_of_pushes
-from carom.physics.contact.stages import Stages
+from carom.physics.contact.rest import Piles
+from carom.physics.contact.solver import CONVERGED, look_for_closing
+from carom.physics.contact.stabilisation import count_crowds, parts_undone, work_of_pushes
+from carom.physics.contact.stages import Stages, stages_of
+from carom.physics.contact.tally import Tally
 from carom.physics.kernel import long_kernel
 from carom.physics.team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
@@ -42,6 +48,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SOME = 3000  # contacts or bodies that are worth a part of their own
+TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
 SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
 
 
@@ -73,24 +80,31 @@ class Workbench:
         self._team = team
         self._hot = Room(HOT), Room(HOT)
         self._cold = Room(COLD)
+        self._normals = Room(3)
+        self._piles = Piles(len(bodies.ends.velocity), team)
+        self.stages = stages_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
+        self._who = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
+        self._fastest = 0.0  # m/s, at which a contact closed before the impulses
         self._motion = rows(len(bodies.ends.velocity), MOTION)
         self._flags = np.zeros(5, dtype=np.int64)
         self._flags[SPINS] = friction
         self._numbers = np.zeros(5)
 
-    def lay(self, stages: Stages, keep: FloatArray | None = None) -> None:
+    def lay(self, stages: Stages, keep: FloatArray | None = None, rounding: float = 0.0) -> None:
         """Lay out contacts, with nothing done to them yet, and find where they meet.
 
         Parameters
         ----------
         keep
             What `hot` was of an earlier step, if it is still wanted.
+        rounding
+            m, of the coordinates: a gap up to this is none.
         """
         m, bodies, ends, planes = len(stages.pairs), self._bodies, self._bodies.ends, self._planes
         room = self._hot[1] if keep is not None and self._hot[0].holds(keep) else self._hot[0]
         hot, cold = room.take(m), self._cold.take(m)
-        self._team.divide(m, SOME, _clear, hot, cold)
-        who = those_that_touch(stages.pairs, len(self._motion))
+        if stages is not self.stages:
+            self._who = those_that_touch(stages.pairs, len(self._motion), self._team)
         self.stages = stages
         self._load = Load(
             pairs=stages.pairs,
@@ -107,14 +121,14 @@ class Workbench:
             offset=planes.offset,
             motion=self._motion,
             law=self._law,
-            who=who,
+            who=self._who,
             found=np.empty((len(stages.pieces), 3)),
-            sums=np.empty((-(-len(who) // BLOCK), 2)),
+            sums=np.empty((-(-len(self._who) // BLOCK), 2)),
             flags=self._flags,
             numbers=self._numbers,
         )
-        self.meet()
-        self._load.cold[:, FOUND] = np.maximum(self.overlaps, 0.0)
+        self.found_normals = self._normals.take(m)
+        self._team.divide(m, SOME, _lay, *self._geometry(), rounding, self.found_normals)
 
     @property
     def hot(self) -> FloatArray:
@@ -152,9 +166,12 @@ class Workbench:
         return self._load.cold[:, APPROACH]
 
     @property
-    def apart(self) -> FloatArray:
-        """(m,) 1 where a contact was only near when it was found, else 0."""
-        return self._load.cold[:, APART]
+    def found_overlaps(self) -> FloatArray:
+        """(m,) m, as the contacts were found, before any push, like ``found_normals``, (m, 3); 0 where there is a gap.
+
+        What touched then is resolved though a push opens it, or it falls and is pushed back for ever.
+        """
+        return self._load.cold[:, FOUND]
 
     @property
     def ledger(self) -> FloatArray:
@@ -162,37 +179,44 @@ class Workbench:
         return self._load.cold[:, LEDGER : LEDGER + 3]
 
     @property
-    def pressing(self) -> NDArray[np.bool_]:
-        """(m,) whether each contact carried an impulse when it was last held."""
-        return self._load.hot[:, IMPULSE] > 0.0
+    def booked(self) -> FloatArray:
+        """(k, 3) J: what holding the contacts last booked into the ledger, in sums over pieces."""
+        return self._load.found
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(m,) whether each contact touched when it was found, or carried an impulse when it was last held."""
+        touches: NDArray[np.bool_] = self._load.cold[:, APART] == 0.0
+        return touches | (self._load.hot[:, IMPULSE] > 0.0)
+
+    def tally(self) -> Tally:
+        """Count the contacts that are seen, and what all of them did."""
+        return Tally.of(self._load.pairs, self._load.hot, self._load.cold, self._bodies.ends, self._team)
 
     def meet(self) -> None:
         """Find the geometry of the contacts at the present positions."""
-        bodies, planes, load = self._bodies, self._planes, self._load
-        self._team.divide(
-            len(load.pairs),
-            SOME,
-            meet,
-            load.pairs,
-            bodies.position,
-            bodies.radius,
-            self._box,
-            planes.normal,
-            planes.offset,
-            load.hot,
-            load.cold,
-        )
+        self._team.divide(len(self._load.pairs), SOME, meet, *self._geometry())
+
+    def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
+        """Find the speed up to which each contact is at rest, see `Piles`; tell whether one is not 0."""
+        ends, load = self._bodies.ends, self._load
+        accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
+        return self._piles.write_rest_speeds(load.pairs, load.who, *accelerated, load.cold)
 
     def part(self, most_sweeps: int) -> None:
         """Push contacts at rest apart, in sweeps, so many at most."""
         ends, load = self._bodies.ends, self._load
-        parts_undone(load.pairs, np.empty(len(ends.inverse_mass), dtype=np.int64), load.cold)
+        crowd = np.zeros(len(ends.inverse_mass), dtype=np.int64)
+        self._team.divide(len(load.pairs), SOME, count_crowds, load.pairs, crowd)
+        self._team.divide(len(load.pairs), SOME, parts_undone, load.pairs, crowd, load.cold)
         self._work(PUSHES, most_sweeps)
 
     def book_pushes(self) -> None:
         """Book the work of the pushes, at the accelerations that follow them."""
         ends, load = self._bodies.ends, self._load
-        work_of_pushes(load.pairs, ends.acceleration, ends.inverse_mass, load.cold)
+        self._team.divide(
+            len(load.pairs), SOME, work_of_pushes, load.pairs, ends.acceleration, ends.inverse_mass, load.cold
+        )
 
     def resolve_impacts(self, bias_rate: float, most_sweeps: int, impacts_only: bool) -> int:
         """Resolve what closes; return the number of sweeps.
@@ -208,7 +232,10 @@ class Workbench:
         """
         self._numbers[BIAS] = bias_rate
         self._flags[IMPACTS_ONLY] = impacts_only
-        return self._lead(IMPACTS, most_sweeps)
+        sweeps = self._lead(IMPACTS, most_sweeps)
+        found = self._load.found
+        self._fastest, self.any_rests = float(found[:, FASTEST].max(initial=0.0)), bool(found[:, RESTING].any())
+        return sweeps
 
     def hold(self, dt: float, kick: float, drift: float, bias_rate: float, most_sweeps: int) -> int:
         """Find the impulses of contacts at rest after a kick, beginning with those in ``hot``; return the sweeps.
@@ -228,8 +255,14 @@ class Workbench:
 
     def is_closing(self) -> bool:
         """Tell whether a contact closes faster than one at rest after the sweeps: there were too few of them."""
-        load = self._load
-        return still_closing(load.pairs, load.hot, load.cold, self._bodies.ends.velocity)
+        load, closing = self._load, np.zeros(1, dtype=np.bool_)
+        contacts = (load.pairs, load.hot, load.cold, self._bodies.ends.velocity)
+        self._team.divide(len(load.pairs), SOME, look_for_closing, *contacts, CONVERGED * self._fastest, closing)
+        return bool(closing[0])
+
+    def _geometry(self) -> tuple[NDArray[Any], ...]:
+        bodies, planes, load = self._bodies, self._planes, self._load
+        return load.pairs, bodies.position, bodies.radius, self._box, planes.normal, planes.offset, load.hot, load.cold
 
     def _lead(self, job: int, most_sweeps: int) -> int:
         """Do a job on the motion of those that touch; return the number of sweeps."""
@@ -249,9 +282,31 @@ class Workbench:
 
 
 @long_kernel
-def _clear(lo: int, hi: int, hot: FloatArray, cold: FloatArray) -> None:
+def _lay(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    x: FloatArray,
+    radius: FloatArray,
+    box: FloatArray,
+    surface: FloatArray,
+    offset: FloatArray,
+    hot: FloatArray,
+    cold: FloatArray,
+    rounding: float,
+    normals: FloatArray,
+) -> None:
+    """Clear the rows of the contacts [lo, hi), find where these meet, and note how they were found."""
     for c in range(lo, hi):
         for k in range(HOT):
             hot[c, k] = 0.0
         for k in range(COLD):
             cold[c, k] = 0.0
+    meet(lo, hi, pairs, x, radius, box, surface, offset, hot, cold)
+    for c in range(lo, hi):
+        for k in range(3):
+            normals[c, k] = hot[c, k]
+        overlap = cold[c, OVERLAP]
+        cold[c, FOUND] = max(0.0, overlap)
+        reach = hot[c, 3] + hot[c, 4] + overlap
+        cold[c, APART] = 1.0 if overlap < -(TOUCHING * reach + rounding) else 0.0
