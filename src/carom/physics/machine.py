@@ -78,6 +78,16 @@ def atomic_replace(typing: Any, words: Any, word: Any, expected: Any, value: Any
 
 
 @instruction
+def lowest_bit(typing: Any, word: Any) -> Any:
+    """Return which bit of a uint64 is the lowest that is set, or 64 if none is."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.cttz(args[0], ir.IntType(1)(0))
+
+    return types.int64(types.uint64), generate
+
+
+@instruction
 def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
     """Fetch the cache line of an element of a (k, l) array, which will be written to."""
 

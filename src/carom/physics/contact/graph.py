@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.kernel import kernel
+from carom.physics.machine import lowest_bit
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -140,20 +141,17 @@ def first_of(body: int, pairs: IntArray) -> int:
 def _colour_contacts(
     pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
 ) -> None:
-    one = np.uint64(1)
     for c in range(len(pairs)):
         used[pairs[c, 0]] = used[pairs[c, 1]] = np.uint64(0)
-    for k in range(-len(pairs), len(order)):  # first those that have a colour, then those that get one
+    given = len(pairs) - len(order)  # first those that have a colour, then those that get one
+    for k in range(-len(pairs) if given > 0 else 0, len(order)):
         c = k + len(pairs) if k < 0 else order[k]
         i, j, colour = pairs[c, 0], pairs[c, 1], colours[c]
         if k >= 0:
-            taken = used[i] | used[j]
-            colour = 0
-            while colour < OVERFLOW and (taken >> np.uint64(colour)) & one:
-                colour += 1
+            colour = lowest_bit(~(used[i] | used[j]))  # 64, `OVERFLOW`, if all are used
             colours[c] = colour
         if 0 <= colour < OVERFLOW:
-            bit = one << np.uint64(colour)
+            bit = np.uint64(1) << np.uint64(colour)
             if inverse_mass[i] > 0.0:
                 used[i] |= bit
             if inverse_mass[j] > 0.0:
