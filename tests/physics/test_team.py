@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,7 +15,7 @@ from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.search import PlaneSearch
 from carom.physics.contact.workbench import SHARED_FROM
 from carom.physics.space import Space
-from carom.physics.team import Team
+from carom.physics.team import Team, sharing_all
 from carom.scene.halfspace import HalfSpaces
 from examples import bench_of, random_bodies, scene_of
 
@@ -103,17 +105,37 @@ def test_any_number_of_threads_takes_a_bed_to_the_same_bits() -> None:
     assert told[0] == told[1] == told[2]
 
 
+@numba.njit(nogil=True)
+def visit(lo: int, hi: int, visits: NDArray[Any], step: float) -> None:
+    for i in range(lo, hi):
+        visits[i] += step
+
+
 @pytest.mark.parametrize("count", [0, 1, 19, 20, 1003])
 def test_what_is_divided_is_done_once(count: int) -> None:
-    def visit(lo: int, hi: int, visits: NDArray[np.int64]) -> None:
-        visits[lo:hi] += 1
-
     for threads in (1, 2, 3):
         team = Team(threads)
         for _ in range(50):
-            visits = np.zeros(count, dtype=np.int64)
-            team.divide(count, 10, visit, visits)
-            assert np.all(visits == 1)
+            visits = np.zeros(count)
+            team.divide(count, 10, visit, visits, 1.0)
+            assert np.all(visits == 1.0)
+
+
+def test_a_kernel_is_divided_among_arguments_of_any_type() -> None:
+    team = Team(2)
+    for _ in range(3):  # the code for one kind of arguments must not be handed another
+        for kind in (np.float64, np.int64, np.float32):
+            visits = np.zeros(1000, dtype=kind)
+            for step in (2, 2.0):
+                team.divide(len(visits), 10, visit, visits, step)
+            assert np.all(visits == 4)
+
+
+def test_work_is_shared_where_it_would_not_be_worth_it_if_all_is_to_be() -> None:
+    team, visits = Team(2), np.zeros(3)
+    with sharing_all():
+        team.divide(len(visits), 10, visit, visits, 1.0)
+    assert np.all(visits == 1.0)
 
 
 def test_what_fails_in_a_helper_is_raised_by_the_leader() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from carom.experiment.run import run
 from carom.physics.kernel import Compilations, cache_folder
-from carom.physics.team import load_helpers
+from carom.physics.team import load_helpers, sharing_all
 from carom.scene.schema import Scene
 
 # Together they need every kernel; a new one that none of them needs belongs here, too (a test looks).
@@ -59,8 +59,8 @@ class Warmth:
 def warm_up() -> Warmth:
     """Run the scenes, which compiles all kernels that are not in the cache."""
     began = time.perf_counter()
-    with Compilations() as compilations, tempfile.TemporaryDirectory() as folder:
+    with Compilations() as compilations, tempfile.TemporaryDirectory() as folder, sharing_all():
         for name, document in SCENES.items():
             run(Scene.from_dict({"title": name, **document}), Path(folder) / "warm-up.rrd", force=True)
-        load_helpers()  # so small a scene shares nothing out
+        load_helpers()
     return Warmth(time.perf_counter() - began, compilations.count, cache_folder())

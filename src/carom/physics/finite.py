@@ -11,7 +11,7 @@ from carom.physics.kernel import long_kernel
 from carom.physics.team import SOLO, Team
 
 MOST_NAMES = 5
-SOME = 20_000  # bodies that are worth a part of their own
+SOME = 5000  # bodies that are worth a part of their own
 
 
 def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, team: Team = SOLO) -> None:

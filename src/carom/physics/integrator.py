@@ -23,7 +23,7 @@ from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 
-SOME = 20_000  # bodies that are worth a part of their own
+SOME = 5000  # bodies that are worth a part of their own
 
 
 class Substep(NamedTuple):

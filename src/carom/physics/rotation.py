@@ -26,7 +26,7 @@ TWO_PI = 6.28318530717958647693
 LARGEST = 1e5  # rad
 TWO_OVER_PI = 0.63661977236758134308
 
-SOME = 2000  # bodies that are worth a part of their own
+SOME = 500  # bodies that are worth a part of their own
 
 
 @inline

@@ -9,7 +9,9 @@ it does the work alone. A helper offers its core to other processes between two 
 the middle of one. That is what threads that meet at a barrier cannot do. Rejected: `prange`, whose threads meet
 after each of hundreds of colours (2 µs in quiet, 7.8 ms beside two busy processes with libgomp as it comes, and a layer
 of threads that differs from machine to machine); a task of a thread pool for each phase (20 µs, and 60 to 80 µs where
-the thread has been asleep for a millisecond; a helper that still looks out for work begins in 5).
+the thread has been asleep for a millisecond; a helper that still looks out for work begins in 1); helpers that ask the
+interpreter what to call (for its lock they and the leader waited 10 to 30 µs a phase, which took 1.2 instead of 1.65
+from a step of 10⁴ bodies on two threads).
 """
 
 from __future__ import annotations
@@ -17,27 +19,31 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.job import address_of, c_function, call, do, kind_of, lay_out
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import atomic_add, atomic_load, atomic_store
 
 IntArray = NDArray[np.int64]
 Job = Callable[[int, int], None]  # called with who does it, 0 being the leader, and with the number of a piece
 
-LEFT, BACK, DONE, OVER, CALLS = 0, 8, 16, 24, 32  # words of the board, each in a cache line of its own
-WORDS = 40
+LEFT, BACK, DONE, OVER, CALLS, DOER = 0, 8, 16, 24, 32, 40  # words of the board, each in a cache line of its own
+JOB = DOER + 1  # only the leader writes to either
+WORDS = 48
 PATIENCE = 5000  # looks at the board, some 20 µs, before a helper without work gives its core away
-LOOKOUT = 10 * PATIENCE  # looks between two jobs, before it goes to sleep
+LOOKOUT = 50 * PATIENCE  # looks between two jobs, before it goes to sleep; with a fifth of it, 1.38 instead of 1.53
 SHIFT = 32  # pieces, half a millisecond, after which it offers it to others
 END, YIELD, REST = range(3)  # what a helper does next
+SHARED = 0  # what a leader ends with, unless it was given the code for another kind of arguments
 CALLED, GONE = -1, -2  # what a lookout ends with, unless it is a piece
-PIECES = 4  # for each thread, at most: the last ones end at about the same time
+PIECES = 16  # for each thread, at most: the last ones end at about the same time
 NAP = 50e-6  # s, for how long
 
 
@@ -50,6 +56,8 @@ class Team:
         The leader included; with one there are no helpers.
     """
 
+    least = 2  # parts, that are worth to be shared out
+
     def __init__(self, threads: int) -> None:
         self.size = threads
         self._pool = ThreadPoolExecutor(threads - 1, "team") if threads > 1 else None
@@ -58,6 +66,7 @@ class Team:
         self._awake = [True] + [False] * (threads - 1)
         self._answered = [0] * threads  # the last call that each has heard
         self._job: Job = _nothing
+        self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
         self._call: Callable[[], None] | None = None
         self._failure: BaseException | None = None
 
@@ -83,13 +92,22 @@ class Team:
         Parameters
         ----------
         grain
-            So many take some 50 µs: fewer are not worth a part of their own.
+            So many take some 10 µs: fewer are not worth a part of their own.
+        work
+            Raises nothing, and lets go of the interpreter.
         """
-        if self._pool is None or count < 2 * grain:  # asked first: of a few bodies all of it is calls
+        if self._pool is None or count < self.least * grain:  # asked first: of a few bodies all of it is calls
             work(0, count, *arguments)
         else:
-            pieces = min(count // grain, PIECES * self.size)
-            self.share(pieces, lambda _, k: work(count * k // pieces, count * (k + 1) // pieces, *arguments))
+            pieces = max(1, min(count // grain, PIECES * self.size))
+            self._rouse()
+            code, kind = self._code.get(work, (0, 0))
+            kind = _lead(self._board, code, kind, count, pieces, arguments)
+            if kind != SHARED:
+                work(0, 0, *arguments)
+                code = address_of(work, kind)
+                self._code[work] = code, kind
+                _lead(self._board, code, kind, count, pieces, arguments)
 
     def share(self, pieces: int, job: Job) -> None:
         """Do each piece of a job once; what it calls has to let other threads run."""
@@ -99,6 +117,7 @@ class Team:
                 job(0, k)
             return
         self._job = job
+        board[DOER] = 0
         post(board, pieces)
         self._rouse()
         k = 0
@@ -124,7 +143,7 @@ class Team:
     def _look_out(self, who: int) -> None:
         """Help with whatever comes, until nothing has come for a while."""
         while self._awake[who]:
-            piece = _look(self._board, self._answered[who])
+            piece = _look(self._board, self._answered[who], OFFER)
             if piece == CALLED:
                 self._answered[who] = int(self._board[CALLS])
                 if self._call:
@@ -165,6 +184,9 @@ def _help(help_out: Callable[..., int], *work: Any) -> None:
 def _offer_core() -> None:
     if hasattr(os, "sched_yield"):
         os.sched_yield()
+
+
+OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 
 def cores() -> int:
@@ -216,21 +238,65 @@ def _wait(board: IntArray, pieces: int) -> None:
 
 
 @long_kernel
-def _look(board: IntArray, calls: int) -> int:
-    """Look out for work: return the piece that is a helper's next, `CALLED` or, if nothing comes, `GONE`."""
-    for _ in range(LOOKOUT):
+def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
+    """Do the pieces of [0, count) with the code of a kernel: return `SHARED`, or the kind that it should be for."""
+    needed: int = kind_of(arguments)
+    if kind != needed:
+        return needed
+    board[DOER], board[JOB] = lay_out(code, count, pieces, arguments)
+    post(board, pieces)
+    k = 0
+    while claim(board):
+        do(board[DOER], board[JOB], k)
+        finish(board)
+        k += 1
+    wait(board, pieces)
+    return SHARED
+
+
+@long_kernel
+def _look(board: IntArray, calls: int, offer: int) -> int:
+    """Help until nothing has come for a while, and return `GONE`; before that `CALLED`, or a piece for the interpreter.
+
+    Parameters
+    ----------
+    calls
+        How many have been answered.
+    offer
+        The address of what offers the core to others, or 0.
+    """
+    idle = 0
+    while idle < LOOKOUT:
+        idle += 1
         if claim(board):
-            return last_piece(board)
+            piece = last_piece(board)
+            if board[DOER] == 0:
+                return piece
+            do(board[DOER], board[JOB], piece)
+            finish(board)
+            idle = 0
         if atomic_load(board, CALLS) != calls:
             return CALLED
+        if offer != 0 and idle % PATIENCE == 0:
+            call(offer)
     return GONE
+
+
+@contextmanager
+def sharing_all() -> Iterator[None]:
+    """Share out even what is not worth it, so that the kernels that this takes are compiled or loaded."""
+    least, Team.least = Team.least, 0
+    try:
+        yield
+    finally:
+        Team.least = least
 
 
 def load_helpers() -> None:
     """Load the kernels that leader and helpers wait in; a run does so when it first shares work out."""
     board = np.zeros(WORDS, dtype=np.int64)
     _wait(board, 0)
-    _look(board, CALLED)  # not the calls on the board: it ends at once
+    _look(board, CALLED, OFFER)  # not the calls on the board: it ends at once
 
 
 @kernel

@@ -37,7 +37,7 @@ SHARED = 0.5  # bodies in a cell, on average, up to which octaves share a grid
 CROWDED = 1.0  # pairs in a cell for each body, from which on its octave neither joins others nor has wide cells again
 STRIP = 64  # cells of a row that lie side by side where cells are hashed
 UPWARDS = 8.0  # rows of cells that a small body meets in the grid of much larger ones, on average
-SOME = 5000  # bodies that are worth a part of their own
+SOME = 1000  # bodies that are worth a part of their own
 
 
 class Octaves(NamedTuple):

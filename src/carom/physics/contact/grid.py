@@ -70,7 +70,7 @@ class Grid:
         """Fill the first half of the buffer; return how many pairs there are, if they fitted."""
         taken, found = self._taken, self._found
         taken[0] = 0
-        self._team.divide(len(table.body), 500, search, table, self._cells.layout, stretch, slack, taken, found)
+        self._team.divide(len(table.body), 200, search, table, self._cells.layout, stretch, slack, taken, found)
         m: int = sort_pairs(taken[0], found, self._counts)
         return m
 

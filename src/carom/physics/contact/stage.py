@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
-SOME = 5000  # bodies that are worth a part of their own
+SOME = 1000  # bodies that are worth a part of their own
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
 
 

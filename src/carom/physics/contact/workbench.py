@@ -47,7 +47,7 @@ from carom.scene.halfspace import HalfSpaces
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 3000  # contacts or bodies that are worth a part of their own
+SOME = 1000  # contacts or bodies that are worth a part of their own
 TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
 SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
 

@@ -1,0 +1,116 @@
+"""A kernel and its arguments as two addresses, so that any thread can do a piece of it without the interpreter.
+
+A helper that has to ask the interpreter what to call needs its lock, which the leader is holding, or waits for: half a
+dozen pieces cost 10 to 30 µs for that alone. Numba knows functions as values, but only those whose arguments it
+knows, and to hand a kernel to another one compiles it once more.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import zlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+
+from carom.physics.machine import instruction
+
+WORD = ir.IntType(64)
+PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does, of the job at an address, a piece of some number
+
+
+def address_of(kernel: Callable[..., None], kind: int) -> int:
+    """Return where the machine code of a kernel begins that takes such a kind of arguments, lo and hi before them."""
+    for compiled in kernel.overloads.values():  # type: ignore[attr-defined]
+        if _kind(compiled.signature.args[2:]) == kind:
+            address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
+            return address
+    raise TypeError(f"{kernel} has never been called with such arguments")
+
+
+def _kind(kinds: Sequence[Any]) -> int:
+    return zlib.crc32(repr(tuple(kinds)).encode()) + 1
+
+
+@instruction
+def kind_of(typing: Any, arguments: Any) -> Any:
+    """Return a number, not 0, that tells of the types of a tuple's members."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return WORD(_kind(list(arguments)))
+
+    return types.int64(arguments), generate
+
+
+@instruction
+def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -> Any:
+    """Lay a job out, which is there until the caller returns: the parts, so many, of [0, count) that a kernel does.
+
+    Returns
+    -------
+    doer, job
+        The address of what does a piece of such a job, and that of the job.
+    """
+    kinds = (types.int64, types.int64, *arguments)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        layout = ir.LiteralStructType([WORD, WORD, WORD, context.get_value_type(arguments)])
+        job = cgutils.alloca_once(builder, layout)  # type: ignore[no-untyped-call]
+        for k, value in enumerate(args):
+            builder.store(value, cgutils.gep_inbounds(builder, job, 0, k))  # type: ignore[no-untyped-call]
+        doer = _doer(context, builder.module, layout, kinds)
+        addresses = [builder.ptrtoint(pointer, WORD) for pointer in (doer, job)]
+        return context.make_tuple(builder, signature.return_type, addresses)
+
+    pair = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
+    return pair(types.int64, types.int64, types.int64, arguments), generate
+
+
+def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
+    """Write the function that calls the kernel of a job with lo and hi of a piece, and with its arguments."""
+    doer = ir.Function(module, PIECE, module.get_unique_name("do_a_piece"))
+    doer.linkage = "internal"
+    builder = ir.IRBuilder(doer.append_basic_block())
+    job = builder.inttoptr(doer.args[0], layout.as_pointer())
+    kernel, count, pieces, arguments = (
+        builder.load(cgutils.gep_inbounds(builder, job, 0, k))  # type: ignore[no-untyped-call]
+        for k in range(4)
+    )
+    edges = [builder.add(doer.args[1], WORD(k)) for k in (0, 1)]
+    edges = [builder.sdiv(builder.mul(count, edge), pieces) for edge in edges]
+    convention = context.call_conv
+    callee = builder.inttoptr(kernel, convention.get_function_type(types.none, kinds).as_pointer())
+    members = cgutils.unpack_tuple(builder, arguments)  # type: ignore[no-untyped-call]
+    convention.call_function(builder, callee, types.none, kinds, [*edges, *members])
+    builder.ret_void()
+    return doer
+
+
+@instruction
+def do(typing: Any, doer: Any, job: Any, piece: Any) -> Any:
+    """Do a piece of a job."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.call(builder.inttoptr(args[0], PIECE.as_pointer()), args[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), generate
+
+
+def c_function(name: str) -> int:
+    """Return the address of a function of the C library."""
+    return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
+
+
+@instruction
+def call(typing: Any, function: Any) -> Any:
+    """Call the C function at an address, without arguments."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        builder.call(builder.inttoptr(args[0], ir.FunctionType(ir.VoidType(), []).as_pointer()), [])
+        return context.get_dummy_value()
+
+    return types.void(types.int64), generate
