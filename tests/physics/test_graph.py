@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +16,7 @@ from carom.physics.contact.graph import (
     colour_bodies,
     colour_contacts,
 )
-from carom.physics.contact.grid import Grid
+from carom.physics.contact.grid import FEW, Grid
 from carom.physics.contact.search import KdTree
 from carom.physics.contact.stages import PIECE, stages_of
 from examples import bench_of, random_bodies
@@ -108,17 +110,21 @@ def test_touching_bodies_differ_in_the_seeds_colouring(graph: tuple[IntArray, in
     decades=st.floats(0.0, 4.0),
     far=st.sampled_from([0.0, 1e3, 1e12]),
     stretch=st.sampled_from([1.0, 1.0 + 1e-9, 1.1]),
+    few=st.sampled_from([0, FEW]),
 )
-def test_grids_find_what_trees_find(seed: int, count: int, decades: float, far: float, stretch: float) -> None:
-    # Radii over decades, a body far away, more contacts than the buffer has room for, and boxes so narrow that two
-    # neighbours of a cell are the same one.
+def test_grids_find_what_trees_find(
+    seed: int, count: int, decades: float, far: float, stretch: float, few: int
+) -> None:
+    # Sorted into cells, or so few that all pairs are looked at; radii over decades, a body far away, more contacts than
+    # the buffer has room for, and boxes so narrow that two neighbours of a cell are the same one.
     rng = np.random.default_rng(seed)
     radius = 10.0 ** -rng.uniform(0.0, decades, count)
     position = rng.uniform(-4.0, 4.0, (count, 3)) * rng.choice([1.0, 0.2])
     for box in (np.zeros(3), np.array([4.0, 6.0, 20.0]) * radius.max()):
         if box[0] == 0.0:
             position[0] += far
-        grid, trees = Grid(radius, box), KdTree(radius, box)
+        with mock.patch("carom.physics.contact.grid.FEW", few):
+            grid, trees = Grid(radius, box), KdTree(radius, box)
         assert np.array_equal(grid.pairs(position, stretch), trees.pairs(position, stretch))
         moved = position + rng.normal(0.0, 0.1, position.shape)
         apart = np.where(np.arange(count)[:, None] > 0, 5.0, 1.0) * moved

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.run import run
+from carom.physics.contact.grid import FEW
 from carom.physics.kernel import Compilations, cache_folder
 from carom.physics.team import load_helpers, sharing_all
 from carom.scene.schema import Scene
@@ -26,7 +27,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "record": {"every": "step", "log_freq": 2},
     },
     "a cloud, by the tree": {
-        "group": _CROWD,
+        "group": [_CROWD[0] | {"count": 2 * FEW}],
         "gravity": {"constant": 1.0, "method": "tree"},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },

@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 CLAIM = 256  # rows of the buffer that a searcher claims at a time
+FEW = 100  # bodies, of which every pair is looked at sooner than they are sorted into cells
 NARROW = 4  # cells; a wider reach is cut to the chord of each row
 
 
@@ -42,10 +43,12 @@ class Grid:
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
         n = len(radius)
         self._team = team
-        self._cells = Cells(radius, box, self._team)
+        self._radius, self._box = radius, box
+        self._cells = Cells(radius, box, self._team) if n > FEW else None
         self._counts = np.zeros(n + 1, dtype=np.int64)
         self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that searchers have claimed
-        self._found = np.empty((2, 2 * n + 64, 2), dtype=np.int64)  # pairs, and room to sort them
+        rows = 2 * n + 64 if n > FEW else n * (n - 1) // 2
+        self._found = np.empty((2, rows, 2), dtype=np.int64)  # pairs, and room to sort them
 
     def pairs(self, position: FloatArray, stretch: float = 1.0, slack: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) stretch + slack``, (m, 2), sorted by (i, j).
@@ -59,18 +62,21 @@ class Grid:
         slack
             m, not negative.
         """
+        if self._cells is None:
+            m = _all_pairs(position, self._radius, self._box, stretch, slack, self._found[0])
+            return self._found[0, :m].copy()
         table = self._cells.sort(position, stretch, slack)
-        m = self._find(table, stretch, slack)
+        m = self._find(table, self._cells.layout, stretch, slack)
         if self._taken[0] > self._found.shape[1]:
             self._found = np.empty((2, 3 * self._taken[0] // 2, 2), dtype=np.int64)
-            m = self._find(table, stretch, slack)
+            m = self._find(table, self._cells.layout, stretch, slack)
         return self._found[0, :m].copy()
 
-    def _find(self, table: Table, stretch: float, slack: float) -> int:
+    def _find(self, table: Table, layout: Layout, stretch: float, slack: float) -> int:
         """Fill the first half of the buffer; return how many pairs there are, if they fitted."""
         taken, found = self._taken, self._found
         taken[0] = 0
-        self._team.divide(len(table.body), 200, search, table, self._cells.layout, stretch, slack, taken, found)
+        self._team.divide(len(table.body), 200, search, table, layout, stretch, slack, taken, found)
         m: int = sort_pairs(taken[0], found, self._counts)
         return m
 
@@ -172,6 +178,27 @@ def search(
                         if half:
                             after = 0
     _leave(found, m, end)
+
+
+@kernel
+def _all_pairs(
+    position: FloatArray, radius: FloatArray, box: FloatArray, stretch: float, slack: float, found: IntArray
+) -> int:
+    """Note the pairs of all bodies, and return how many there are."""
+    m, periodic = 0, box[0] > 0.0
+    for i in range(len(radius)):
+        for j in range(i + 1, len(radius)):
+            d2 = 0.0
+            for k in range(3):
+                d = position[j, k] - position[i, k]
+                if periodic:
+                    d -= box[k] * np.floor(d / box[k] + 0.5)
+                d2 += d * d
+            touch = (radius[i] + radius[j]) * stretch + slack
+            if d2 <= touch * touch:
+                found[m, 0], found[m, 1] = i, j
+                m += 1
+    return m
 
 
 @kernel
