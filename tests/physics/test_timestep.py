@@ -77,7 +77,9 @@ def test_threads_that_share_the_bodies_find_the_same_step(
     bodies, time = random_bodies(5 * SOME, seed=4), Time(max_dt=100.0, velocity_limit=rule)
     bodies.acceleration[:] = bodies.velocity[::-1]
     bodies.velocity[[3, -3]] = [100.0, 0.0, 0.0]  # which of two equals sets the limit must not depend on them either
-    chosen = {Timestep(time, target_dx, NO_FIELD, team=Team(threads)).choose(bodies, math.inf) for threads in (1, 2, 4)}
+    chosen = {
+        Timestep(time, 0.5, target_dx, NO_FIELD, team=Team(threads)).choose(bodies, math.inf) for threads in (1, 2, 4)
+    }
     assert len(chosen) == 1
 
 
