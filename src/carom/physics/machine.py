@@ -90,17 +90,26 @@ def lowest_bit(typing: Any, word: Any) -> Any:
 @instruction
 def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
     """Fetch the cache line of an element of a (k, l) array, which will be written to."""
+    return types.void(rows, types.intp, types.intp), _fetch(to_write=True)
 
+
+@instruction
+def prefetch_to_read(typing: Any, rows: Any, row: Any, column: Any) -> Any:
+    """Fetch the cache line of an element of a (k, l) array; other cores keep it, too."""
+    return types.void(rows, types.intp, types.intp), _fetch(to_write=False)
+
+
+def _fetch(*, to_write: bool) -> Callable[..., Any]:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         address = _address(context, builder, signature, args[0], args[1:])
         byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
-        to_write, near, data = word(1), word(3), word(1)
-        builder.call(fetch, [builder.bitcast(address, byte), to_write, near, data])
+        near, data = word(3), word(1)
+        builder.call(fetch, [builder.bitcast(address, byte), word(int(to_write)), near, data])
         return context.get_dummy_value()
 
-    return types.void(rows, types.intp, types.intp), generate
+    return generate
 
 
 def _address(context: Any, builder: Any, signature: Any, array: Any, indices: Any) -> Any:
