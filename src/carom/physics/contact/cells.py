@@ -6,6 +6,10 @@ bodies its cells are numbered row by row, and what is near in space is near in m
 cells are wider, or they are hashed, so that a small cluster in a huge empty space costs what it holds and not what it
 spans.
 
+A row that is looked into costs as much as some bodies do. Where most cells are empty they are therefore broader across
+the rows and shorter along them: fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). Crowds take a tenth
+longer with such cells.
+
 From step to step bodies hardly change cells. Sorted in the order of the step before they are read and written nearly in
 order; to renumber the bodies themselves along a space-filling curve would gain nothing more.
 
@@ -32,6 +36,8 @@ Int32Array = NDArray[np.int32]
 WIDER = 1.0 + 1e-6  # cells are wider than the bodies need, so that no rounding moves a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis: with more, the rounding of a cell's index nears that margin
 ROOM = 16  # cells for each body, at most, that are numbered row by row
+SPARSE = 2.5  # cells for each body, from which on they are
+BROAD = 1.75  # times broader across rows, and shorter along them, so that there are as many
 WIDE = 2.0  # times wider cells are tried where there would be more
 SHARED = 0.5  # bodies in a cell, on average, up to which octaves share a grid
 CROWDED = 1.0  # pairs in a cell for each body, from which on its octave neither joins others nor has wide cells again
@@ -161,21 +167,24 @@ def _lay(extent: tuple[float, float, float], stretch: float, slack: float, octav
         if g == 0 or end - begins[g - 1] > SHARED * cells or octaves.crowded[L]:
             anew = anew or begins[g] != octaves.begins[L]
             diameter[g], begins[g] = octaves.diameter[L], octaves.begins[L]
-            cells = _cut(diameter[g] * stretch + slack, g, extent, layout)
+            cells = _cut(diameter[g] * stretch + slack, 1.0, g, extent, layout)
             g += 1
     anew = anew or grids[0] != g
     grids[0], begins[g] = g, octaves.begins[len(octaves.diameter)]
     for L in range(g):
-        room, width = ROOM * (begins[L + 1] - begins[L]) + STRIP, diameter[L] * stretch + slack
-        cells = _cut(width, L, extent, layout)
-        if cells > room and not octaves.crowded[np.searchsorted(octaves.begins, begins[L])]:
-            cells = _cut(WIDE * width, L, extent, layout)
+        bodies, width = begins[L + 1] - begins[L], diameter[L] * stretch + slack
+        room, crowded = ROOM * bodies + STRIP, octaves.crowded[np.searchsorted(octaves.begins, begins[L])]
+        cells = _cut(width, 1.0, L, extent, layout)
+        broader = BROAD if cells > SPARSE * bodies and not crowded else 1.0
+        cells = _cut(width, broader, L, extent, layout)
+        if cells > room and not crowded:
+            cells = _cut(WIDE * width, broader, L, extent, layout)
         if cells <= room:
             first[L + 1], mask[L] = first[L] + np.int64(cells), -1
         else:
-            _cut(width, L, extent, layout)
+            _cut(width, 1.0, L, extent, layout)
             hashed = STRIP
-            while hashed < 2 * (begins[L + 1] - begins[L]):
+            while hashed < 2 * bodies:
                 hashed *= 2
             first[L + 1], mask[L] = first[L] + hashed + STRIP, hashed - 1
     for large in range(g):
@@ -189,15 +198,22 @@ def _lay(extent: tuple[float, float, float], stretch: float, slack: float, octav
 
 
 @kernel
-def _cut(width: float, L: int, extent: tuple[float, float, float], layout: Layout) -> float:
-    """Cut a grid into cells of a width, or a little more; return how many there are."""
+def _cut(width: float, broader: float, L: int, extent: tuple[float, float, float], layout: Layout) -> float:
+    """Cut a grid into cells of a width, or a little more, broader across the rows and shorter along them.
+
+    Returns
+    -------
+    cells
+        How many there are.
+    """
     cells = 1.0
     for k in range(3):
+        size = width / (broader * broader) if k == 0 else width * broader
         if layout.box[0] > 0.0:
-            layout.cells[L, k] = np.int64(min(max(1.0, np.floor(extent[k] / width)), MOST_CELLS))
+            layout.cells[L, k] = np.int64(min(max(1.0, np.floor(extent[k] / size)), MOST_CELLS))
             layout.density[L, k] = layout.cells[L, k] / extent[k]
         else:
-            layout.density[L, k] = 1.0 / max(width, extent[k] / MOST_CELLS)
+            layout.density[L, k] = 1.0 / max(size, extent[k] / MOST_CELLS)
             layout.cells[L, k] = np.int64(extent[k] * layout.density[L, k]) + 1
         cells *= layout.cells[L, k]
     return cells

@@ -119,13 +119,15 @@ def search(
                 fx, fy, fz = max(fx, 0), max(fy, 0), max(fz, 0)
                 lx, ly, lz = min(lx, nx), min(ly, ny), min(lz, nz)
             # within an octave half of the neighbours; where a cell is its neighbour on both sides, later bodies of all
-            half = K == L and (not periodic or min(nx, ny, nz) > 2)
+            half = K == L
+            if half and periodic:
+                most = WIDER * (diameter[L] * stretch + slack)
+                half = 2.0 * (most * kx + 1.0) < nx and 2.0 * (most * ky + 1.0) < ny and 2.0 * (most * kz + 1.0) < nz
             later = K == L and not half
             cx, cy, cz = 0, 0, 0
             if half:
                 cx, cy, cz = math.floor(ox * kx), math.floor(oy * ky), math.floor(oz * kz)
-                fx, fy, fz = max(fx, cx - 1), max(fy, cy - 1), cz
-                lx, ly, lz = min(lx, cx + 2), min(ly, cy + 2), min(lz, cz + 2)
+                fz = cz
             wide = lz - fz > NARROW and whole
             for iz in range(fz, lz):
                 wz = iz % nz if periodic else iz
