@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carom.physics.team import Team
-from carom.physics.timestep import SOME, Timestep
+from carom.physics.timestep import BLOCK, SOME, Timestep
 from carom.scene.schema import Time
 from examples import random_bodies
 
@@ -74,7 +74,7 @@ def test_a_scene_that_falls_as_a_whole_gets_the_same_steps() -> None:
 def test_threads_that_share_the_bodies_find_the_same_step(
     rule: Literal["every-body", "fastest-body"], target_dx: float
 ) -> None:
-    bodies, time = random_bodies(5 * SOME, seed=4), Time(max_dt=100.0, velocity_limit=rule)
+    bodies, time = random_bodies(2 * SOME * BLOCK + 1, seed=4), Time(max_dt=100.0, velocity_limit=rule)
     bodies.acceleration[:] = bodies.velocity[::-1]
     bodies.velocity[[3, -3]] = [100.0, 0.0, 0.0]  # which of two equals sets the limit must not depend on them either
     chosen = {

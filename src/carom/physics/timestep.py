@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.momentum import centre_velocity
-from carom.physics.team import PIECES, SOLO, Team
+from carom.physics.team import SOLO, Team
 from carom.scene.schema import Time
 
 FloatArray = NDArray[np.float64]
-Limits = tuple[float, float, float, float]  # |a|max, m/s²; largest v², m²/s²; dt_v, s, by the seed's rule and by ours
+Limits = tuple[float, float, float]  # |a|max, m/s², and dt_v, s, by the seed's rule and by ours; infinite at rest
 
-NONE: Limits = (0.0, 0.0, math.inf, math.inf)  # where nothing moves
-SOME = 10_000  # bodies that are worth a part of their own
+BLOCK = 1000  # bodies, some 10 µs
+SOME = 10  # blocks that are worth being shared out
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 
 
@@ -85,7 +85,7 @@ class Timestep:
     def target(self, bodies: Bodies) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         time = self._time
-        a_max, _, fastest, every = self._limits(bodies)
+        a_max, fastest, every = self._limits(bodies)
         dt_a = math.sqrt(2.0 * self._target_dx / a_max) if a_max > 0.0 else math.inf
         dt_v = fastest if time.velocity_limit == "fastest-body" else every
         dt = min(dt_a, dt_v, time.max_dt)
@@ -93,62 +93,72 @@ class Timestep:
         return dt, limit
 
     def _limits(self, bodies: Bodies) -> Limits:
-        """Find the limits that all bodies set. Each is that of one body, so that it is the same in whatever parts."""
-        n, team, cfl = len(bodies), self._team, self._cfl
-        v, a, r, field = bodies.velocity, bodies.acceleration, bodies.radius, self._field
-        if team.size == 1 or n < 2 * SOME:
-            return _limits(v, a, bodies.mass, r, field, self._anchored, cfl)
-        V = (0.0, 0.0, 0.0) if self._anchored else centre_velocity(v, bodies.mass)
-        pieces = min(n // SOME, PIECES * team.size)
-        found: list[Limits] = [NONE] * pieces
-
-        def look(_: int, k: int) -> None:
-            found[k] = _limits_among(n * k // pieces, n * (k + 1) // pieces, v, a, r, field, *V, cfl)
-
-        team.share(pieces, look)
-        _, v2_max, fastest, _ = max(found, key=lambda limits: limits[1])  # the first of them, as in one loop
-        return max(limits[0] for limits in found), v2_max, fastest, min(limits[3] for limits in found)
+        """Find the limits that all bodies set."""
+        blocks, velocity, anchored = -(-len(bodies) // BLOCK), bodies.velocity, self._anchored
+        state = velocity, bodies.acceleration, bodies.radius, self._field, self._cfl
+        if self._team.size == 1 or blocks < SOME:
+            return _limits(*state, bodies.mass, anchored)
+        V = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, bodies.mass)
+        found = np.empty((blocks, 4))
+        self._team.divide(blocks, 1, _look, *state, *V, found)
+        return _strictest(found)
 
 
 @kernel
 def _limits(
     velocity: FloatArray,
     acceleration: FloatArray,
-    mass: FloatArray,
     radius: FloatArray,
     field: FloatArray,
-    anchored: bool,
     cfl: float,
+    mass: FloatArray,
+    anchored: bool,
 ) -> Limits:
-    """Find the limits that all bodies set; in one call, which is what a step of a few bodies consists of."""
+    """Find the limits that all bodies set, in one call: a step of a few bodies consists of calls."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
-    return _limits_among(0, len(mass), velocity, acceleration, radius, field, Vx, Vy, Vz, cfl)
+    found = np.empty((-(-len(mass) // BLOCK), 4))
+    _look(0, len(found), velocity, acceleration, radius, field, cfl, Vx, Vy, Vz, found)
+    return _strictest(found)
 
 
 @long_kernel
-def _limits_among(
+def _look(
     lo: int,
     hi: int,
     velocity: FloatArray,
     acceleration: FloatArray,
     radius: FloatArray,
     field: FloatArray,
+    cfl: float,
     Vx: float,
     Vy: float,
     Vz: float,
-    cfl: float,
-) -> Limits:
-    """Find the limits that the bodies from lo to hi set."""
-    a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
-    for i in range(lo, hi):
-        ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
-        a = np.sqrt(ax * ax + ay * ay + az * az)
-        a_max = max(a_max, a)
-        ux, uy, uz = velocity[i, 0] - Vx, velocity[i, 1] - Vy, velocity[i, 2] - Vz
-        u = np.sqrt(ux * ux + uy * uy + uz * uz)
-        s = cfl * radius[i]
-        every = min(every, 2.0 * s / (u + np.sqrt(u * u + 2.0 * a * s)))
-        v2 = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1] + velocity[i, 2] * velocity[i, 2]
-        if v2 > v2_max:
-            v2_max, fastest = v2, s / np.sqrt(v2)
-    return a_max, v2_max, fastest, every
+    found: FloatArray,
+) -> None:
+    """Write the limits that the bodies of the blocks from lo to hi set."""
+    for block in range(lo, hi):
+        a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
+        for i in range(block * BLOCK, min((block + 1) * BLOCK, len(radius))):
+            ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
+            a = np.sqrt(ax * ax + ay * ay + az * az)
+            a_max = max(a_max, a)
+            vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
+            ux, uy, uz = vx - Vx, vy - Vy, vz - Vz
+            u = np.sqrt(ux * ux + uy * uy + uz * uz)
+            s = cfl * radius[i]
+            every = min(every, 2.0 * s / (u + np.sqrt(u * u + 2.0 * a * s)))
+            v2 = vx * vx + vy * vy + vz * vz
+            if v2 > v2_max:
+                v2_max, fastest = v2, s / np.sqrt(v2)
+        found[block, 0], found[block, 1], found[block, 2], found[block, 3] = a_max, every, v2_max, fastest
+
+
+@kernel
+def _strictest(found: FloatArray) -> Limits:
+    """Return the strictest limits of all blocks: each is that of one body, so that the blocks do not change it."""
+    a_max, every, v2_max, fastest = 0.0, np.inf, 0.0, np.inf
+    for block in range(len(found)):
+        a_max, every = max(a_max, found[block, 0]), min(every, found[block, 1])
+        if found[block, 2] > v2_max:
+            v2_max, fastest = found[block, 2], found[block, 3]
+    return a_max, fastest, every
