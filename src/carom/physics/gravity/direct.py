@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel, long_kernel
+from carom.physics.kernel import kernel, long_kernel
 from carom.physics.team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
@@ -67,7 +67,8 @@ class DirectGravity:
         into = self._potential if potential else None
         law = len(self._mass), self._source, self._softening_squared
         self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
-        _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, acceleration, into)
+        found = acceleration, self._potential, potential
+        _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *found)
         return potential_energy(self._mass, self._potential) if potential else None
 
 
@@ -77,9 +78,12 @@ def _slabs(blocks: int, count: int) -> IntArray:
     return np.concatenate(([0], np.searchsorted(work, work[-1] * np.arange(1, count) / count), [blocks]))
 
 
-@inline
+@kernel
 def _lanes(count: int) -> FloatArray:
-    """Allocate floats that begin on a cache line: lanes that straddle two of them take twice as long."""
+    """Allocate floats that begin on a cache line: lanes that straddle two of them take twice as long.
+
+    Not inlined: a dozen copies of it would take half a second to compile.
+    """
     buffer = np.empty(count + CACHE_LINE // 8)
     start = (CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8
     return buffer[start : start + count]
@@ -180,7 +184,8 @@ def _total(
     eps2: float,
     m: FloatArray,
     acceleration: FloatArray,
-    potential: FloatArray | None,
+    potential: FloatArray,
+    wanted: bool,
 ) -> None:
     """Add up the slabs: each has sums for its own blocks and those before them."""
     # softened, a body would sit in its own potential, m/ε: taken away with the rounding with which it was added
@@ -194,12 +199,12 @@ def _total(
             ax += sums[s, 0, i]
             ay += sums[s, 1, i]
             az += sums[s, 2, i]
-            if potential is not None:
+            if wanted:
                 p += sums[s, 3, i]
         acceleration[i, 0] = G * ax
         acceleration[i, 1] = G * ay
         acceleration[i, 2] = G * az
-        if potential is not None:
+        if wanted:
             potential[i] = -G * (p - m[i] * own * eps2)
 
 
