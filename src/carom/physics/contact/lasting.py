@@ -43,7 +43,7 @@ from carom.physics.team import Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 5000  # contacts that are worth a part of their own
+SOME = 500  # contacts that are worth a part of their own
 
 
 @dataclass(slots=True)

@@ -14,7 +14,7 @@ from carom.physics.team import Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 20_000  # contacts that are worth a part of their own
+SOME = 10_000  # contacts that are worth a part of their own
 
 
 def those_that_touch(pairs: IntArray, ends: int, team: Team) -> IntArray:

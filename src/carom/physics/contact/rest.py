@@ -20,7 +20,7 @@ from carom.physics.team import Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 5000  # bodies or contacts that are worth a part of their own
+SOME = 1000  # bodies or contacts that are worth a part of their own
 UNLIKE, PRESSES = range(2)  # what was found of all contacts
 
 

@@ -18,7 +18,7 @@ from carom.scene.neighbours import overlapping_pairs
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 8  # blocks of bodies that are worth a part of their own
+SOME = 1  # block of bodies that is worth a part of their own
 
 
 class Search(Protocol):

@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
-SOME = 1000  # bodies that are worth a part of their own
+SOME, MANY = 1000, 10_000  # bodies that are worth a part of their own, when they turn, and when they are copied
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
 
 
@@ -144,7 +144,7 @@ class ContactStage:
     def hold(self, kick: float, dt: float) -> None:
         """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s."""
         if self._needs.torque.modelled:
-            self._spin[:] = self._bodies.angular_velocity
+            self._team.divide(len(self._spin), MANY, _remember, self._bodies.angular_velocity, self._spin)
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
             self._hold_contacts(self._dt, kick, dt, 0.0)
@@ -321,6 +321,13 @@ class ContactStage:
         if self._needs.torque.modelled:
             self.turn(1.0)
         self.forget()
+
+
+@long_kernel
+def _remember(lo: int, hi: int, angular_velocity: FloatArray, before: FloatArray) -> None:
+    for i in range(lo, hi):
+        for k in range(3):
+            before[i, k] = angular_velocity[i, k]
 
 
 @long_kernel

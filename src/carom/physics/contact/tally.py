@@ -20,7 +20,7 @@ from carom.physics.team import SOLO, Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SOME = 4  # blocks that are worth a part of their own
+SOME = 1  # block that is worth a part of their own
 # what is counted of a block: its ledger; contacts, impacts, Σ ½ μ v_n² of these; the hardest's and its ends, the
 # deepest's depth and its ends
 COUNTS, CONTACTS, IMPACTS, STRUCK, HARDEST, DEEPEST = 12, 3, 4, 5, 6, 9
