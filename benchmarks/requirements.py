@@ -65,7 +65,7 @@ def scenes() -> dict[str, dict[str, Any]]:
         "gas": {
             "body": lattice(gas, 2.4, 0.0),
             "gravity": {"constant": 0.0},
-            "contact": {"restitution": 1.0, **smooth},
+            "contact": {"restitution": 1.0, "timing": "end-of-step", **smooth},
             "domain": {"boundary": "periodic", "size": [2.4 * gas] * 3},
             **common,
         },

@@ -118,7 +118,8 @@ def measure_equilibrium(
     With kinetic energy constant, Z = 1 + Σ d·J / (3 N T t). The distance d is that at which carom resolves the impact,
     a little below the diameter: Z is the pressure of the gas that carom simulates.
     """
-    space = gas(cells, packing, seed, contact={"restitution": 1.0, "static_friction": 0.0}, time={"fixed_dt": dt})
+    late = {"restitution": 1.0, "static_friction": 0.0, "timing": "end-of-step"}
+    space = gas(cells, packing, seed, contact=late, time={"fixed_dt": dt})
     step = 0
     while collisions_per_sphere(space) < melting:
         step += 1
@@ -142,14 +143,15 @@ def measure_equilibrium(
 def cooling(
     restitution: float, packing: float, cells: int, cfl: float, until: float, seed: int
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Let a smooth inelastic gas cool; return times, temperatures and Haff's τ, all times in seconds.
+    """Let a smooth inelastic gas cool by late impacts; return times, temperatures and Haff's τ, all times in seconds.
 
     Parameters
     ----------
     until
         Time to cool, in τ.
     """
-    space = gas(cells, packing, seed, contact={"restitution": restitution, "static_friction": 0.0}, time={"cfl": cfl})
+    late = {"restitution": restitution, "static_friction": 0.0, "timing": "end-of-step"}
+    space = gas(cells, packing, seed, contact=late, time={"cfl": cfl})
     tau = 6 / ((1 - restitution**2) * enskog_rate(packing))
     times, temperatures = [0.0], [1.0]
     step = 0

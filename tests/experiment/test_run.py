@@ -76,7 +76,8 @@ def test_the_scene_in_the_file_runs_again(tmp_path: Path) -> None:
 
 
 def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
-    scene = pair(time={"duration": 4.0, "max_dt": 0.3}, expect={"max_overlap": 1e-9})
+    late = {"timing": "end-of-step"}
+    scene = pair(time={"duration": 4.0, "max_dt": 0.3}, contact=late, expect={"max_overlap": 1e-9})
     outcome = simulate(Space(scene), tmp_path / "pair.rrd")
     assert outcome.status == "expectation missed"
     assert "max_overlap" in outcome.reason

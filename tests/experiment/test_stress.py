@@ -136,6 +136,7 @@ def test_an_extreme_is_recorded_in_place_of_an_earlier_recording(tmp_path: Path)
 
 def test_a_missed_criterion_comes_with_its_worst_moment(tmp_path: Path) -> None:
     overrides = ["expect.max_overlap=1e-9", "expect.momentum_error=0.0", "expect.impacts=3"]
+    overrides.append("contact.timing=end-of-step")
     trial = attempt("mass-ratio", Scene.load("extremes/mass-ratio", overrides), tmp_path)
     assert not trial.met and trial.status == "expectation missed"
     assert set(trial.worst) == {"max_overlap", "momentum_error"}  # too few impacts have no moment

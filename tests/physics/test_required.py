@@ -178,10 +178,11 @@ TIMING = (
 )
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
+LATE = {"timing": "end-of-step"}
 CHOICES: list[tuple[str, Sections, set[str]]] = [
     ("the whole model", {}, set()),
     ("without friction", {"contact": SMOOTH}, TURNING),
-    ("without gravity and field", {"gravity": {"constant": 0.0}}, DIRECT | FIELD | RESTING),
+    ("without gravity and field", {"gravity": {"constant": 0.0}, "contact": LATE}, DIRECT | FIELD | RESTING),
     ("without pushes", {"contact": {"stabilisation": "none"}}, PUSHING),
     ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING),
     ("at a fixed step", {"time": {"fixed_dt": 0.02}}, STEP),

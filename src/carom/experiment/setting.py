@@ -42,7 +42,7 @@ class Setting:
 def default_settings(scene: Scene) -> list[Setting]:
     """Return about a dozen settings worth knowing, of the parts that the scene requires."""
     parts = require(scene)
-    forces = parts.gravity.modelled or parts.field.modelled
+    forces, located = parts.gravity.modelled or parts.field.modelled, parts.impact_time.modelled
     if not parts.contact.modelled:
         return [
             *vary(scene, ["time.integrator=euler"]),
@@ -53,14 +53,18 @@ def default_settings(scene: Scene) -> list[Setting]:
         choices += ["time.integrator=euler", "time.integrator=yoshida4", "contact.solver=staged"]
     else:
         choices += [f"{STEP}=8", f"{STEP}=0.25"]
-    choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
-    located = vary(scene, ["contact.timing=time-of-impact", f"{STEP}=1" if forces else f"{STEP}=8,1"])
+    if forces or not located:  # else next to nothing is left to the end of the step
+        choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
+    other = "end-of-step" if located else "time-of-impact"
+    otherwise = vary(
+        scene, [f"contact.timing={other}", f"{STEP}=" + ("1" if forces else "1,0.25" if located else "8,1")]
+    )
     if parts.adaptive_step.modelled:
         choices += ["time.velocity_limit=fastest-body", "time.smoothing=1"]
     if parts.gravity.modelled and scene.count > FEW:
         tree = ["gravity.opening_angle=0.3,0.8", "gravity.quadrupoles=false"]
         choices += tree if gravity_method(scene) == "tree" else ["gravity.method=tree"]
-    return [setting for choice in choices for setting in vary(scene, [choice])] + located
+    return [setting for choice in choices for setting in vary(scene, [choice])] + otherwise
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:

@@ -98,7 +98,7 @@ class Contact(Section):
         "split", description="how overlaps are undone; baumgarte is the seed's"
     )
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
-        "end-of-step",
+        "auto",
         description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed; auto is "
         "the latter where nothing presses contacts together",
     )

@@ -132,7 +132,7 @@ class Flight:
     def _compile(self) -> None:
         """Send no impact through every kernel, so that the first real one does not wait for a compiler."""
         nobody, none = np.empty((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
-        set_out(self._paths, 0.0, 0.0)
+        set_out(self._paths, 1.0, 0.0)
         if self._forces:
             self._press(nobody, 0.0, 1.0, 0.0)
         foresee(0, 0, none, none, none, self._paths)

@@ -23,6 +23,7 @@ from carom.physics.rotation import turn
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+MANY = 50  # impacts of a body in a step, of which each further one with e < 1 doubles what is too slow to be one
 MOST = 1000  # impacts of a body in a step; what collapses has no last one
 TIME, NORMAL, APPROACH, REST, LEDGER, COLUMNS = 0, 1, 4, 5, 6, 9  # of the log
 
@@ -53,8 +54,9 @@ def resolve(first: IntArray, last: IntArray, others: IntArray, paths: Paths, pai
         j = paths.partner[i]
         pairs[row, 0], pairs[row, 1] = min(i, j), max(i, j)
         _collide(min(i, j), max(i, j), row, paths, log)
-        _bend(i, paths)
-        _bend(j, paths)
+        lossy = paths.law[max(0, max(i, j) - len(paths.x) + 1), 0] < 1.0
+        _bend(i, lossy, paths)
+        _bend(j, lossy, paths)
         if paths.inverse_mass[i] > 0.0:
             _look_again(i, first, last, others, paths)
         if paths.inverse_mass[j] > 0.0:
@@ -80,13 +82,20 @@ def _next(first: IntArray, last: IntArray, others: IntArray, paths: Paths) -> in
 
 
 @kernel
-def _bend(i: int, paths: Paths) -> None:
-    """Count an impact of a body; note if it is the last one, and if its new path leaves its reach."""
+def _bend(i: int, lossy: bool, paths: Paths) -> None:
+    """Count an impact of a body; note if it is the last one, and if its new path leaves its reach.
+
+    Where impacts take energy out, bodies can collide infinitely often in a finite time. Few of them are done when
+    nothing but rounding closes; a crowd is stirred by its neighbours and goes on. So what closes too slowly for an
+    impact grows with their number, until the crowd is left to the end of the step.
+    """
     if paths.inverse_mass[i] == 0.0:
         return
     counts, v = paths.counts, paths.v
     paths.noise[i] = max(paths.noise[i], ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2])))
     paths.impacts[i] += 1
+    if lossy and paths.impacts[i] > MANY:
+        paths.noise[i] *= 2.0
     if paths.impacts[i] == MOST:
         counts[EXHAUSTED] += 1
     if paths.reach[i] >= 0.0 and strays(i, paths):

@@ -13,7 +13,7 @@ from carom.physics.momentum import centre_velocity
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-ROUNDING = 1e-14  # of a body's speed so far; what closes more slowly has been resolved
+ROUNDING = 1e-14  # of a body's speed so far, and of a radius a drift; what closes more slowly has been resolved
 DT, KICK, CLOCK = 0, 1, 2  # numbers, s: the drift, the kick before it, and what time it is
 AHEAD, STRAYS, EXHAUSTED = 0, 1, 2  # counts: bodies with an impact ahead, strays, bodies that had `MOST` impacts
 FARTHEST = 1e150  # m; what might go farther is not followed, since the square of its way is no number
@@ -81,12 +81,12 @@ def set_out(paths: Paths, dt: float, kick: float) -> None:
     """Begin a drift."""
     paths.numbers[DT], paths.numbers[KICK], paths.numbers[CLOCK] = dt, kick, 0.0
     paths.counts[:] = 0
-    x, v, start, noise = paths.x, paths.v, paths.start, paths.noise
+    x, v, radius, start, noise = paths.x, paths.v, paths.radius, paths.start, paths.noise
     now, moment, impacts, place = paths.now, paths.moment, paths.impacts, paths.place
     for i in range(len(x)):
         start[i, 0], start[i, 1], start[i, 2] = x[i, 0], x[i, 1], x[i, 2]
         now[i], moment[i], impacts[i], place[i] = 0.0, np.inf, 0, -1
-        noise[i] = ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2]))
+        noise[i] = ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2]) + radius[i] / dt)
 
 
 @kernel
