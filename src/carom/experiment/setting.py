@@ -57,7 +57,7 @@ def default_settings(scene: Scene) -> list[Setting]:
         choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
     other = "end-of-step" if located else "time-of-impact"
     otherwise = vary(
-        scene, [f"contact.timing={other}", f"{STEP}=" + ("2,1" if forces else "1,0.25" if located else "8,1")]
+        scene, [f"contact.timing={other}", f"{STEP}=" + ("2" if forces else "1,0.25" if located else "8,1")]
     )
     if parts.adaptive_step.modelled:
         choices += ["time.velocity_limit=fastest-body", "time.smoothing=1"]
