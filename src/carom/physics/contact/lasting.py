@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.graph import first_of
 from carom.physics.contact.load import HOT, IMPULSE
 from carom.physics.kernel import long_kernel
+from carom.physics.machine import AHEAD, prefetch
 from carom.physics.team import Team
 
 FloatArray = NDArray[np.float64]
@@ -87,7 +88,7 @@ class Hold:
         team
             Who looks for them.
         """
-        if self.kick > 0.0 and kick > 0.0:
+        if self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0:
             before = (self.pairs, self.place, self.hot, kick / self.kick)
             team.divide(len(pairs), SOME, _carry, *before, pairs, place, hot)
         else:
@@ -108,7 +109,12 @@ def _carry(
 ) -> None:
     """Find each pair among the old ones, both sorted; turn its tangential impulse into the new tangential plane."""
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
+    last, old_last = len(pairs) - 1, len(old_pairs) - 1
     for c in range(lo, hi):
+        p, q = place[min(last, c + AHEAD)], old_place[min(old_last, k + AHEAD)]
+        prefetch(hot, p, 0)
+        prefetch(hot, p, 8)
+        prefetch(old, q, 8)
         i, j = pairs[c, 0], pairs[c, 1]
         while k < len(old_pairs) and (old_pairs[k, 0] < i or (old_pairs[k, 0] == i and old_pairs[k, 1] < j)):
             k += 1

@@ -49,6 +49,7 @@ IntArray = NDArray[np.int64]
 
 SOME = 1000  # contacts or bodies that are worth a part of their own
 TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
+CLOSE = 64  # contacts whose rows are in the nearest cache
 SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
 
 
@@ -297,16 +298,18 @@ def _lay(
     normals: FloatArray,
 ) -> None:
     """Clear the rows of the contacts [lo, hi), find where these meet, and note how they were found."""
-    for c in range(lo, hi):
-        for k in range(HOT):
-            hot[c, k] = 0.0
-        for k in range(COLD):
-            cold[c, k] = 0.0
-    meet(lo, hi, pairs, x, radius, box, surface, offset, hot, cold)
-    for c in range(lo, hi):
-        for k in range(3):
-            normals[c, k] = hot[c, k]
-        overlap = cold[c, OVERLAP]
-        cold[c, FOUND] = max(0.0, overlap)
-        reach = hot[c, 3] + hot[c, 4] + overlap
-        cold[c, APART] = 1.0 if overlap < -(TOUCHING * reach + rounding) else 0.0
+    for first in range(lo, hi, CLOSE):
+        end = min(hi, first + CLOSE)
+        for c in range(first, end):
+            for k in range(HOT):
+                hot[c, k] = 0.0
+            for k in range(COLD):
+                cold[c, k] = 0.0
+        meet(first, end, pairs, x, radius, box, surface, offset, hot, cold)
+        for c in range(first, end):
+            for k in range(3):
+                normals[c, k] = hot[c, k]
+            overlap = cold[c, OVERLAP]
+            cold[c, FOUND] = max(0.0, overlap)
+            reach = hot[c, 3] + hot[c, 4] + overlap
+            cold[c, APART] = 1.0 if overlap < -(TOUCHING * reach + rounding) else 0.0
