@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -28,6 +28,7 @@ def _writable_cache() -> None:
 _writable_cache()
 
 import numba  # noqa: E402 - reads NUMBA_CACHE_DIR when it is imported
+from numba import types  # noqa: E402
 from numba.core import event  # noqa: E402
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -39,19 +40,39 @@ def kernel(function: Function) -> Function:
     It keeps the interpreter's lock. To let go of it for microseconds costs more than it gives: the recorder takes it,
     and the physics waits. (With all kernels letting go, recording every step of 1000 bodies cost 19 % instead of 11 %.)
     """
-    compiled: Any = numba.njit(cache=True, error_model="numpy")(function)
-    return cast("Function", compiled)
+    return _compiled(function)
 
 
 def long_kernel(function: Function) -> Function:
     """Compile a function that runs for tens of microseconds or more, and lets other threads run meanwhile."""
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
-    return cast("Function", compiled)
+    return _compiled(function, nogil=True)
+
+
+def inner(function: Function) -> Function:
+    """Compile a function that only kernels call, and that takes so many arrays that what Python needs takes longest.
+
+    Python must not call it: it would crash.
+    """
+    return _compiled(function, no_cpython_wrapper=True)
 
 
 def inline(function: Function) -> Function:
     """Compile a small function into the kernels that call it."""
-    compiled: Any = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+    return _compiled(function, nogil=True, inline="always")
+
+
+def _compiled(function: Function, **options: Any) -> Function:
+    """Compile for Python and for other kernels, not for C; once for all numbers that are written where it is called."""
+    compile_as: Any = numba.njit  # whose stub does not know all options
+    compiled = compile_as(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    template_for = compiled.get_call_template
+
+    def get_call_template(args: Sequence[Any], kws: dict[str, Any]) -> Any:
+        """Find or compile what a kernel calls; Numba would compile it anew for each literal among the arguments."""
+        unliteral: Any = types.unliteral
+        return template_for([unliteral(arg) for arg in args], kws)
+
+    compiled.get_call_template = get_call_template
     return cast("Function", compiled)
 
 

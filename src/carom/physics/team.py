@@ -244,6 +244,13 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
     if kind != needed:
         return needed
     board[DOER], board[JOB] = lay_out(code, count, pieces, arguments)
+    _take_part(board, pieces)
+    return SHARED
+
+
+@kernel
+def _take_part(board: IntArray, pieces: int) -> None:
+    """Post the pieces of the job on the board, and do them with the others: apart, to be compiled for all kinds."""
     post(board, pieces)
     k = 0
     while claim(board):
@@ -251,7 +258,6 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
         finish(board)
         k += 1
     wait(board, pieces)
-    return SHARED
 
 
 @long_kernel

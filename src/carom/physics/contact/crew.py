@@ -33,7 +33,7 @@ from carom.physics.contact.load import (
 from carom.physics.contact.solver import CONVERGED, strike
 from carom.physics.contact.stabilisation import push
 from carom.physics.contact.sweep import HELD, aim, begin, go, press, relax
-from carom.physics.kernel import inline, kernel, long_kernel
+from carom.physics.kernel import inline, inner, long_kernel
 from carom.physics.team import (
     END,
     PATIENCE,
@@ -165,7 +165,7 @@ def _share(board: IntArray, load: Load, phase: int, first: int, end: int, indepe
         wait(board, end - first)
 
 
-@kernel
+@inner
 def _do(load: Load, k: int) -> None:
     """Do one piece."""
     pairs, C, cold, V, who = load.pairs, load.hot, load.cold, load.motion, load.who
@@ -195,7 +195,7 @@ def _do(load: Load, k: int) -> None:
             book(lo, hi, k, pairs, C, cold, load.acceleration, V, found, flags, numbers)
 
 
-@kernel
+@inner
 def _largest(load: Load) -> float:
     largest = 0.0
     for k in range(len(load.pieces)):
@@ -203,7 +203,7 @@ def _largest(load: Load) -> float:
     return largest
 
 
-@kernel
+@inner
 def _step(load: Load) -> float:
     """Return how many times over what a sweep changed should be changed again: α, or 0 where that would not help."""
     slope, curvature, farthest = 0.0, 0.0, np.inf

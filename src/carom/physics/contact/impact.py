@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.agenda import put
 from carom.physics.contact.encounter import meeting, meeting_in_box
 from carom.physics.contact.paths import AHEAD, CLOCK, DT, EXHAUSTED, KICK, ROUNDING, STRAYS, Paths, advance, strays
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.kernel import inner, long_kernel
 from carom.physics.rotation import turn
 
 FloatArray = NDArray[np.float64]
@@ -64,7 +64,7 @@ def resolve(first: IntArray, last: IntArray, others: IntArray, paths: Paths, pai
     return len(log)
 
 
-@kernel
+@inner
 def _next(first: IntArray, last: IntArray, others: IntArray, paths: Paths) -> int:
     """Move the two bodies of the next impact to where it happens; return the one that knew of it, -1 if none does."""
     n = len(paths.x)
@@ -81,7 +81,7 @@ def _next(first: IntArray, last: IntArray, others: IntArray, paths: Paths) -> in
     return -1
 
 
-@kernel
+@inner
 def _bend(i: int, lossy: bool, paths: Paths) -> None:
     """Count an impact of a body; note if it is the last one, and if its new path leaves its reach.
 
@@ -105,7 +105,7 @@ def _bend(i: int, lossy: bool, paths: Paths) -> None:
         paths.stray_count[:] = counts[STRAYS]
 
 
-@kernel
+@inner
 def _look_again(i: int, first: IntArray, last: IntArray, others: IntArray, paths: Paths) -> None:
     """Find a body's next impact on the rest of its path, and put it on the agenda."""
     counts = paths.counts
@@ -121,7 +121,7 @@ def _look_again(i: int, first: IntArray, last: IntArray, others: IntArray, paths
     counts[AHEAD] = put(i, counts[AHEAD], paths.heap, paths.place, paths.moment, paths.partner)
 
 
-@kernel
+@inner
 def _look(lo: int, hi: int, first: IntArray, last: IntArray, others: IntArray, paths: Paths) -> None:
     """Look along the path of each body i in [lo, hi) for an impact with ``others[first[i]:last[i]]``."""
     x, v, a, radius, inverse_mass = paths.x, paths.v, paths.a, paths.radius, paths.inverse_mass
@@ -150,7 +150,7 @@ def _look(lo: int, hi: int, first: IntArray, last: IntArray, others: IntArray, p
                 moment[i], partner[i], known[i] = clock + tau, j, impacts[j]
 
 
-@kernel
+@inner
 def _look_at_planes(lo: int, hi: int, paths: Paths) -> None:
     """Look along the path of each body in [lo, hi) for an impact with a plane."""
     x, v, a, N, offset = paths.x, paths.v, paths.a, paths.surface, paths.offset
@@ -174,7 +174,7 @@ def _look_at_planes(lo: int, hi: int, paths: Paths) -> None:
                     paths.moment[i], paths.partner[i], paths.known[i] = meets, len(x) + p, 0
 
 
-@kernel
+@inner
 def _collide(i: int, j: int, row: int, paths: Paths, log: FloatArray) -> None:
     """Resolve one impact, with the velocities of the moment; write what it was into a row of the log."""
     v, a, omega, clock = paths.v, paths.a, paths.omega, paths.numbers[CLOCK]
@@ -222,7 +222,7 @@ def _collide(i: int, j: int, row: int, paths: Paths, log: FloatArray) -> None:
         v[j, 0], v[j, 1], v[j, 2] = v[j, 0] + Jx * mj, v[j, 1] + Jy * mj, v[j, 2] + Jz * mj
 
 
-@kernel
+@inner
 def _where_they_meet(i: int, j: int, paths: Paths) -> tuple[float, float, float, float, float]:
     """Return the normal from i to j, and both lever arms in m; see `meeting.meet`."""
     x, n = paths.x, len(paths.x)
@@ -243,7 +243,7 @@ def _where_they_meet(i: int, j: int, paths: Paths) -> tuple[float, float, float,
     return dx / d, dy / d, dz / d, share * paths.radius[i], share * paths.radius[j]
 
 
-@kernel
+@inner
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, paths: Paths) -> None:
     """Change a body's spin by an impulse; turn it as from now on it turns, and not as it would have without that."""
     s = arm * paths.inverse_inertia[i]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel, long_kernel
+from carom.physics.kernel import inner, kernel, long_kernel
 from carom.physics.momentum import centre_velocity
 
 FloatArray = NDArray[np.float64]
@@ -89,7 +89,7 @@ def set_out(paths: Paths, dt: float, kick: float) -> None:
         noise[i] = ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2]) + radius[i] / dt)
 
 
-@kernel
+@inner
 def advance(i: int, paths: Paths) -> None:
     """Move a body along its path to where it is now."""
     s = paths.numbers[CLOCK] - paths.now[i]
@@ -98,7 +98,7 @@ def advance(i: int, paths: Paths) -> None:
     paths.now[i] = paths.numbers[CLOCK]
 
 
-@kernel
+@inner
 def strays(i: int, paths: Paths) -> bool:
     """Tell whether the rest of a body's path leaves the reach that neighbours were searched with."""
     numbers = paths.numbers
