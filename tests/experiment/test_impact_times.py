@@ -80,7 +80,8 @@ def test_bounces_come_when_kepler_says_to_second_order() -> None:
 
 
 def test_a_trajectory_is_right_within_the_steps_of_impacts_too() -> None:
-    # Newton's cradle at a step of half a collision: what is compared between the steps is the exact course
+    # Newton's cradle at a step of half a collision, in which balls are struck twice: what is compared between the steps
+    # is the exact course, each leg from its impact on
     overrides = ["contact.timing=time-of-impact", "time.fixed_dt=0.07"]
     scene = Scene.load("newtons-cradle", overrides)
     exact, run = solve(Space(scene), sample_times(scene)).trajectory, follow(Space(scene), sample_times(scene))
@@ -88,4 +89,4 @@ def test_a_trajectory_is_right_within_the_steps_of_impacts_too() -> None:
     late = {tuple(pair): met for pair, met in zip(run.pair.tolist(), run.met.tolist(), strict=True)}
     for pair, met in zip(exact.pair.tolist(), exact.met.tolist(), strict=True):
         assert late[tuple(pair)] == pytest.approx(met, abs=1e-12)
-    assert np.median(np.abs(run.position - exact.position)) <= 1e-13
+    assert np.abs(run.position - exact.position).max() <= 1e-13

@@ -39,7 +39,7 @@ def test_many_bodies_are_refined_until_they_part_and_the_horizon_is_there() -> N
 
 def test_where_nothing_pulls_the_reference_has_times_of_impact() -> None:
     # the same impacts whatever the step: two refinements are apart by rounding, and by what four collisions make of it
-    reference = make_reference(Scene.load("elastic-gas", ["time.duration=1"]), finest=1.0, budget=0.0)
+    reference = make_reference(Scene.load("elastic-gas", ["time.duration=1"]), finest=0.125, budget=0.0)
     assert reference.kind == "refined" and reference.horizon == 1.0
     assert reference.uncertainty.impact <= 1e-9 and reference.trajectory.overlap <= 1e-12
 

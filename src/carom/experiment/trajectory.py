@@ -3,7 +3,7 @@
 The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
 after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, of
 third where the integrator has no forces there, or, for a body that was struck, the flight from the beginning of the
-step to its first impact, and from there to the end.
+step to its first impact, from there to its next, and so on.
 """
 
 from __future__ import annotations
@@ -163,10 +163,10 @@ class _Watch:
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
         begin, x, v, a = self._before
         dt = frame.time - begin
-        hit = np.full(self._ends, np.inf)  # s from the beginning of the step
-        late = np.full(len(graph), dt)
-        np.minimum.at(hit, graph.pairs, (late if graph.into_step is None else graph.into_step)[:, None])
-        hit = hit[:n, None]
+        struck = np.zeros((self._ends, 1), dtype=np.bool_)
+        struck[graph.pairs] = True
+        impacts, flight = self._space.impacts, _Flight(v, a, (frame.acceleration - a) / dt)
+        flown = 0  # impacts so far
         way = frame.position - x
         if self._space.box is not None:
             way -= self._space.box * np.floor(way / self._space.box + 0.5)
@@ -174,12 +174,11 @@ class _Watch:
             h = self._times[len(self.position)] - begin
             ends = (a, frame.acceleration) if self._space.ends_with_forces else None
             smooth = _between(h / dt, dt, way, v, frame.velocity, ends)
-            jerk = (frame.acceleration - a) / dt
-            before = _flown(h, v, a, jerk)
-            back, then = _flown(h - dt, frame.velocity, frame.acceleration, jerk)
+            while flown < len(impacts) and impacts.time[flown] < h:
+                flight.bend(impacts.pairs[flown], float(impacts.time[flown]), impacts.after[flown])
+                flown += 1
             moved, velocity = (
-                np.where(hit == np.inf, smoothly, np.where(h <= hit, first, last))
-                for smoothly, first, last in zip(smooth, before, (way + back, then), strict=True)
+                np.where(struck[:n], bent, even) for bent, even in zip(flight.at(h), smooth, strict=True)
             )
             if h == dt:
                 moved, velocity = way, frame.velocity
@@ -187,9 +186,25 @@ class _Watch:
             self.velocity.append(velocity)
 
 
-def _flown(h: float, v: FloatArray, a: FloatArray, jerk: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return way and velocity after h, in s, or before it if that is negative."""
-    return h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk
+class _Flight:
+    """The ways of all bodies from the beginning of a step, bent where impacts bend them."""
+
+    def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray) -> None:
+        self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
+        self._since = np.zeros((len(v), 1))  # s, the last impact of each
+
+    def at(self, h: float | FloatArray, who: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """Return ways and velocities h after the beginning, in s."""
+        since, v, jerk = self._since[who], self._v[who], self._jerk[who]
+        s, a = h - since, self._a[who] + since * jerk
+        return self._way[who] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
+
+    def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
+        """Go on after an impact at a moment, in s, with the velocities of the pair right after it."""
+        moving = pair < len(self._way)  # planes stay
+        who = pair[moving]
+        self._way[who], _ = self.at(moment, who)
+        self._v[who], self._since[who] = after[moving], moment
 
 
 def _between(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.contact.flight import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
 from carom.physics.energy import Energy, Ledger
@@ -123,6 +124,11 @@ class Space:
     def ledger(self) -> Ledger:
         """What contacts did to the energy since the start of the run."""
         return self._accounts.ledger
+
+    @property
+    def impacts(self) -> Impacts:
+        """The impacts on the way through the last step, in the order of time; none where they wait for its end."""
+        return self._contact.impacts if self._contact else NO_IMPACTS
 
     @property
     def bodies(self) -> list[BodyProxy]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.agenda import put
 from carom.physics.contact.grid import Grid
-from carom.physics.contact.impact import APPROACH, COLUMNS, LEDGER, NORMAL, REST, TIME, foresee, resolve
+from carom.physics.contact.impact import AFTER, APPROACH, COLUMNS, LEDGER, NORMAL, REST, TIME, foresee, resolve
 from carom.physics.contact.paths import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
 from carom.physics.contact.rest import pile_speeds
 from carom.physics.contact.search import Search
@@ -41,6 +41,7 @@ class Impacts:
     approach: FloatArray  # (k,) m/s
     rest_speed: FloatArray  # (k,) m/s, up to which each would have been at rest
     ledger: FloatArray  # (k, 3) J
+    after: FloatArray  # (k, 2, 3) m/s, velocities of both right after it
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -49,7 +50,13 @@ class Impacts:
     def of(cls, pairs: IntArray, log: FloatArray) -> Impacts:
         """Read a log."""
         return cls(
-            pairs, log[:, TIME], log[:, NORMAL : NORMAL + 3], log[:, APPROACH], log[:, REST], log[:, LEDGER:COLUMNS]
+            pairs,
+            time=log[:, TIME],
+            normal=log[:, NORMAL : NORMAL + 3],
+            approach=log[:, APPROACH],
+            rest_speed=log[:, REST],
+            ledger=log[:, LEDGER:AFTER],
+            after=log[:, AFTER:COLUMNS].reshape(-1, 2, 3),
         )
 
 

@@ -25,7 +25,7 @@ IntArray = NDArray[np.int64]
 
 MANY = 50  # impacts of a body in a step, of which each further one with e < 1 doubles what is too slow to be one
 MOST = 1000  # impacts of a body in a step; what collapses has no last one
-TIME, NORMAL, APPROACH, REST, LEDGER, COLUMNS = 0, 1, 4, 5, 6, 9  # of the log
+TIME, NORMAL, APPROACH, REST, LEDGER, AFTER, COLUMNS = 0, 1, 4, 5, 6, 9, 15  # of the log
 
 
 @long_kernel
@@ -44,8 +44,9 @@ def resolve(first: IntArray, last: IntArray, others: IntArray, paths: Paths, pai
     first, last, others
         (n,), (n,) and (2 m,): body i may meet ``others[first[i]:last[i]]``.
     pairs, log
-        (k, 2) and (k, 9), of each impact: s from the beginning of the drift, normal from i to j, approach and the speed
-        up to which it would have been at rest in m/s, J by restitution, by friction and by stabilisation.
+        (k, 2) and (k, 15), of each impact: s from the beginning of the drift, normal from i to j, approach and the
+        speed up to which it would have been at rest in m/s, J by restitution, by friction and by stabilisation, and
+        the velocities of i and of j right after it in m/s.
     """
     for row in range(len(log)):
         i = _next(first, last, others, paths)
@@ -220,6 +221,8 @@ def _collide(i: int, j: int, row: int, paths: Paths, log: FloatArray) -> None:
     v[i, 0], v[i, 1], v[i, 2] = v[i, 0] - Jx * mi, v[i, 1] - Jy * mi, v[i, 2] - Jz * mi
     if mj > 0.0:
         v[j, 0], v[j, 1], v[j, 2] = v[j, 0] + Jx * mj, v[j, 1] + Jy * mj, v[j, 2] + Jz * mj
+    for k in range(3):
+        log[row, AFTER + k], log[row, AFTER + 3 + k] = v[i, k] + a[i, k] * s, v[j, k] + a[j, k] * s
 
 
 @inner
