@@ -91,7 +91,7 @@ def test_momentum_errors_that_are_not_compared_are_no_numbers(tmp_path: Path) ->
 
 
 def test_edges_end_on_planes_and_the_overlap_counts_against_the_body(tmp_path: Path) -> None:
-    path = recorded(tmp_path / "x.rrd", plane=PLANES[:1])
+    path = recorded(tmp_path / "x.rrd", plane=PLANES[:1], contact={"timing": "end-of-step"})
     relative = rows(path, "step/relative_overlap", "Scalars:scalars")
     absolute = rows(path, "step/overlap", "Scalars:scalars")
     assert np.max(relative) == pytest.approx(np.max(absolute) / 0.5, rel=1e-15)
