@@ -38,6 +38,17 @@ def medians(
     return {name: statistics.median(times) for name, times in spent.items()}
 
 
+def forget_peak() -> None:
+    """Begin anew to note the most memory that this process has; Linux only."""
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak_megabytes() -> int:
+    """Return the most memory that this process has had since then, in MB."""
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return int(status.partition("VmHWM:")[2].split()[0]) // 1024
+
+
 def merge(name: str, results: dict[str, list[dict[str, Any]]], *peers: str) -> Path:
     """Save rows beside those that are there already: a row takes the place of the one that tells of the same things.
 

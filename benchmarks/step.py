@@ -14,7 +14,6 @@ tree and with lasting contacts.
 from __future__ import annotations
 
 import argparse
-import resource
 import time
 from collections.abc import Callable
 from typing import Any
@@ -29,7 +28,7 @@ from carom.physics.space import Space
 from carom.physics.team import Team
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
-from measurement import medians, save
+from measurement import forget_peak, medians, peak_megabytes, save
 
 FloatArray = NDArray[np.float64]
 
@@ -131,6 +130,7 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
     """Time steps of crowds in open space, which expand slowly, and fit the exponent of the time over their size."""
     rows: list[dict[str, Any]] = []
     for n in sizes:
+        forget_peak()
         spaces = {threads: in_open_space(n, threads, constant) for threads in (1, 2)}
         steps = max(4, min(STEPS, 2_000_000 // n))
         contenders = {f"{threads} threads": stepping(space, steps) for threads, space in spaces.items()}
@@ -147,7 +147,7 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
                 "ms": step,
                 "bare_loop_gain": round(one / two, 2),
                 "shares": {part: round(seconds / whole, 3) for part, seconds in parts.items()},
-                "peak_megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+                "peak_megabytes": peak_megabytes(),
             }
         )
         print(rows[-1], flush=True)
