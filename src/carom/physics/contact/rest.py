@@ -122,11 +122,7 @@ def pile_speeds(
             i, j = _root(parent, i), _root(parent, j)
             parent[max(i, j)] = min(i, j)
     for i in range(n):
-        a2 = 0.0
-        for k in range(3):
-            a = acceleration[i, k] - field[k]
-            a2 += a * a
-        speeds[i] = 2.0 * np.sqrt(a2) * dt if inverse_mass[i] > 0.0 else 0.0
+        speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
     for i in range(n):
         pile = _root(parent, i)
         speeds[pile] = max(speeds[pile], speeds[i])
@@ -139,11 +135,7 @@ def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
     """Return |a|² of the body that the field alone explains least, in m²/s⁴."""
     largest = 0.0
     for i in range(len(acceleration)):
-        a2 = 0.0
-        for k in range(3):
-            a = acceleration[i, k] - field[k]
-            a2 += a * a
-        largest = max(largest, a2)
+        largest = max(largest, _square(acceleration, field, i))
     return largest
 
 
@@ -237,6 +229,7 @@ def _write_speeds(
 
 @kernel
 def _square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
+    """Return |a|² of a body without what the field does to it, in m²/s⁴."""
     a2 = 0.0
     for k in range(3):
         a = acceleration[i, k] - field[k]
