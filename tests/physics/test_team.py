@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numba
@@ -136,20 +135,3 @@ def test_work_is_shared_where_it_would_not_be_worth_it_if_all_is_to_be() -> None
     with sharing_all():
         team.divide(len(visits), 10, visit, visits, 1.0)
     assert np.all(visits == 1.0)
-
-
-def test_what_fails_in_a_helper_is_raised_by_the_leader() -> None:
-    team = Team(2)
-
-    def fail(who: int, piece: int) -> None:
-        while who == 0 and not failed:
-            time.sleep(1e-4)  # leaves a piece to the helper
-        if who == 1:
-            failed.append(piece)
-            raise ValueError("no")
-
-    for _ in range(3):
-        failed: list[int] = []
-        with pytest.raises(ValueError, match="no"):
-            team.share(2, fail)
-    team.share(2, lambda who, piece: None)

@@ -32,7 +32,6 @@ from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import atomic_add, atomic_load, atomic_store
 
 IntArray = NDArray[np.int64]
-Job = Callable[[int, int], None]  # called with who does it, 0 being the leader, and with the number of a piece
 
 LEFT, BACK, DONE, OVER, CALLS, DOER = 0, 8, 16, 24, 32, 40  # words of the board, each in a cache line of its own
 JOB = DOER + 1  # only the leader writes to either
@@ -42,7 +41,6 @@ LOOKOUT = 50 * PATIENCE  # looks between two jobs, before it goes to sleep; with
 SHIFT = 32  # pieces, half a millisecond, after which it offers it to others
 END, YIELD, REST = range(3)  # what a helper does next
 SHARED = 0  # what a leader ends with, unless it was given the code for another kind of arguments
-CALLED, GONE = -1, -2  # what a lookout ends with, unless it is a piece
 PIECES = 16  # for each thread, at most: the last ones end at about the same time
 NAP = 50e-6  # s, for how long
 
@@ -65,10 +63,8 @@ class Team:
         self._falling_asleep = threading.Lock()
         self._awake = [True] + [False] * (threads - 1)
         self._answered = [0] * threads  # the last call that each has heard
-        self._job: Job = _nothing
         self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
         self._call: Callable[[], None] | None = None
-        self._failure: BaseException | None = None
 
     def gather(self, help_out: Callable[..., int], *work: Any) -> IntArray:
         """Let helpers begin on a board of their own, and return it; it is empty if there are none.
@@ -109,28 +105,6 @@ class Team:
                 self._code[work] = code, kind
                 _lead(self._board, code, kind, count, pieces, arguments)
 
-    def share(self, pieces: int, job: Job) -> None:
-        """Do each piece of a job once; what it calls has to let other threads run."""
-        board = self._board
-        if self._pool is None:
-            for k in range(pieces):
-                job(0, k)
-            return
-        self._job = job
-        board[DOER] = 0
-        post(board, pieces)
-        self._rouse()
-        k = 0
-        while claim(board):
-            job(0, k)
-            finish(board)
-            k += 1
-        _wait(board, pieces)
-        self._job = _nothing  # holds on to nothing
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            raise failure
-
     def _rouse(self) -> None:
         """Wake the helpers that are asleep."""
         assert self._pool is not None
@@ -143,31 +117,19 @@ class Team:
     def _look_out(self, who: int) -> None:
         """Help with whatever comes, until nothing has come for a while."""
         while self._awake[who]:
-            piece = _look(self._board, self._answered[who], OFFER)
-            if piece == CALLED:
+            if _look(self._board, self._answered[who], OFFER):
                 self._answered[who] = int(self._board[CALLS])
                 if self._call:
                     self._call()
-            elif piece == GONE:
+            else:
                 with self._falling_asleep:
                     self._awake[who] = self._is_wanted(who)
-            else:
-                try:
-                    self._job(who, piece)
-                except BaseException as failure:  # the leader raises it
-                    self._failure = failure
-                finish(self._board)
-                _offer_core()
 
     def _is_wanted(self, who: int) -> bool:
         return bool(self._board[LEFT] > 0 or self._board[CALLS] != self._answered[who])
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers
-
-
-def _nothing(who: int, piece: int) -> None:
-    """Do nothing."""
 
 
 SOLO = Team(1)
@@ -233,11 +195,6 @@ def wait(board: IntArray, pieces: int) -> None:
 
 
 @long_kernel
-def _wait(board: IntArray, pieces: int) -> None:
-    wait(board, pieces)
-
-
-@long_kernel
 def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
     """Do the pieces of [0, count) with the code of a kernel: return `SHARED`, or the kind that it should be for."""
     needed: int = kind_of(arguments)
@@ -261,8 +218,8 @@ def _take_part(board: IntArray, pieces: int) -> None:
 
 
 @long_kernel
-def _look(board: IntArray, calls: int, offer: int) -> int:
-    """Help until nothing has come for a while, and return `GONE`; before that `CALLED`, or a piece for the interpreter.
+def _look(board: IntArray, calls: int, offer: int) -> bool:
+    """Help until nothing has come for a while, or until there is a call; tell which: whether there is one.
 
     Parameters
     ----------
@@ -275,17 +232,14 @@ def _look(board: IntArray, calls: int, offer: int) -> int:
     while idle < LOOKOUT:
         idle += 1
         if claim(board):
-            piece = last_piece(board)
-            if board[DOER] == 0:
-                return piece
-            do(board[DOER], board[JOB], piece)
+            do(board[DOER], board[JOB], last_piece(board))
             finish(board)
             idle = 0
         if atomic_load(board, CALLS) != calls:
-            return CALLED
+            return True
         if offer != 0 and idle % PATIENCE == 0:
             call(offer)
-    return GONE
+    return False
 
 
 @contextmanager
@@ -299,10 +253,9 @@ def sharing_all() -> Iterator[None]:
 
 
 def load_helpers() -> None:
-    """Load the kernels that leader and helpers wait in; a run does so when it first shares work out."""
+    """Load the kernel that helpers wait in; a run does so when it first shares work out."""
     board = np.zeros(WORDS, dtype=np.int64)
-    _wait(board, 0)
-    _look(board, CALLED, OFFER)  # not the calls on the board: it ends at once
+    _look(board, int(board[CALLS]) - 1, OFFER)  # as if there were a call: it ends at once
 
 
 @kernel
