@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from carom.experiment.comparison import Scale, compare
 from carom.experiment.reference import make_reference, refined
@@ -14,6 +17,7 @@ from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
+from scenes import scene_from
 
 
 def test_following_a_run_changes_no_bit() -> None:
@@ -23,6 +27,26 @@ def test_following_a_run_changes_no_bit() -> None:
         pass
     follow(followed, sample_times(scene))
     assert plain.fingerprint() == followed.fingerprint() and plain.step == followed.step
+
+
+@settings(deadline=None)
+@given(st.floats(1e-200, 1e200), st.sampled_from([2, 30]))
+@example(2 * math.pi * 9, 2)
+@example(2 * math.pi * 18, 2)
+@example(2 * math.pi * 36, 2)
+@example(2 * math.pi * 39, 2)
+@example(1.7e308, 2)
+def test_samples_rise_to_the_duration_of_the_scene_and_end_exactly_there(duration: float, bodies: int) -> None:
+    bodies_apart = [{"position": [3.0 * k, 0.0, 0.0]} for k in range(bodies)]
+    times = sample_times(scene_from({"time": {"duration": duration}, "body": bodies_apart}))
+    assert times[-1] == duration and times[0] > 0.0 and np.all(np.diff(times) > 0.0)
+
+
+@pytest.mark.parametrize("turns", [9, 18, 36, 39])
+def test_a_run_of_whole_turns_is_followed_to_its_end(turns: int) -> None:
+    # 2 pi n * 600 / 600 is one unit in the last place past the end for these n
+    scene = pair(speed=1e-3, time={"duration": 2 * math.pi * turns, "fixed_dt": 20.0})
+    assert len(follow(Space(scene), sample_times(scene))) == 600
 
 
 def test_a_flight_between_steps_is_exact() -> None:

@@ -72,9 +72,13 @@ class Trajectory:
 
 
 def sample_times(scene: Scene) -> FloatArray:
-    """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration."""
+    """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
+
+    The fractions are computed first: the last is then exactly 1, and no time is rounded past the end of the run.
+    """
     count = SAMPLES_OF_FEW if scene.count <= FEW else SAMPLES
-    return scene.time.duration * np.arange(1, count + 1) / count
+    fractions = np.arange(1, count + 1) / count
+    return np.asarray(scene.time.duration * fractions)
 
 
 def follow(space: Space, times: FloatArray) -> Trajectory:
