@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carom.scene.bundled import bundled_scenes, starter
 from carom.scene.error import SceneError
 from carom.scene.limits import refuse_impossible
+from carom.scene.load import scene_from_text
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 
@@ -142,6 +144,24 @@ MISTAKES = {
         "[[group]]\nvelocity = { dispersion = 1.0 }\n",
         ["contact.timing", "drifts twice", "leapfrog"],
     ),
+    "lists within lists": ("title = " + "[" * 40 + "]" * 40, ["scene.toml", "more than 32 levels deep"]),
+    "a thousand lists within lists": ("title = " + "[" * 5000 + "]" * 5000, ["scene.toml", "more than 32 levels deep"]),
+    "tables within tables": ("title = " + "{ a = " * 1000 + "1" + " }" * 1000, ["more than 32 levels deep"]),
+    "a key of a million parts": (ONE_BODY + ".".join("a" * 1_000_000) + " = 1\n", [":3:", "more than 32 parts"]),
+    "a header of a million parts": ("[" + " . ".join(['"a"'] * 500_000) + "]\n", [":1:", "more than 32 parts"]),
+    "a whole number of 5000 digits": ("seed = " + "9" * 5000, ["scene.toml", "not TOML", "digits"]),
+    "a sweep of 300 million values": (
+        ONE_BODY + "[sweep]\nvary = { seed = '0:1:300000000' }\n",
+        [":4:", "sweep.vary", "more than 1000000 runs"],
+    ),
+    "a sweep of many ranges": (
+        ONE_BODY + "[sweep]\nvary = { a = '0:1:600000', b = '0:1:600000' }\n",
+        [":4:", "sweep.vary", "more than 1000000 values"],
+    ),
+    "a sweep between ends too far apart": (
+        ONE_BODY + "[sweep]\nvary = { seed = '-1e308:1e308:3' }\n",
+        [":4:", "sweep.vary", "finite"],
+    ),
     "impacts at times that run backwards": (
         "[contact]\ntiming = 'time-of-impact'\n[time]\nintegrator = 'yoshida4'\n"
         "[[group]]\nvelocity = { dispersion = 1.0 }\n",
@@ -181,6 +201,25 @@ def test_several_mistakes_are_named_at_once(tmp_path: Path) -> None:
     assert [line.split(":")[1] for line in said.splitlines()] == ["2", "3", "5"]
 
 
+def test_of_thousands_of_mistakes_the_first_few_are_explained_and_the_others_counted(tmp_path: Path) -> None:
+    # each explanation reads the file once: all 5000 took 40 s
+    said = complaint(tmp_path, "".join(f"k{i} = 1\n" for i in range(5000)) + ONE_BODY).splitlines()
+    assert len(said) == 9
+    assert said[0].startswith(f"{tmp_path}/scene.toml:1: unknown key k0") and said[-1] == "… and 4992 more"
+
+
+def test_a_dictionary_that_contains_itself_is_refused() -> None:
+    data: dict[str, Any] = {}
+    data["time"] = data
+    with pytest.raises(SceneError, match="more than 32 levels deep"):
+        Scene.from_dict(data)
+
+
+def test_without_overrides_the_text_of_a_scene_is_kept_as_it_is_written() -> None:
+    text = "# spaces   and\r\n[[body]]\r\nradius=1.0   # comments\r\n"
+    assert scene_from_text(text, "here").toml == text
+
+
 def test_an_override_changes_one_key_and_is_kept_in_the_text(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text("# a comment\n[time]\nduration = 1.0\n" + ONE_BODY, encoding="utf-8")
@@ -198,6 +237,10 @@ def test_an_override_changes_one_key_and_is_kept_in_the_text(tmp_path: Path) -> 
         ("title.x=1", "title is a value"),
         ("contact.restitution=7", "--set contact.restitution=7: contact.restitution = 7: must be at most 1"),
         ("contact.bounce=1", "--set contact.bounce=1: unknown key contact.bounce"),
+        ("body.²=1", "there is no body.²"),
+        ("body." + "9" * 5000 + ".radius=1", "there is no body.999"),
+        ("a." * 40 + "b=1", "more than 32 parts"),
+        ("title=" + "[" * 40 + "]" * 40, "more than 32 levels deep"),
     ],
 )
 def test_an_override_that_is_wrong_is_named(override: str, expected: str, tmp_path: Path) -> None:

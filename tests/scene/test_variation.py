@@ -44,11 +44,19 @@ def test_lists_ranges_and_log_ranges(text: str, values: tuple[Any, ...]) -> None
         ("0:1:3log", "two ends above 0"),
         ("0.5,0.5", "twice"),
         ("2:2:2", "twice"),
+        ("[1, 2],[1.0, 2.0]", "twice"),
+        ("0:1:1000001", "more than 1000000 runs"),
+        ("0:1:" + "9" * 5000, "more than 1000000 runs"),
+        ("0:1e999:3", "finite"),
     ],
 )
 def test_a_mistake_says_what_would_be_right(text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         values_of(text)
+
+
+def test_equal_ratios_between_ends_whose_ratio_overflows() -> None:
+    assert values_of("1e-300:1e300:3log") == (1e-300, 1.0, 1e300)
 
 
 def test_keys_are_crossed_or_go_side_by_side() -> None:

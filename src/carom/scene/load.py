@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import itertools
+import re
 import tomllib
 import types
 import typing
@@ -16,10 +18,13 @@ from pydantic import BaseModel, ValidationError
 from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.error import SceneError
 from carom.scene.lines import KeyPath, line_of
+from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.schema import Scene
 
 LARGEST_FILE = 4_000_000  # bytes; a scene is a page or two, whatever is larger is not one
 MOST_MESSAGES = 8
+_TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
+_INDEX = re.compile(r"[0-9]{1,9}")
 
 
 def load_scene(source: str | Path, overrides: list[str]) -> Scene:
@@ -60,18 +65,35 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
     """
     if len(text) > LARGEST_FILE:
         raise SceneError(f"{source}: {len(text)} characters are too many for a scene")
-    try:
-        tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{source}: not TOML: {error}") from None
+    data = _parse(text, source)
+    if not overrides:
+        return _validate(data, text, _Places(source, text, {}))
     document = tomlkit.parse(text)
-    overridden = {_apply_override(document, override): override for override in overrides or []}
+    overridden = {_apply_override(document, override): override for override in overrides}
     effective = tomlkit.dumps(document)
-    return _validate(tomllib.loads(effective), effective, _Places(source, text, overridden))
+    return _validate(_parse(effective, source), effective, _Places(source, text, overridden))
+
+
+def _parse(text: str, source: str) -> dict[str, Any]:
+    """Read TOML, at most `DEEPEST` levels of it."""
+    line = line_of_long_key(text)
+    if line is not None:
+        raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
+    try:
+        data = tomllib.loads(text)
+    except ValueError as error:  # not only TOMLDecodeError: Python refuses whole numbers of thousands of digits
+        raise SceneError(f"{source}: not TOML: {error}") from None
+    except RecursionError:
+        raise SceneError(f"{source}: {_TOO_DEEP}") from None
+    if is_too_deep(data):
+        raise SceneError(f"{source}: {_TOO_DEEP}")
+    return data
 
 
 def scene_from_dict(data: dict[str, Any]) -> Scene:
     """Build a scene from a plain dictionary; errors name the key."""
+    if is_too_deep(data):
+        raise SceneError(f"not a scene: {_TOO_DEEP}")
     try:
         text = tomlkit.dumps(data)
     except (TypeError, ValueError, tomlkit.exceptions.TOMLKitError) as error:
@@ -125,9 +147,11 @@ def _read(path: Path) -> str:
 def _apply_override(document: tomlkit.TOMLDocument, override: str) -> KeyPath:
     """Set one key of the document, keeping its comments; return the path that was set."""
     dotted, separator, text = override.partition("=")
-    keys = tuple(int(key) if key.isdigit() else key for key in dotted.strip().split("."))
+    keys = tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.strip().split("."))
     if not separator or not all(key != "" for key in keys):
         raise SceneError(f"--set {override}: expected key=value, such as contact.restitution=0.8")
+    if len(keys) > DEEPEST:
+        raise SceneError(f"--set {override[:80]} …: a key of more than {DEEPEST} parts")
     node: Any = document
     for depth, key in enumerate(keys[:-1]):
         try:
@@ -160,18 +184,17 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
         scene = Scene.model_validate(data)
     except ValidationError as error:
         first_of_each_key = {_written_path(detail, data): detail for detail in reversed(error.errors())}
-        messages = [_explain(detail, path, places) for path, detail in reversed(first_of_each_key.items())]
-        more = len(messages) - MOST_MESSAGES
-        if more > 0:
-            messages = [*messages[:MOST_MESSAGES], f"… and {more} more"]
-        raise SceneError("\n".join(messages)) from None
+        explained = itertools.islice(reversed(first_of_each_key.items()), MOST_MESSAGES)
+        messages = [_explain(detail, path, places) for path, detail in explained]
+        more = len(first_of_each_key) - MOST_MESSAGES
+        raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages)) from None
     scene._toml = text
     return scene
 
 
 def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
     """One line a person can act on: place, key, what is wrong, what would be right."""
-    place, key, given = places.of(path), ".".join(map(str, path)), detail["input"]
+    place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), detail["input"]
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{_nearest(path)}"
     if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):

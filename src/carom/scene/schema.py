@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from carom.scene.parts import PARTS, unknown
-from carom.scene.variation import Values, alike, flattened, values_of
+from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -344,10 +344,16 @@ def _values_by_key(given: Any) -> Any:
     """Read what varies: lists as they are, text as `--vary` takes it."""
     if not isinstance(given, dict):
         return given
-    return {
-        key: values_of(value) if isinstance(value, str) else alike(value if isinstance(value, list) else [value])
-        for key, value in flattened(given).items()
-    }
+    found: dict[str, Values] = {}
+    count = 0
+    for key, value in flattened(given).items():
+        found[key] = (
+            values_of(value) if isinstance(value, str) else alike(value if isinstance(value, list) else [value])
+        )
+        count += len(found[key])
+        if count > MOST_RUNS:
+            raise ValueError(f"more than {MOST_RUNS} values; give fewer")
+    return found
 
 
 class Sweep(Section):

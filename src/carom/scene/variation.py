@@ -14,6 +14,7 @@ import tomlkit.exceptions
 Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
 
 MOST_RUNS = 1_000_000
+_TOO_MANY = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*:\s*(\d+)\s*(log)?\s*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
@@ -64,10 +65,24 @@ def alike(values: Any) -> Values:
         raise ValueError(f"no values; expected {_EXAMPLES}")
     if any(isinstance(value, float) for value in found) and all(_is_number(value) for value in found):
         found = tuple(float(value) for value in found)
-    twice = next((value for index, value in enumerate(found) if value in found[:index]), None)
-    if twice is not None:
-        raise ValueError(f"{twice} is there twice; a run is made once")
+    if len(found) > MOST_RUNS:
+        raise ValueError(_TOO_MANY)
+    seen: set[Any] = set()
+    for value in found:
+        known = len(seen)
+        seen.add(_hashable(value))
+        if len(seen) == known:
+            raise ValueError(f"{value} is there twice; a run is made once")
     return found
+
+
+def _hashable(value: Any) -> Any:
+    """Return what is equal where values are equal: lists and tables do not go into a set."""
+    if isinstance(value, list):
+        return tuple(map(_hashable, value))
+    if isinstance(value, Mapping):
+        return frozenset((key, _hashable(inner)) for key, inner in value.items())
+    return value
 
 
 def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any]]:
@@ -86,7 +101,7 @@ def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any
         rows: Any = zip(*axes.values(), strict=True) if axes else [()]
     else:
         if math.prod(len(values) for values in axes.values()) > MOST_RUNS:
-            raise ValueError(f"more than {MOST_RUNS} runs; give fewer values")
+            raise ValueError(_TOO_MANY)
         rows = itertools.product(*axes.values())
     return [dict(zip(axes, row, strict=True)) for row in rows]
 
@@ -115,13 +130,17 @@ def _parts(text: str) -> list[str]:
 
 
 def _range(text: str, first: str, last: str, count: str, log: str | None) -> Values:
+    if len(count.lstrip("0")) > len(str(MOST_RUNS)) or int(count) > MOST_RUNS:
+        raise ValueError(_TOO_MANY)
     low, high, steps = float(first), float(last), int(count) - 1
+    if not math.isfinite(high - low):
+        raise ValueError(f'"{text}": the ends of a range must be finite numbers, and so must their distance')
     if steps < 1:
         raise ValueError(f'"{text}": a range has two values or more; expected {_EXAMPLES}')
     if log and not (low > 0.0 and high > 0.0):
         raise ValueError(f'"{text}": equal ratios need two ends above 0')
     if log:
-        ratio = math.log(high / low)
+        ratio = math.log(high) - math.log(low)  # their quotient may overflow
         inner = [low * math.exp(ratio * step / steps) for step in range(1, steps)]
     else:
         inner = [low + (high - low) * step / steps for step in range(1, steps)]
