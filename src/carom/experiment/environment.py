@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+
+from carom.experiment.revision import git_revision
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
 
@@ -21,7 +22,7 @@ def environment(threads: int) -> dict[str, str | int]:
     """Return the properties that a recording carries about where it came from."""
     stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
     stamped["command"] = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    stamped["git"] = _git_revision()
+    stamped["git"] = _revision()
     stamped["platform"] = platform.platform()
     stamped["cpu"] = _cpu()
     stamped["threads"] = threads
@@ -38,22 +39,9 @@ def _version(package: str) -> str:
 
 
 @cache
-def _git_revision() -> str:
-    """Return the commit of the working folder, "-dirty" appended where it has changes, or nothing.
-
-    As it was when this process first asked, which is when it loaded its code: 5 ms, and a sweep asks for every run.
-    """
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return described.stdout.strip() if described.returncode == 0 else ""
+def _revision() -> str:
+    """Return the commit of the working folder as it was when this process first asked: a sweep asks for every run."""
+    return git_revision(Path.cwd())
 
 
 @cache
