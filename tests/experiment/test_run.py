@@ -15,6 +15,7 @@ from carom.experiment.expectation import judge
 from carom.experiment.run import simulate
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
 from carom.scene.bundled import bundled_scenes
@@ -85,13 +86,11 @@ def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
 
 
 def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp_path: Path) -> None:
-    space = Space(cloud())
+    space = Space(cloud(time={"duration": 3000.0}))
 
-    def break_it(space: Space) -> None:
+    def break_it(status: StepStatus) -> None:
         space.state.velocity[3] = np.nan
 
-    slow = cloud(time={"duration": 3000.0})
-    space = Space(slow)
     outcome = simulate(space, tmp_path / "broken.rrd", watch=break_it)
     assert outcome.status == "failed" and "no longer finite" in outcome.reason
     recording = Recording.open(outcome.path)

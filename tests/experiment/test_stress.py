@@ -13,6 +13,7 @@ import pytest
 from carom.experiment.expectation import judge
 from carom.experiment.stress import attempt, extremes
 from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from examples import cloud
@@ -151,9 +152,17 @@ def test_a_scene_that_is_refused_says_why(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_run_that_stops_being_finite_points_to_its_end(tmp_path: Path) -> None:
-    def break_it(space: Space) -> None:
-        space.state.velocity[3] = np.nan
+def test_a_run_that_stops_being_finite_points_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spaces: list[Space] = []
+
+    def keep(scene: Scene) -> Space:
+        spaces.append(Space(scene))
+        return spaces[0]
+
+    monkeypatch.setattr("carom.experiment.stress.Space", keep)
+
+    def break_it(status: StepStatus) -> None:
+        spaces[0].state.velocity[3] = np.nan
 
     trial = attempt("cloud", cloud(time={"duration": 3000.0}), tmp_path, watch=break_it)
     assert not trial.met and trial.status == "failed"

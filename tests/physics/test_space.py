@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from itertools import islice
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
@@ -423,3 +426,55 @@ def test_the_profile_accounts_for_every_part_of_the_step() -> None:
     space = Space(cloud())
     last(space)
     assert {"timestep", "integrate", "search", "gravity", "response", "energy"} <= set(space.profile.seconds())
+
+
+def graph_bytes(graph: CollisionGraph) -> bytes:
+    return b"".join(array.tobytes() for array in (graph.pairs, graph.normals, graph.overlaps, graph.colours))
+
+
+def test_contacts_read_from_another_thread_during_a_run_are_those_of_a_finished_step() -> None:
+    scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"log_freq": 1000})  # a check puts the graph together
+    alone = {frame.step: graph_bytes(frame.contacts) for frame in Space(scene).run()}
+    assert len(set(alone.values())) > 200, "contacts that change from step to step"
+    space, ended = Space(scene), threading.Event()
+    read: set[bytes] = set()
+    faults: list[Exception] = []
+
+    def reader() -> None:
+        while not ended.is_set():
+            try:
+                read.add(graph_bytes(space.contacts))
+            except Exception as fault:
+                faults.append(fault)
+
+    interval, thread = sys.getswitchinterval(), threading.Thread(target=reader)
+    sys.setswitchinterval(1e-6)  # s: threads take turns within every step
+    thread.start()
+    try:
+        sparse = space.run(schedule=lambda step, before, time: step % 7 == 0)  # so does a frame
+        recorded = {frame.step: graph_bytes(frame.contacts) for frame in sparse}
+    finally:
+        ended.set()
+        sys.setswitchinterval(interval)
+        thread.join()
+    assert not faults
+    assert len(read) > 100, "the reader gets its turn"
+    assert read <= set(alone.values())
+    assert recorded == {step: alone[step] for step in recorded}
+
+
+def test_a_status_read_during_a_step_is_that_of_the_step_before() -> None:
+    space = Space(cloud(time={"duration": 0.5}))
+    read = []
+
+    def between(step: int, before: float, time: float) -> bool:
+        read.append((step, before, space.status))  # the clock already shows the end of this step
+        return False
+
+    for _ in space.run(schedule=between):
+        pass
+    assert len(read) > 10
+    assert all((status.step, status.time) == (step - 1, before) for step, before, status in read)
+    assert (space.status.step, space.status.time, space.status.dt) == (space.step, 0.5, space.dt)
+    assert space.status.contacts == len(space.contacts)
+    assert space.status.energy_error == space.frame().energy.relative_error

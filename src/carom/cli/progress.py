@@ -11,7 +11,7 @@ from rich.table import Table
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import bytes_text, duration_text
 from carom.experiment.run import Outcome
-from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.scene.schema import Scene
 
 
@@ -29,18 +29,18 @@ class Progress(LiveLine):
         self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {duration_text(scene.time.duration)}")
         return super().__enter__()
 
-    def update(self, space: Space) -> None:
+    def update(self, status: StepStatus) -> None:
         """Show where the run is."""
-        self._show(lambda now: self._line(space, now))
+        self._show(lambda now: self._line(status, now))
 
-    def _line(self, space: Space, now: float) -> str:
-        done = min(1.0, space.time / self._scene.time.duration)
+    def _line(self, status: StepStatus, now: float) -> str:
+        done = min(1.0, status.time / self._scene.time.duration)
         spent = max(now - self._began, 1e-9)
         left = duration_text(spent * (1 - done) / done) if done > 0 else "?"
         return (
-            f"{bar(done)} {done:4.0%}  t = {space.time:.5g} s  step {space.step} "
-            f"({space.step / spent:.0f}/s)  dt = {space.dt:.3g} s ({space.dt_limit})  {len(space.contacts)} contacts  "
-            f"energy error {space.checked_energy.relative_error:.1e}  {left} left"
+            f"{bar(done)} {done:4.0%}  t = {status.time:.5g} s  step {status.step} "
+            f"({status.step / spent:.0f}/s)  dt = {status.dt:.3g} s ({status.dt_limit})  {status.contacts} contacts  "
+            f"energy error {status.energy_error:.1e}  {left} left"
         )
 
     def summarise(self, outcome: Outcome) -> None:

@@ -17,6 +17,7 @@ from carom.experiment.output import refuse_output
 from carom.physics.error import PhysicsError
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar, SweepMember
 from carom.recording.past import Past
@@ -27,7 +28,7 @@ from carom.scene.schema import Scene
 
 POLL = 0.1  # s between two looks at a run under way
 
-Watcher = Callable[[Space], None]
+Watcher = Callable[[StepStatus], None]
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def simulate(
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
-        Called with the space about ten times a second.
+        Called about ten times a second with where the run stands.
     past
         What an earlier recording holds up to where the space stands; it is written first.
     properties
@@ -213,7 +214,7 @@ def _wait(physics: _Physics, watch: Watcher | None) -> bool:
             if physics.wait(POLL):
                 return interrupted
             if watch:
-                watch(physics.space)
+                watch(physics.space.status)
         except KeyboardInterrupt:
             if interrupted:
                 raise

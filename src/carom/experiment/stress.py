@@ -80,7 +80,7 @@ def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = No
     folder
         Where the recording goes.
     watch
-        Called with the space about ten times a second.
+        Called about ten times a second with where the run stands.
 
     Raises
     ------
