@@ -1,9 +1,12 @@
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import rerun as rr
 
+from carom.physics.event import Event
+from carom.recording import entities, paths
 from carom.recording.errors import RecordingError
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
@@ -108,3 +111,21 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, merry
             recorder.put(replace(frame, energy=harder) if frame.step == 33 else frame)
         recorder.finish("completed")
     assert Recording.open(tmp_path / "run.rrd").moment() == frames[33].time
+
+
+def test_events_recorded_before_there_were_kinds_read_with_empty_ones(
+    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_kinds(events: Sequence[Event]) -> entities.Rows:
+        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+        return entities.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+
+    monkeypatch.setattr(entities, "event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.stream.event_rows", without_kinds)
+    with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
+        for frame in merry.frames(50):
+            recorder.put(frame)
+        recorder.finish("failed: the end is a warning, too")
+    recording = Recording.open(tmp_path / "old.rrd")
+    assert set(recording.events()["kind"].to_pylist()) == {""}
+    assert recording.warnings() == [Event(30, 1.5, "WARN", "something at step 30")]

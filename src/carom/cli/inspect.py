@@ -43,6 +43,8 @@ def inspect(
     console = Console(soft_wrap=True, highlight=False)
     console.print(_overview(summary))
     console.print()
+    for line in _warnings(summary):
+        console.print(line, markup=False)
     for line in _moments(summary, file):
         console.print(line)
     console.print()
@@ -85,6 +87,17 @@ def _overview(summary: dict[str, Any]) -> Table:
         table.add_row("promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}")
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
     return table
+
+
+def _warnings(summary: dict[str, Any]) -> Iterator[str]:
+    """Show what the run was warned of, and an empty line after it."""
+    from carom.cli.warnings import warning_lines
+    from carom.physics.event import Event
+
+    if summary["warnings"]:
+        yield f"Warnings: {len(summary['warnings'])}"
+        yield from warning_lines([Event(**warning) for warning in summary["warnings"]], in_full=True)
+        yield ""
 
 
 def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:

@@ -7,9 +7,11 @@ from typing import Self
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import bytes_text, duration_text
+from carom.cli.warnings import warning_lines
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.schema import Scene
@@ -66,6 +68,8 @@ class Progress(LiveLine):
                 f"{moments.total_contacts}, {moments.impacts} of them impacts; at most {moments.contacts.value:.0f} at "
                 f"once; deepest overlap {moments.overlap.value:.2%} of the smaller radius",
             )
+        for line in warning_lines(outcome.warnings):
+            table.add_row("[yellow]warning[/yellow]", Text(line))
         for verdict in outcome.verdicts:
             table.add_row("expected" if verdict.met else "[red]missed[/red]", str(verdict))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")

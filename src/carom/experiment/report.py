@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from carom.experiment.environment import environment
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
+from carom.physics.event import Event
 from carom.recording import bundle
 from carom.recording.clip import clip
 from carom.recording.errors import RecordingError
@@ -106,10 +106,13 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
 
 def _warnings(recording: Recording) -> list[tuple[float, str]]:
     """Return times and texts of what was logged about the energy."""
-    events, scale = recording.events(), float(recording.info["time_scale"])
-    times = events["sim_time"].cast(pa.int64()).to_numpy() * 1e-9 * scale
-    rows = zip(times, events["level"].to_pylist(), events["text"].to_pylist(), strict=True)
-    return [(float(t), text) for t, level, text in rows if level == "WARN" and text.startswith("Energy rose")]
+    told = recording.warnings()
+    return [(event.time, event.text) for event in told if event.kind.startswith("energy") or _was_of_energy(event)]
+
+
+def _was_of_energy(event: Event) -> bool:
+    """Tell a warning about the energy in a recording of before events had kinds."""
+    return not event.kind and event.text.startswith("Energy rose")
 
 
 def _cut(recording: Recording, moment: float, path: Path) -> None:

@@ -15,6 +15,7 @@ from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.output import refuse_output
 from carom.physics.error import PhysicsError
+from carom.physics.event import Event
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
@@ -46,6 +47,7 @@ class Outcome:
     payload: int  # bytes of the arrays alone
     moments: Moments = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
+    warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
 
     @property
     def ok(self) -> bool:
@@ -162,6 +164,7 @@ def simulate(
         payload=recorder.payload_bytes,
         moments=space.moments,
         verdicts=verdicts,
+        warnings=physics.warnings,
     )
 
 
@@ -171,6 +174,7 @@ class _Physics:
     def __init__(self, space: Space, recorder: Recorder, past: Past | None) -> None:
         self.space = space
         self.frames = past.frames if past else 0
+        self.warnings = past.recording.warnings(until=past.step) if past else []
         self._known = past.step if past else -1  # the step whose frame the recorder has
         self._recorder = recorder
         self._error: Exception | None = None
@@ -202,6 +206,7 @@ class _Physics:
                 if frame.step > self._known:
                     self._recorder.put(frame)
                     self.frames += 1
+                    self.warnings += [event for event in frame.events if event.level == "WARN"]
         except Exception as error:
             self._error = error
 

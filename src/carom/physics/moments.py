@@ -66,7 +66,7 @@ class Moments:
             if moment is not None and moment.value > 0:
                 who = " and ".join(names.of(body) for body in moment.bodies)
                 text = wording.format(value=moment.value) + (f": {who}." if who else ".")
-                events.append(Event(moment.step, moment.time, "INFO", text))
+                events.append(Event(moment.step, moment.time, "INFO", text, "extreme"))
         return tuple(sorted(events, key=lambda event: event.step))
 
     def see_energy(self, step: int, time: float, energy: Energy) -> None:

@@ -449,10 +449,10 @@ class Space:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
                 names = Names(self.names, self.planes.name)
-                self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.")
+                self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.", "first-contact")
             self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():
-                self._log("WARN", text)
+                self._log("WARN", text, "limit")
         self._phase.see(contact.tally.contacts, contact.tally.struck, self._accounts.energy.scale)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
@@ -502,8 +502,8 @@ class Space:
             self._contact.begin(self.first_dt)
         return potential
 
-    def _log(self, level: str, text: str) -> None:
-        self._events.append(Event(self.step, self.time, level, text))
+    def _log(self, level: str, text: str, kind: str) -> None:
+        self._events.append(Event(self.step, self.time, level, text, kind))
 
     def _stuck(self, time: float) -> str:
         return (

@@ -102,7 +102,7 @@ class EnergyWatch:
         text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
         if self.tally.warnings == MOST_WARNINGS:
             text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
-        return Event(step, time, "WARN", text)
+        return Event(step, time, "WARN", text, "energy-rise")
 
 
 def _vector(values: FloatArray) -> str:

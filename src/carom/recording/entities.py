@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumnList
 from rerun.components import LineStrip3DBatch
 
+from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
 from carom.recording import arrows, checkpoint, encoding, palette
 from carom.recording.header import Header
@@ -317,9 +318,15 @@ def _fingerprints(batch: Sequence[Frame]) -> Rows:
 def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
     events = [event for frame in batch for event in frame.events]
     if events:
-        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        size = sum(len(e.text) + len(e.level) for e in events) + _INDEX_BYTES * len(events)
-        yield Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
+        yield event_rows(events)
+
+
+def event_rows(events: Sequence[Event]) -> Rows:
+    """Return one row of the log for each event."""
+    log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+    columns = ComponentColumnList([*log, *_any_column("kind", [e.kind for e in events])])
+    size = sum(len(e.text) + len(e.level) + len(e.kind) for e in events) + _INDEX_BYTES * len(events)
+    return Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
 
 
 def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray]) -> Rows:

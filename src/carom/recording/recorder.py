@@ -205,7 +205,7 @@ class Recorder:
                 level = "INFO" if outcome == "completed" else "WARN"
                 for event in events:
                     self._stream.send_event(event, self._clock)
-                self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}"), self._clock)
+                self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}", "end"), self._clock)
                 self._look_again()
             self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
         finally:

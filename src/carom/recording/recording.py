@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.physics.event import Event
 from carom.recording import paths
 from carom.recording.container import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
 from carom.recording.damage import reading
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
 _PROPERTIES = "__properties"
+_END = "end: "  # how the last event of a recording begins
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -208,9 +210,28 @@ class Recording:
 
     @_named
     def events(self) -> pa.Table:
-        """Columns step, sim_time, level, text."""
+        """Columns step, sim_time, level, text, kind (empty where the recording is older than kinds)."""
         table = self._table(paths.EVENTS, ("TextLog:text", "TextLog:level"))
-        return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        kinds = [_kinds(chunk.batch) for chunk in self._chunks(paths.EVENTS)]
+        return table.append_column("kind", pa.array([kind for each in kinds for kind in each], pa.string()))
+
+    def warnings(self, until: int | None = None) -> list[Event]:
+        """Return what the run was warned of, up to a step, in order of time; how it ended is no warning."""
+        events, scale = self.events(), float(self.info["time_scale"])
+        seconds = events[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * scale
+        names = ("level", "text", "kind")
+        rows = zip(
+            events[STEP].to_pylist(), seconds.tolist(), *(events[name].to_pylist() for name in names), strict=True
+        )
+        found = [Event(*row) for row in rows]
+        return [
+            event
+            for event in found
+            if event.level == "WARN"
+            and not (event.kind == "end" or event.text.startswith(_END))
+            and (until is None or event.step <= until)
+        ]
 
     @_named
     def phases(self) -> pa.Table:
@@ -401,6 +422,13 @@ class Recording:
     def _property(self, name: str) -> dict[str, Any]:
         stored = self._static(f"{_PROPERTIES}/{name}", required=False)
         return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
+
+
+def _kinds(batch: pa.RecordBatch) -> list[str]:
+    """Return the kind of each event of a batch."""
+    if "kind" not in batch.schema.names:
+        return [""] * batch.num_rows
+    return [str(row[0]) if row else "" for row in batch["kind"].to_pylist()]
 
 
 def _within(entry: Entry, content: str) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from carom.physics.event import Event
 from carom.recording import checkpoint, entities, paths
 from carom.recording.clock import Clock
-from carom.recording.entities import Rows
+from carom.recording.entities import Rows, event_rows
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar
 from carom.recording.layout import application_id
@@ -76,8 +76,7 @@ class Stream:
 
     def send_event(self, event: Event, clock: Clock) -> None:
         """Send one line of the log."""
-        columns = rr.TextLog.columns(text=[event.text], level=[event.level])
-        self.send(Rows(paths.EVENTS, [event.step], [event.time], columns, len(event.text)), clock)
+        self.send(event_rows([event]), clock)
 
     def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
         """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,6 +34,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "momentum": {"max_error": _largest(momenta, "momentum_error")},
         "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
         "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
+        "warnings": [asdict(event) for event in recording.warnings()],
         "moments": _moments(recording.closing),
         "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": recording.versions,

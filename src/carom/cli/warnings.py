@@ -1,0 +1,33 @@
+"""How warnings of a run are shown: the first few of each kind, and how many there were."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from carom.physics.event import Event
+
+SHOWN = 3  # of a kind; the recording has all of them
+
+
+def warning_lines(warnings: Sequence[Event], *, in_full: bool = False) -> Iterator[str]:
+    """Yield the lines to print, kind by kind, in the order in which the kinds first occurred.
+
+    Parameters
+    ----------
+    warnings
+        In order of time.
+    in_full
+        Whether the first of each kind is shown with the contacts and bodies that it names, or its first line alone.
+    """
+    kinds: dict[str, list[Event]] = {}
+    for event in warnings:
+        kinds.setdefault(event.kind or event.text, []).append(event)
+    for events in kinds.values():
+        for number, event in enumerate(events[:SHOWN]):
+            first, *rest = event.text.splitlines() or [""]
+            yield f"step {event.step}, t = {event.time:.6g} s: {first}"
+            if in_full and number == 0:
+                yield from (f"    {line}" for line in rest)
+        if len(events) > SHOWN:
+            last = events[-1]
+            yield f"… and {len(events) - SHOWN} more like it, the last at step {last.step}, t = {last.time:.6g} s"
