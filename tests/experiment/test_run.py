@@ -12,6 +12,7 @@ import pytest
 
 import carom
 from carom.experiment.expectation import judge
+from carom.experiment.resume import continuation
 from carom.experiment.run import simulate
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
@@ -19,7 +20,8 @@ from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
 from carom.scene.bundled import bundled_scenes
-from carom.scene.schema import Expect, Scene
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
 from examples import cloud, pair
 
 
@@ -99,14 +101,41 @@ def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp
 
 def test_a_quantity_that_is_not_conserved_keeps_no_promise() -> None:
     moments = Moments(angular_momentum_error=None, overlap=Moment(0.1, 1, 1.0))
-    verdicts = judge(Expect(angular_momentum_error=1.0, max_overlap=0.2), moments)
+    verdicts = judge(pair(expect={"angular_momentum_error": 1.0, "max_overlap": 0.2}), moments, 10.0)
     assert [verdict.met for verdict in verdicts] == [False, True]
 
 
 def test_a_promise_of_impacts_is_one_from_below() -> None:
-    few, enough = (judge(Expect(impacts=2), Moments(impacts=n))[0] for n in (1, 2))
+    few, enough = (judge(pair(expect={"impacts": 2}), Moments(impacts=n), 10.0)[0] for n in (1, 2))
     assert not few.met and enough.met
     assert str(few) == "impacts: 1 (at least 2; missed)"
+
+
+def test_a_promise_about_the_end_is_judged_at_the_end_that_it_was_made_for() -> None:
+    scene = pair(time={"duration": 4.0}, expect={"impacts": 2, "final_kinetic": 0.0, "max_overlap": 0.0})
+    moments = Moments(impacts=1, overlap=Moment(0.1, 1, 1.0), kinetic=Moment(0.5, 9, 3.0))
+    judged = {
+        time: {verdict.name: verdict.met for verdict in judge(scene, moments, time) if verdict.judged}
+        for time in (3.0, 4.0, 5.0)
+    }
+    assert judged[3.0] == {"max_overlap": False}
+    assert judged[4.0] == {"max_overlap": False, "impacts": False, "final_kinetic": False}
+    assert judged[5.0] == {"max_overlap": False, "impacts": False}, "there are no fewer impacts in a longer run"
+    early = {verdict.name: verdict for verdict in judge(scene, moments, 3.0)}["final_kinetic"]
+    assert early.met and str(early) == "final_kinetic: 0.5 (at most 0 at t = 4 s; not judged)"
+
+
+def test_a_run_shortened_by_an_override_does_not_miss_a_promise_about_the_end(tmp_path: Path) -> None:
+    text = pair(time={"duration": 4.0}, expect={"impacts": 1, "max_overlap": 0.1}).toml
+    scene = scene_from_text(text, "pair.toml", ["time.duration=0.5"])
+    outcome = simulate(Space(scene), tmp_path / "short.rrd")
+    assert outcome.status == "completed", outcome.reason
+    assert [verdict.judged for verdict in outcome.verdicts] == [True, False]
+    recording = Recording.open(outcome.path)
+    expected = recording.summary()["expect"]
+    assert expected["max_overlap"]["judged"] and not expected["impacts"]["judged"]
+    longer = continuation(recording, until=4.0)
+    assert longer.scene.expect.duration == longer.scene.time.duration == 4.0
 
 
 def test_the_energy_gain_counts_from_the_lowest_energy_so_far() -> None:

@@ -41,7 +41,7 @@ def test_an_extreme_meets_its_criteria(name: str) -> None:
     space = extreme(name)
     run_through(space)
     assert space.time == space.scene.time.duration
-    missed = [str(verdict) for verdict in judge(space.scene.expect, space.moments) if not verdict.met]
+    missed = [str(verdict) for verdict in judge(space.scene, space.moments, space.time) if not verdict.met]
     assert not missed
 
 

@@ -286,3 +286,32 @@ def test_the_starter_names_every_section(tmp_path: Path) -> None:
 def test_the_schema_for_editors_has_units() -> None:
     schema = Scene.model_json_schema()
     assert schema["$defs"]["Time"]["properties"]["max_dt"]["description"].startswith("s, ")
+
+
+PROMISE = "[time]\nduration = 4.0\n[expect]\nimpacts = 3\nfinal_kinetic = 0.1\n" + ONE_BODY
+
+
+@pytest.mark.parametrize(
+    ("overrides", "promised"),
+    [
+        ([], None),
+        (["time.duration=4.0"], None),
+        (["time.duration=1.0"], 4.0),
+        (["time={duration=1.0}"], 4.0),
+        (["time.duration=1.0", "expect.impacts=1"], 4.0),  # the other promise is of the scene's own end
+        (["time.duration=1.0", "expect.impacts=1", "expect.final_kinetic=0.5"], None),
+        (["time.duration=1.0", "expect={impacts=1}"], None),
+        (["time.duration=1.0", "expect.duration=1.0"], 1.0),
+    ],
+)
+def test_a_promise_about_the_end_stays_with_the_duration_it_was_written_for(
+    overrides: list[str], promised: float | None
+) -> None:
+    scene = scene_from_text(PROMISE, "x.toml", overrides)
+    assert scene.expect.duration == promised
+    assert scene_from_text(scene.toml, "x.toml").expect.duration == promised, "a recording says it, too"
+
+
+def test_a_scene_without_a_promise_about_the_end_gets_no_duration_for_one() -> None:
+    scene = scene_from_text("[expect]\nmax_overlap = 0.1\n" + ONE_BODY, "x.toml", ["time.duration=1.0"])
+    assert scene.expect.duration is None

@@ -83,6 +83,8 @@ def _overview(summary: dict[str, Any]) -> Table:
     )
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
+        if not verdict.get("judged", True):
+            kept = "not judged, the run ended elsewhere"
         bound = verdict.get("bound", "at most")  # recordings of before there was another bound
         table.add_row("promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}")
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))

@@ -71,7 +71,8 @@ class Progress(LiveLine):
         for line in warning_lines(outcome.warnings):
             table.add_row("[yellow]warning[/yellow]", Text(line))
         for verdict in outcome.verdicts:
-            table.add_row("expected" if verdict.met else "[red]missed[/red]", str(verdict))
+            kept = "expected" if verdict.judged else "not judged"
+            table.add_row(kept if verdict.met else "[red]missed[/red]", str(verdict))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
         table.add_row(
             "next",

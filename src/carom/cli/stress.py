@@ -12,6 +12,7 @@ from carom.cli.options import SetOption
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom.experiment.expectation import Verdict
     from carom.experiment.stress import Trial
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
@@ -95,12 +96,18 @@ def _table(trials: list[Trial]) -> Table:
             escape(trial.title) + (f"\n[dim]{escape(str(outcome.path))}[/dim]" if outcome else ""),
             "\n".join(f"{verdict.name} {'≥' if verdict.at_least else '≤'} {verdict.limit:.3g}" for verdict in verdicts),
             "\n".join(f"{verdict.measured:.2g}" for verdict in verdicts),
-            "\n".join("yes" if verdict.met else "[red]NO[/red]" for verdict in verdicts)
+            "\n".join(_met(verdict) for verdict in verdicts)
             if trial.met or trial.status == "expectation missed"
             else f"[red]{trial.status}[/red]",
             duration_text(outcome.wall_time) if outcome else "",
         )
     return table
+
+
+def _met(verdict: Verdict) -> str:
+    if not verdict.judged:
+        return "not judged"
+    return "yes" if verdict.met else "[red]NO[/red]"
 
 
 def _worst(trial: Trial) -> Table:
@@ -135,7 +142,10 @@ def _entry(trial: Trial) -> dict[str, Any]:
         "met": trial.met,
         "status": trial.status,
         "reason": trial.reason,
-        "criteria": [{**asdict(verdict), "bound": verdict.bound, "met": verdict.met} for verdict in trial.verdicts],
+        "criteria": [
+            {**asdict(verdict), "bound": verdict.bound, "met": verdict.met, "judged": verdict.judged}
+            for verdict in trial.verdicts
+        ],
         "worst": {what: asdict(moment) for what, moment in trial.worst.items()},
     }
     if trial.outcome:

@@ -5,22 +5,33 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carom.physics.moments import Moment, Moments
-from carom.scene.schema import Expect
+from carom.scene.schema import Scene
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One promise: what was allowed, what was measured, and when it was at its worst."""
+    """One promise: what was allowed, what was measured, and when it was at its worst.
+
+    A promise about the end that a run of another length cannot keep or break is not judged, and counts as met.
+    """
 
     name: str
     limit: float
     measured: float
     worst: Moment | None = None  # None where no moment is to blame
     at_least: bool = False  # the limit is one from below
+    promised_at: float | None = None  # s, the end that the promise is about, where the run did not end there
+
+    @property
+    def judged(self) -> bool:
+        """Whether the promise is one about this run."""
+        return self.promised_at is None
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept; what is not a number keeps none."""
+        """Whether the promise was kept or is not judged; what is not a number keeps none."""
+        if not self.judged:
+            return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
 
     @property
@@ -30,15 +41,20 @@ class Verdict:
 
     def __str__(self) -> str:
         missed = "" if self.met else "; missed"
+        if self.promised_at is not None:
+            missed = f" at t = {self.promised_at:.6g} s; not judged"
         return f"{self.name}: {self.measured:.3g} ({self.bound} {self.limit:.3g}{missed})"
 
 
-def judge(expect: Expect, moments: Moments) -> list[Verdict]:
-    """Compare every promise that a scene makes with the extremes of its run.
+def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
+    """Compare every promise that a scene makes with the extremes of its run, which ended at a time in s.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
-    something is fixed, counts as infinitely wrong.
+    something is fixed, counts as infinitely wrong. The final kinetic energy is judged at the end that it was promised
+    for and the number of impacts from then on.
     """
+    expect, end = scene.expect, scene.expect.duration or scene.time.duration
+    elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}
     measured = {
         "energy_error": (_value(moments.energy_error), moments.energy_error),
         "energy_gain": (moments.energy_gain.value, moments.energy_gain),
@@ -49,7 +65,7 @@ def judge(expect: Expect, moments: Moments) -> list[Verdict]:
         "impacts": (moments.impacts, None),
     }
     return [
-        Verdict(name, limit, value, worst, at_least=name == "impacts")
+        Verdict(name, limit, value, worst, at_least=name == "impacts", promised_at=elsewhere.get(name))
         for name, (value, worst) in measured.items()
         if (limit := getattr(expect, name)) is not None
     ]

@@ -192,6 +192,8 @@ def _summary(
 
 def _promise(verdict: dict[str, Any]) -> str:
     kept = "kept" if verdict["met"] else "**missed**"
+    if not verdict.get("judged", True):
+        kept = "not judged, the run ended elsewhere"
     return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}: {kept}"
 
 

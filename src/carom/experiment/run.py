@@ -143,7 +143,7 @@ def simulate(
     physics = _Physics(space, recorder, past)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
-    verdicts = judge(space.scene.expect, space.moments)
+    verdicts = judge(space.scene, space.moments, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
@@ -287,5 +287,5 @@ def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
     for verdict in verdicts:
         key = f"expect.{verdict.name}"
         summary |= {f"{key}.bound": verdict.bound, f"{key}.limit": verdict.limit}
-        summary |= {f"{key}.measured": verdict.measured, f"{key}.met": verdict.met}
+        summary |= {f"{key}.measured": verdict.measured, f"{key}.met": verdict.met, f"{key}.judged": verdict.judged}
     return summary

@@ -8,6 +8,7 @@ import re
 import tomllib
 import types
 import typing
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.error import SceneError
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
-from carom.scene.schema import Scene
+from carom.scene.schema import ABOUT_THE_END, Scene, Time
 
 LARGEST_FILE = 4_000_000  # bytes; a scene is a page or two, whatever is larger is not one
 MOST_MESSAGES = 8
@@ -70,6 +71,7 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
         return _validate(data, text, _Places(source, text, {}))
     document = tomlkit.parse(text)
     overridden = {_apply_override(document, override): override for override in overrides}
+    _keep_promised_duration(document, data, overridden)
     effective = tomlkit.dumps(document)
     return _validate(_parse(effective, source), effective, _Places(source, text, overridden))
 
@@ -169,6 +171,23 @@ def _apply_override(document: tomlkit.TOMLDocument, override: str) -> KeyPath:
     except (KeyError, IndexError, TypeError, ValueError):
         raise SceneError(f"--set {override}: there is no {dotted.strip()} in the scene") from None
     return keys
+
+
+def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
+    """Write down for which duration a scene promises something of its end, where another one is set."""
+    expect, duration = before.get("expect"), _duration(before)
+    if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
+        return
+    promises = {("expect", name) for name in ABOUT_THE_END if name in expect}
+    if promises.difference(overridden) and duration is not None and duration != _duration(document):
+        document["expect"]["duration"] = duration
+
+
+def _duration(document: Any) -> float | None:
+    """Return the duration as it is written; None where that is no number."""
+    time = document.get("time", {})
+    duration = time.get("duration", Time().duration) if isinstance(time, dict) else None
+    return duration if isinstance(duration, int | float) else None
 
 
 def _parse_value(text: str) -> Any:

@@ -322,6 +322,9 @@ class Plane(Section):
         return (contact.restitution if self.restitution is None else self.restitution, static, kinetic)
 
 
+ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that only a run of the promised duration can keep or break
+
+
 class Expect(Section):
     """[expect]: promises checked at the end; a run that misses one exits 1 and says so."""
 
@@ -338,6 +341,9 @@ class Expect(Section):
         None, description="kinetic energy at the end, of motion and spin, over the energy scale"
     )
     impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
+    duration: Positive | None = Field(
+        None, description="s, the duration for which final_kinetic and impacts are promised; by default that of [time]"
+    )
 
 
 def _values_by_key(given: Any) -> Any:
