@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from carom.recording.claim import Claim
 from carom.recording.recording import Recording
 from command import carom
 
@@ -38,6 +39,14 @@ def test_in_place_keeps_the_torn_file_beside_it(run_file: Path, tmp_path: Path) 
     assert (tmp_path / "run.rrd.torn").read_bytes() == torn
     assert Recording.open(run_file).finished
     assert {path.name for path in tmp_path.iterdir()} == {"run.rrd", "run.rrd.torn"}
+
+
+def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path: Path) -> None:
+    before = tear(run_file)
+    with Claim(run_file):
+        done = carom("repair", "run.rrd", "--in-place", cwd=tmp_path)
+    assert done.returncode == 2 and "another carom is writing it" in done.stderr
+    assert run_file.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
 @pytest.mark.parametrize(

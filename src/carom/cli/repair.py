@@ -21,20 +21,23 @@ def repair(
 ) -> None:
     """Save what can be read of a torn or damaged recording, or of a run that was killed."""
     import json
+    from contextlib import nullcontext
     from dataclasses import asdict
 
     from carom.experiment.output import refuse_output
+    from carom.recording.claim import Claim
     from carom.recording.repair import repair as mend
 
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")
     for written in (path, torn) if in_place else (path,):
         refuse_output(written, force)
-    done = mend(file, path)
-    if in_place and done.path is not None:
-        file.replace(torn)
-        path.replace(file)
-        path = file
+    with Claim(file) if in_place else nullcontext():  # a run under way looks like one that was killed
+        done = mend(file, path)
+        if in_place and done.path is not None:
+            file.replace(torn)
+            path.replace(file)
+            path = file
     if as_json:
         typer.echo(json.dumps(asdict(done) | {"path": None if done.path is None else str(path)}, indent=2))
     elif done.path is None:

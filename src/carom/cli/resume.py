@@ -34,20 +34,18 @@ def resume(
     """Go on with a run that was stopped, was killed or has ended: the bits are those of one uninterrupted run."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
-    from carom.experiment.output import refuse_output
-    from carom.experiment.resume import continuation
+    from carom.experiment.resume import claimed_target, continuation
     from carom.experiment.resume import resume as go_on
     from carom.recording.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g} is no time to simulate to", param_hint="--until")
-    if output is not None and output != file:
-        refuse_output(output, force)
-    run = continuation(Recording.open(file), until)
-    progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")
-    announce_compilation(progress.say)
-    space = run.space(threads)
-    address = live_viewer() if live else None
-    with progress:
-        outcome = go_on(run, space, output, force=force, live=address, watch=progress.update)
+    with claimed_target(file, output, force) as claim:
+        run = continuation(Recording.open(file), until)
+        progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")
+        announce_compilation(progress.say)
+        space = run.space(threads)
+        address = live_viewer() if live else None
+        with progress:
+            outcome = go_on(run, space, output, force=force, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)

@@ -39,21 +39,20 @@ def run(
     loaded = Scene.load(scene, changes)
     path = output or _default_path(scene)
 
-    from carom.experiment.output import refuse_output
-
-    refuse_output(path, force)
-
     from carom.cli.compiling import announce_compilation
-    from carom.cli.progress import Progress
-    from carom.experiment.run import simulate
-    from carom.physics.space import Space
+    from carom.experiment.output import claimed_output
 
-    progress = Progress(loaded, quiet=as_json)
-    announce_compilation(progress.say)
-    space = Space(loaded, threads)
-    address = live_viewer() if live else None
-    with progress:
-        outcome = simulate(space, path, force=True, live=address, watch=progress.update)
+    with claimed_output(path, force) as claim:
+        from carom.cli.progress import Progress
+        from carom.experiment.run import simulate
+        from carom.physics.space import Space
+
+        progress = Progress(loaded, quiet=as_json)
+        announce_compilation(progress.say)
+        space = Space(loaded, threads)
+        address = live_viewer() if live else None
+        with progress:
+            outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
 
 

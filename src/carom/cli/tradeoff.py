@@ -88,26 +88,31 @@ def measured(
     from rich.markup import escape
 
     from carom.cli.compiling import announce_compilation
+    from carom.experiment.output import output_folder
     from carom.experiment.setting import default_settings
     from carom.experiment.setting import vary as grid
-    from carom.experiment.tradeoff import Study
+    from carom.experiment.tradeoff import DOCUMENT, Study
+    from carom.recording.claim import Claim
     from carom.scene.schema import Scene
 
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else default_settings(scene)
     if not quiet:
         announce_compilation()
-    study = Study(scene, folder or Path("recordings/tradeoff") / Path(source).stem, threads=threads, force=force)
-    console = Console(stderr=True, quiet=quiet, highlight=False)
-    try:
-        if console.is_terminal:
-            with console.status("") as status:
-                study.measure(settings, repeats, lambda text: status.update(escape(text)))
-        else:
-            study.measure(settings, repeats, lambda text: console.print(escape(text), soft_wrap=True))
-    except KeyboardInterrupt:
-        return study, False
-    return study, True
+    folder = folder or Path("recordings/tradeoff") / Path(source).stem
+    output_folder(folder)
+    with Claim(folder / DOCUMENT):
+        study = Study(scene, folder, threads=threads, force=force)
+        console = Console(stderr=True, quiet=quiet, highlight=False)
+        try:
+            if console.is_terminal:
+                with console.status("") as status:
+                    study.measure(settings, repeats, lambda text: status.update(escape(text)))
+            else:
+                study.measure(settings, repeats, lambda text: console.print(escape(text), soft_wrap=True))
+        except KeyboardInterrupt:
+            return study, False
+        return study, True
 
 
 def _draw(study: Study, quiet: bool) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
+from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
 
 
@@ -15,12 +18,32 @@ def refuse_output(path: Path, force: bool) -> None:
     RecordingError
         Naming the path and what would be right.
     """
-    if path.is_dir():
-        raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
-    if path.exists() and not force:
-        raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
-    if not path.parent.is_dir():
-        raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+    try:
+        if path.is_dir():
+            raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
+        if path.exists() and not path.is_file():
+            raise RecordingError(f"{path}: a device or a pipe; name a file to write, for a recording is read back")
+        if path.exists() and not force:
+            raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
+        if not path.parent.is_dir():
+            raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+    except OSError as error:
+        raise RecordingError(f"cannot write {_short(path)}: {error.strerror}") from None
+
+
+@contextlib.contextmanager
+def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
+    """Refuse a path as `refuse_output` does; keep it for this process as long as the context lasts.
+
+    Raises
+    ------
+    RecordingError
+        Naming the path and what would be right; also if another process writes it.
+    """
+    refuse_output(path, force)
+    with Claim(path) as claim:
+        refuse_output(path, force)  # somebody may have written it just now
+        yield claim
 
 
 def output_folder(path: Path) -> None:
@@ -35,3 +58,9 @@ def output_folder(path: Path) -> None:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be made a folder: {error.strerror}") from None
+
+
+def _short(path: Path) -> str:
+    """Write a path, or its beginning where that says enough."""
+    text = str(path)
+    return text if len(text) <= 200 else f"{text[:200]}…"

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from carom.experiment.environment import versions
-from carom.experiment.output import refuse_output
+from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.recorded import checkpoint_before, recorded_scene, space_of
 from carom.experiment.run import header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
+from carom.recording.errors import RecordingError
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 
@@ -107,6 +108,8 @@ def replay(
     """
     if dense is not None:
         refuse_output(dense, force)
+        if dense.resolve() == recording.path.resolve():
+            raise RecordingError(f"{dense}: is the recording itself; name another file with -o")
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
     run = _Comparison(recording, checkpoint.step, end)
@@ -115,6 +118,7 @@ def replay(
     with ExitStack() as stack:
         recorder = None
         if dense is not None:
+            stack.enter_context(claimed_output(dense, force))
             recorder = stack.enter_context(Recorder(dense, header_of(space)))
         asked, ended = False, ""
         schedule = at(run.fingerprints) if recorder is None else every(0.0)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from carom.experiment.environment import environment
-from carom.experiment.output import refuse_output
+from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.recorded import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
+from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
 from carom.recording.header import Scalar
 from carom.recording.past import Past
@@ -69,16 +71,47 @@ def continuation(recording: Recording, until: float | None = None) -> Continuati
     return Continuation(recording, scene, recording.checkpoint(steps[-1]))
 
 
+@contextlib.contextmanager
+def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[Claim]:
+    """Keep what a continued run will write for this process, and refuse what is in the way, before anything is read.
+
+    Parameters
+    ----------
+    source
+        The recording to go on with.
+    output
+        Another ``.rrd`` to write; by default the recording itself.
+    force
+        Whether to replace another file, and what an earlier attempt left.
+
+    Raises
+    ------
+    RecordingError
+        If a file is in the way, or another process writes it.
+    """
+    in_place = output is None or output.resolve() == source.resolve()
+    target = source if output is None else output
+    if _under_way(target).resolve() == source.resolve():
+        raise RecordingError(f"{target} would be written under the name {source} until it is whole; name another file")
+    with claimed_output(target, force or in_place) as claim:
+        refuse_output(_under_way(target), force)
+        yield claim
+
+
 def resume(
     run: Continuation,
     space: Space,
     output: Path | None = None,
     *,
     force: bool = False,
+    claim: Claim | None = None,
     live: str | None = None,
     watch: Watcher | None = None,
 ) -> Outcome:
     """Go on with a run and record the whole of it.
+
+    Until the new recording is whole it has a name of its own, ``NAME.resumed.rrd``. If the disk runs full it keeps
+    that name, and the recording is as it was.
 
     Parameters
     ----------
@@ -87,29 +120,43 @@ def resume(
     output
         The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
     force
-        Whether to replace another file.
+        Whether to replace another file, and what an earlier attempt left.
+    claim
+        From `claimed_target`, where the caller claimed before it opened the recording.
     live, watch
         As for `simulate`.
 
     Raises
     ------
     RecordingError
-        If the recording cannot be written at all.
+        If the recording cannot be written at all, or has changed since it was opened.
     """
     source = run.recording.path
-    if output is not None and output.resolve() != source.resolve():
-        refuse_output(output, force)
-    target = output or source
-    under_way = target.with_name(target.stem + UNDER_WAY)
+    with contextlib.nullcontext(claim) if claim else claimed_target(source, output, force):
+        if Recording.open(source).store != run.recording.store:
+            raise RecordingError(f"{source} has changed since it was opened; resume it again")
+        return _resume(run, space, output or source, force, live, watch)
+
+
+def _resume(
+    run: Continuation, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
+) -> Outcome:
+    source, under_way = run.recording.path, _under_way(target)
     past = Past(run.recording, run.checkpoint.step)
     outcome = simulate(
-        space, under_way, force=True, live=live, watch=watch, past=past, properties=_properties(run, space.threads)
+        space, under_way, force=force, live=live, watch=watch, past=past, properties=_properties(run, space.threads)
     )
     if outcome.frames <= run.recording.frames:
         under_way.unlink(missing_ok=True)
         raise RecordingError(f"{source} is as it was: {outcome.status}: {outcome.reason}")
+    if outcome.status == "disk":
+        return replace(outcome, reason=f"{outcome.reason}; {source} is as it was, and {under_way} has what is new")
     under_way.replace(target)
     return replace(outcome, path=target)
+
+
+def _under_way(target: Path) -> Path:
+    return target.with_name(target.stem + UNDER_WAY)
 
 
 def _properties(run: Continuation, threads: int) -> Mapping[str, Scalar]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 import uuid
@@ -13,12 +14,13 @@ import numpy as np
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
-from carom.experiment.output import refuse_output
+from carom.experiment.output import claimed_output
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
+from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header, Scalar, SweepMember
 from carom.recording.past import Past
@@ -85,8 +87,8 @@ def run(
     SceneError, RecordingError, PhysicsError
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
-    refuse_output(Path(path), force)
-    outcome = simulate(Space(scene, threads), path, force=True)
+    with claimed_output(Path(path), force) as claim:
+        outcome = simulate(Space(scene, threads), path, claim=claim)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
@@ -99,6 +101,7 @@ def simulate(
     path: str | Path,
     *,
     force: bool = False,
+    claim: Claim | None = None,
     live: str | None = None,
     watch: Watcher | None = None,
     past: Past | None = None,
@@ -115,6 +118,8 @@ def simulate(
         The ``.rrd`` to write.
     force
         Whether to replace a file that exists.
+    claim
+        Of the path, where the caller has it and has refused what ``force`` does not allow.
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
@@ -129,10 +134,22 @@ def simulate(
     Raises
     ------
     RecordingError
-        If the file exists and ``force`` is not given, or it cannot be written at all.
+        If the file exists and ``force`` is not given, another run writes it, or it cannot be written at all.
     """
     path = Path(path)
-    refuse_output(path, force)
+    with contextlib.nullcontext(claim) if claim else claimed_output(path, force):
+        return _simulate(space, path, live, watch, past, properties, member)
+
+
+def _simulate(
+    space: Space,
+    path: Path,
+    live: str | None,
+    watch: Watcher | None,
+    past: Past | None,
+    properties: Mapping[str, Scalar] | None,
+    member: SweepMember | None,
+) -> Outcome:
     began = time.perf_counter()
     header = header_of(space)
     if properties is not None:
@@ -156,7 +173,7 @@ def simulate(
         path=path,
         status=status,
         reason=reason,
-        frames=physics.frames,
+        frames=recorder.frames,
         steps=space.step,
         sim_time=space.time,
         wall_time=time.perf_counter() - began,
@@ -173,7 +190,6 @@ class _Physics:
 
     def __init__(self, space: Space, recorder: Recorder, past: Past | None) -> None:
         self.space = space
-        self.frames = past.frames if past else 0
         self.warnings = past.recording.warnings(until=past.step) if past else []
         self._known = past.step if past else -1  # the step whose frame the recorder has
         self._recorder = recorder
@@ -205,7 +221,6 @@ class _Physics:
             for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
                 if frame.step > self._known:
                     self._recorder.put(frame)
-                    self.frames += 1
                     self.warnings += [event for event in frame.events if event.level == "WARN"]
         except Exception as error:
             self._error = error

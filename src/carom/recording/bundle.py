@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
 
 CLIP = "clip.rrd"
@@ -41,8 +42,13 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
     Raises
     ------
     RecordingError
-        If it cannot be written.
+        If it cannot be written, or another process writes it.
     """
+    with Claim(path):
+        return _pack(path, members)
+
+
+def _pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
     part = path.with_name(f".{path.name}.part")
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:

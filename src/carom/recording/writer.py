@@ -13,6 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.recording.claim import Claim
 from carom.recording.container import Chunk, Container
 from carom.recording.errors import RecordingError
 from carom.recording.header import Scalar
@@ -31,9 +32,14 @@ class Writer:
     def __init__(self, path: Path, application_id: str, recording_id: str) -> None:
         rr.set_strict_mode(True)
         self.path = path
+        self._claim = Claim(path)
         self._application = application_id
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        self._outlet = Outlet(self._part, 0)
+        try:
+            self._outlet = Outlet(self._part, 0)
+        except RecordingError:
+            self._claim.release()
+            raise
         end_earlier_streams()
         # the name and the start of the recording are among the chunks to be copied
         self._stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
@@ -56,6 +62,7 @@ class Writer:
                 self._part.replace(self.path)
         finally:
             self._part.unlink(missing_ok=True)
+            self._claim.release()
 
     def send(self, chunk: Chunk) -> None:
         """Send rows of an entity."""
