@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from carom.experiment import exact
+from carom.experiment.exact import solve
 from carom.experiment.reference import fineness, make_reference, refined
+from carom.experiment.trajectory import sample_times
+from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from examples import cloud, pair
+from examples import cloud, pair, scene_of
 
 
 def test_a_few_bodies_have_an_exact_reference() -> None:
@@ -19,6 +26,65 @@ def test_a_few_bodies_have_an_exact_reference() -> None:
     assert reference.horizon == Scene.load("figure-eight").time.duration
     assert reference.uncertainty.position <= 1e-12
     assert "DOP853" in reference.text
+
+
+def elastic_balls(count: int, order: Any = None) -> Scene:
+    """Let elastic balls attract each other for 6 s: each meets ten others or more, and a sample takes one step."""
+    rng = np.random.default_rng(3)
+    places: list[Any] = []
+    while len(places) < count:
+        place = rng.uniform(-1.0, 1.0, 3) * 0.62 * count ** (1 / 3)
+        if all(np.linalg.norm(place - other) > 0.65 for other in places):
+            places.append(place)
+    velocities = 0.5 * rng.standard_normal((count, 3))
+    bodies = [
+        {"position": places[k].tolist(), "velocity": velocities[k].tolist(), "radius": 0.3, "mass": 1.0}
+        for k in (range(count) if order is None else order)
+    ]
+    smooth = {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    return scene_of(bodies, gravity={"constant": 1.0}, contact=smooth, time={"duration": 6.0, "fixed_dt": 0.01})
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(20, marks=pytest.mark.slow)])
+def test_the_uncertainty_of_an_exact_course_covers_what_renumbering_the_bodies_changes(count: int) -> None:
+    # the same physics with other rounding, which contacts amplify: of 20 balls to more than 1e-3 before the end
+    scene = elastic_balls(count)
+    reference = make_reference(scene)
+    order = np.random.default_rng(1).permutation(count)
+    other = solve(Space(elastic_balls(count, order)), sample_times(scene)).trajectory
+    apart = other.position[: reference.samples, np.argsort(order)] - reference.trajectory.position[: reference.samples]
+    rms = np.sqrt(np.mean(np.sum(apart**2, axis=2), axis=1)) / reference.scale.length
+    assert 0.0 < np.sqrt(np.mean(rms**2)) <= reference.uncertainty.position, "other bits, and within the claim"
+    assert rms.max() <= 1e-3, "the horizon comes before they part"
+    if count == 20:
+        assert 4.0 < reference.horizon < 6.0
+
+
+def test_no_reference_claims_to_know_more_than_rounding_leaves() -> None:
+    # dyadic numbers: every solution is the same to the last bit
+    still = scene_of(
+        [{"velocity": [0.5, 0.0, 0.0]}], gravity={"constant": 0.0}, time={"duration": 8.0, "fixed_dt": 0.5}
+    )
+    uncertainty = make_reference(still).uncertainty
+    assert min(uncertainty.position, uncertainty.velocity, uncertainty.size, uncertainty.dispersion) >= 2.0**-52
+
+
+def test_a_course_that_takes_too_long_ends_where_the_budget_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = itertools.count()
+    monkeypatch.setattr(exact, "clock", SimpleNamespace(perf_counter=lambda: 1e-3 * next(ticks)))  # 1 ms a step
+    e = 0.9999
+    sun = {"mass": 1.0, "radius": 1e-3}
+    comet = {"mass": 1e-12, "radius": 1e-3, "position": [1 + e, 0, 0], "velocity": [0, math.sqrt((1 - e) / (1 + e)), 0]}
+    scene = scene_of(
+        [sun, comet],
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+        time={"duration": 200 * math.pi, "fixed_dt": 0.01},
+    )
+    reference = make_reference(scene, budget=0.9)
+    assert reference.kind == "exact" and not reference.whole
+    assert 0.0 < reference.horizon < 20 * math.pi
+    assert "it ends early: 0.3 s of computing reached t = " in reference.text
 
 
 def test_an_exact_course_that_ends_early_says_so_and_is_compared_up_to_there() -> None:

@@ -147,7 +147,7 @@ def _show(study: Study) -> None:
     if reference is None:
         return
     console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
-    end, horizon = float(reference.trajectory.time[-1]), reference.horizon
+    end, horizon = study.scene.time.duration, reference.horizon
     console.print(
         f"Positions are compared up to the horizon, {horizon:.6g} s of {end:.6g} s, where it is sure to "
         f"{study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",

@@ -1,11 +1,13 @@
 """What the settings of a scene are held against: the exact course of a few bodies, or the scene itself, refined.
 
-A few bodies in open space are solved exactly (`exact.py`), twice, with tolerances a factor of ten apart. Other scenes
-are run with ever smaller steps, each half of the one before; where nothing pulls, so that flight is free and only the
-moments of impacts can be wrong, with times of impact. In both cases the last two tell how far the reference is
-to be trusted: up to the *horizon*, where they are first apart by more than a thousandth of the size of the system, and
-there to within what they are apart. Beyond it every trajectory is as good as another, and only statistics mean
-anything.
+A few bodies in open space are solved exactly (`exact.py`), and twice more as a check: both checks start at the distance
+of rounding, so that they show what chaos makes of it, and one has a tolerance ten times looser. Other scenes are run
+with ever smaller steps, each half of the one before; where nothing pulls, so that flight is free and only the moments
+of impacts can be wrong, with times of impact. The last is the reference, and the one before it the check.
+
+The reference is trusted up to the *horizon*, where a check is first off by more than a thousandth of the size of the
+system, and there to within the largest error of a check. Beyond it every trajectory is as good as another, and only
+statistics mean anything.
 """
 
 from __future__ import annotations
@@ -13,12 +15,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.experiment.comparison import Errors, Scale, compare
+from carom.experiment.comparison import NAMES, Errors, Scale, compare
 from carom.experiment.exact import TIGHTEST, solve, why_not
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
@@ -31,7 +33,8 @@ FloatArray = NDArray[np.float64]
 AGREEMENT = 1e-3  # of the size of the system: two refinements that are farther apart no longer agree
 LOOSER = 10.0  # the tolerance of the second exact solution over that of the first
 GAIN = 1.1  # a refinement whose horizon is not longer by so much is the last
-BUDGET = 120.0  # s, beyond which no further refinement is begun; two are made in any case
+BUDGET = 120.0  # s of computing, for all exact solutions; beyond it no further refinement is begun after the second
+EPS = float(np.finfo(np.float64).eps)  # nothing computed in double precision is known to less than this part of it
 
 DIRECT_UP_TO = 20_000  # bodies whose pulls the reference of a tree sums one by one; of more it opens more boxes
 FINE_ANGLE = 0.2  # rad, at which a tree errs by a twentieth of what it does at its default
@@ -49,7 +52,7 @@ class Reference:
     fineness: float  # how many times smaller its steps are than those of the scene; infinite where it is exact
     samples: int  # at which positions are compared: up to the horizon
     whole: bool  # whether it goes to the end of the scene
-    uncertainty: Errors  # what the last two solutions are apart, by the same measures as any setting
+    uncertainty: Errors  # the errors of the checks by the same measures as any setting, the larger; at least rounding
     text: str  # what it is, for people
 
     @property
@@ -75,7 +78,8 @@ def make_reference(
     threads
         For the kernels.
     budget
-        s, beyond which no refinement is begun but the second.
+        Seconds of computing: an exact course ends where a third of it is used up, and after all of it no refinement is
+        begun but the second.
     tell
         Called with a sentence before each solution.
 
@@ -87,10 +91,10 @@ def make_reference(
     tell = tell or (lambda text: None)
     reason = why_not(scene)
     if not reason:
-        reference = _exact(scene, threads, tell)
+        reference = _exact(scene, threads, budget, tell)
         if reference.samples:
             return reference
-        reason = "the exact course ends before the first sample"
+        reason = f"no sample is certain of what is {reference.text}"
     return _refined(scene, finest, threads, budget, tell, reason)
 
 
@@ -120,20 +124,25 @@ def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:
     return Scale.of(trajectory, box)
 
 
-def _exact(scene: Scene, threads: int | None, tell: Teller) -> Reference:
+def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> Reference:
     times = sample_times(scene)
     tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
-    best = solve(Space(scene, threads), times)
-    check = solve(Space(scene, threads), times, LOOSER * TIGHTEST)
+    best = solve(Space(scene, threads), times, budget=budget / 3)
+    known = best.trajectory.time
+    checks = []
+    for twin, tolerance in enumerate((TIGHTEST, LOOSER * TIGHTEST), start=1):
+        if len(known):
+            tell(f"reference: exact, check {twin} of 2, up to t = {known[-1]:.6g} s")
+            checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
+    text = f"exact: DOP853, tolerance {TIGHTEST:g}, {len(best.time)} contacts located"
     return _reference(
         scene,
         best.trajectory,
-        check.trajectory,
+        checks,
         kind="exact",
         fineness=math.inf,
         whole=not best.ended,
-        text=f"exact: DOP853, tolerance {TIGHTEST:g}, {len(best.time)} contacts located"
-        + (f"; it ends early: {best.ended}" if best.ended else ""),
+        text=text + (f"; it ends early: {best.ended}" if best.ended else ""),
     )
 
 
@@ -150,7 +159,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
         found = _reference(
             scene,
             fine,
-            coarse,
+            [coarse],
             kind="refined",
             fineness=factor,
             whole=True,
@@ -181,11 +190,31 @@ def _finer_pull(scene: Scene) -> tuple[list[str], str]:
 
 
 def _reference(
-    scene: Scene, best: Trajectory, check: Trajectory, *, kind: str, fineness: float, whole: bool, text: str
+    scene: Scene, best: Trajectory, checks: list[Trajectory], *, kind: str, fineness: float, whole: bool, text: str
 ) -> Reference:
     scale = scale_of(scene, best)
+    samples = min((_agreement(scale, best, check) for check in checks), default=0)
+    errors = [compare(check, best, scale, samples, whole) for check in checks]
+    horizon = float(best.time[samples - 1]) if samples else 0.0
+    return Reference(best, scale, kind, fineness, samples, whole, _largest(errors, horizon), text)
+
+
+def _agreement(scale: Scale, best: Trajectory, check: Trajectory) -> int:
+    """Count the samples before two solutions part."""
     apart, _ = scale.apart(best, check)
     parted = np.flatnonzero(~(apart <= AGREEMENT))
-    samples = int(parted[0]) if len(parted) else len(apart)
-    uncertainty = compare(check, best, scale, samples, whole)
-    return Reference(best, scale, kind, fineness, samples, whole, uncertainty, text)
+    return int(parted[0]) if len(parted) else len(apart)
+
+
+def _largest(errors: list[Errors], horizon: float) -> Errors:
+    """Return the largest of each error, at least rounding: of the time of an impact, that of the clock."""
+    rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
+    largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
+    return replace(
+        largest,
+        position=max(largest.position, EPS),
+        velocity=max(largest.velocity, EPS),
+        impact=max(largest.impact, EPS * horizon),
+        size=max(largest.size, EPS),
+        dispersion=max(largest.dispersion, EPS),
+    )
