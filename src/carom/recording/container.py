@@ -10,22 +10,28 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Self
+from typing import Any, BinaryIO, Self
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from carom.recording import framing, protobuf
+from carom.recording.arrow_stream import LARGEST, record_batch
 from carom.recording.errors import DamageError
 from carom.recording.framing import Message
 from carom.recording.timelines import SIM_TIME, STEP
 
 RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 
-_NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _ARROW_IPC = 1
-LARGEST = 1 << 29  # bytes of a chunk; carom's have some 4 MB, and one frame of a million bodies has 50
-_LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot pack more tightly
+_SHORTEST = 100  # bytes of a chunk's message; its schema alone has more
+_MANIFEST = {
+    "chunk_entity_path": pa.string(),
+    "chunk_is_static": pa.bool_(),
+    "chunk_num_rows": pa.uint64(),
+    "chunk_byte_offset": pa.uint64(),
+    "chunk_byte_size": pa.uint64(),
+}
 _PATH = b"rerun:entity_path"
 _KIND = b"rerun:kind"
 
@@ -98,7 +104,9 @@ class Container:
             if not framing.is_rrd(file):
                 raise DamageError("it does not begin like one")
             footer = framing.read_footer(file)
-            return cls(path, _scan(file) if footer is None else _manifests(footer), footer is not None)
+            return cls(
+                path, _scan(file) if footer is None else _manifests(footer, path.stat().st_size), footer is not None
+            )
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks, one after the other. DamageError if one is not what the index says."""
@@ -140,7 +148,7 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
     if protobuf.number(message, 4) != _ARROW_IPC:
         raise DamageError("a chunk in an unknown encoding")
     store = _store(protobuf.data(message, 1))
-    batch = _record_batch(protobuf.data(message, 5), protobuf.number(message, 2), protobuf.number(message, 3))
+    batch = record_batch(protobuf.data(message, 5), protobuf.number(message, 2), protobuf.number(message, 3))
     chunk = Chunk(_entity_path(batch), batch)
     _check(chunk)
     return store, chunk
@@ -191,58 +199,62 @@ class Index:
 
 def _store(identity: memoryview) -> Store:
     parts = protobuf.fields(identity)
-    application = protobuf.text(protobuf.fields(protobuf.data(parts, 3)), 1)
-    return Store(protobuf.number(parts, 1), application, protobuf.text(parts, 2))
+    application, name = protobuf.text(protobuf.fields(protobuf.data(parts, 3)), 1), protobuf.text(parts, 2)
+    if not (application and name):
+        raise DamageError("a store without a name")
+    return Store(protobuf.number(parts, 1), application, name)
 
 
-def _manifests(footer: bytes) -> list[Store]:
-    """Read what the footer says of each store's chunks, in the order in which they lie in the file."""
+def _manifests(footer: bytes, size: int) -> list[Store]:
+    """Read what the footer says of each store's chunks, in the order in which they lie in the file of this size."""
     stores = []
     for manifest in protobuf.fields(memoryview(footer)).get(1, []):
         if not isinstance(manifest, memoryview):
             raise DamageError("its footer is none")
         parts = protobuf.fields(manifest)
         table = protobuf.fields(protobuf.data(parts, 4))
-        batch = _record_batch(protobuf.data(table, 2), protobuf.number(table, 3), protobuf.number(table, 4))
+        batch = record_batch(protobuf.data(table, 2), protobuf.number(table, 3), protobuf.number(table, 4))
         store = _store(protobuf.data(parts, 1))
-        store.entries.extend(_entries(batch))
+        store.entries.extend(_entries(batch, size))
         stores.append(store)
+    _refuse_overlap([entry for store in stores for entry in store.entries], size)
     return sorted(stores, key=lambda store: min((entry.offset for entry in store.entries), default=0))
 
 
-def _entries(manifest: pa.RecordBatch) -> Iterator[Entry]:
-    names = ("chunk_entity_path", "chunk_is_static", "chunk_num_rows", "chunk_byte_offset", "chunk_byte_size")
-    if missing := [name for name in names if name not in manifest.schema.names]:
-        raise DamageError(f"its footer has no {missing[0]}")
-    paths, static, rows, offsets, sizes = (manifest[name].to_pylist() for name in names)
-    unknown = [None] * manifest.num_rows
-    first, last = (
-        manifest[name].to_pylist() if name in manifest.schema.names else unknown
-        for name in (f"{STEP}:start", f"{STEP}:end")
-    )
-    listed = zip(paths, static, rows, first, last, offsets, sizes, strict=True)
-    for entry in sorted((Entry(path.lstrip("/"), *rest) for path, *rest in listed), key=lambda entry: entry.offset):
+def _entries(manifest: pa.RecordBatch, size: int) -> list[Entry]:
+    if manifest.num_rows > size // _SHORTEST:
+        raise DamageError(f"its footer tells of {manifest.num_rows} chunks in {size} bytes")
+    columns = [_manifest_column(manifest, name, kind) for name, kind in _MANIFEST.items()]
+    if any(None in column for column in columns):
+        raise DamageError("its footer leaves out what a chunk is")
+    for name in (f"{STEP}:start", f"{STEP}:end"):
+        there = name in manifest.schema.names
+        columns.append(_manifest_column(manifest, name, pa.int64()) if there else [None] * manifest.num_rows)
+    listed = zip(*columns, strict=True)
+    found = [
+        Entry(path.lstrip("/"), static, rows, first, last, offset, length)
+        for path, static, rows, offset, length, first, last in listed
+    ]
+    return sorted(found, key=lambda entry: entry.offset)
+
+
+def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> list[Any]:
+    if name not in manifest.schema.names:
+        raise DamageError(f"its footer has no {name}")
+    if manifest[name].type != kind:
+        raise DamageError(f"its footer has {name} of type {manifest[name].type}")
+    return list(manifest[name].to_pylist())
+
+
+def _refuse_overlap(entries: list[Entry], size: int) -> None:
+    """Refuse an index in which chunks share bytes: a small file could stand for any amount of rows."""
+    end = framing.STREAM_HEADER
+    for entry in sorted(entries, key=lambda entry: entry.offset):
         if entry.length > LARGEST:
             raise DamageError(f"its footer tells of a chunk of {entry.length} bytes")
-        yield entry
-
-
-def _record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordBatch:
-    if compression == _LZ4:
-        if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
-            raise DamageError(f"a chunk that would have {size} bytes")
-    elif compression not in _NOT_COMPRESSED:
-        raise DamageError("a chunk in an unknown compression")
-    try:
-        plain = pa.decompress(pa.py_buffer(payload), size, codec="lz4_raw") if compression == _LZ4 else payload
-        batch = pa.ipc.open_stream(plain).read_next_batch()
-        batch.validate(full=True)
-        for column in batch.schema:
-            _check_names(column)
-    except (pa.ArrowException, OSError, ValueError, StopIteration, UnicodeDecodeError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "nothing in it"
-        raise DamageError(f"a chunk that cannot be decoded ({reason})") from error
-    return batch
+        if entry.offset < end or entry.offset + entry.length > size:
+            raise DamageError(f"its footer tells of a chunk at byte {entry.offset}, where none can be")
+        end = entry.offset + entry.length
 
 
 def _entity_path(batch: pa.RecordBatch) -> str:
@@ -267,14 +279,6 @@ def _check(chunk: Chunk) -> None:
             raise DamageError(f"a component of /{chunk.entity_path} of type {column.type}")
     if len(set(batch.schema.names)) < len(batch.schema.names):
         raise DamageError(f"a component of /{chunk.entity_path} twice")
-
-
-def _check_names(column: pa.Field) -> None:
-    """Read every name in a type: UnicodeDecodeError if one is no text. Rerun would panic over it."""
-    for key, value in (column.metadata or {}).items():
-        key.decode(), value.decode()
-    for k in range(column.type.num_fields if column.name is not None else 0):
-        _check_names(column.type.field(k))
 
 
 def _kind(column: pa.Field) -> bytes:

@@ -11,7 +11,7 @@ from carom.recording.paths import SCHEMA_VERSION
 if TYPE_CHECKING:
     from carom.recording.header import Header
 
-_PATTERN = re.compile(r"carom-(\d+)-[0-9a-f]+")
+_PATTERN = re.compile(r"carom-([0-9]{1,9})-[0-9a-f]+")
 
 
 def application_id(header: Header) -> str:

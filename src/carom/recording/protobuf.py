@@ -7,6 +7,7 @@ from carom.recording.errors import DamageError
 Fields = dict[int, list["int | memoryview"]]
 
 _LONGEST_VARINT = 64  # bits
+_MOST_FIELDS = 1000  # of a message; an .rrd's have up to six
 
 
 def fields(message: memoryview) -> Fields:
@@ -18,8 +19,11 @@ def fields(message: memoryview) -> Fields:
         If it is no message.
     """
     found: Fields = {}
-    at = 0
+    at = count = 0
     while at < len(message):
+        count += 1
+        if count > _MOST_FIELDS:
+            raise DamageError("a message of too many fields")
         tag, at = _varint(message, at)
         value: int | memoryview
         match tag & 7:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 from carom.recording import framing
-from carom.recording.container import LARGEST, RECORDING, Container, Entry, Index, Store, read_body
+from carom.recording.arrow_stream import LARGEST
+from carom.recording.container import RECORDING, Container, Entry, Index, Store, read_body
 from carom.recording.errors import DamageError, TornFooterError
 from carom.recording.framing import END, MESSAGE_HEADER, STREAM_HEADER, Message
 

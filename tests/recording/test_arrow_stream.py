@@ -1,0 +1,111 @@
+"""What is refused before memory is taken for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from carom.recording.arrow_stream import record_batch
+from carom.recording.container import Container
+from carom.recording.errors import DamageError
+from carom.recording.flatbuffer import claims
+from carom.recording.framing import END
+from crafted import assembled, messages_of, stream, with_column
+
+ROWS = 200_000_000
+
+
+def refused(column: pa.Array, options: pa.ipc.IpcWriteOptions | None = None) -> str:
+    payload = stream(pa.record_batch([column], names=["component"]), options)
+    with pytest.raises(DamageError) as caught:
+        record_batch(memoryview(payload), 0, 0)
+    return str(caught.value)
+
+
+def deep(depth: int) -> pa.Array:
+    column = pa.array([1.0])
+    for _ in range(depth):
+        column = pa.ListArray.from_arrays(pa.array([0, 1], pa.int32()), column)
+    return column
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pytest.param(lambda: pa.nulls(ROWS), id="nulls"),
+        pytest.param(
+            lambda: pa.RunEndEncodedArray.from_arrays(pa.array([ROWS], pa.int32()), pa.array([1.0])), id="runs"
+        ),
+        pytest.param(lambda: pa.array([0.0], pa.float64()).dictionary_encode(), id="dictionary"),
+        pytest.param(lambda: pa.array(["x"], pa.string_view()), id="view"),
+        pytest.param(lambda: pa.array([b"x"], pa.binary()), id="bytes"),
+        pytest.param(lambda: pa.array([[1.0] * 17], pa.list_(pa.float64(), 17)), id="wide fixed lists"),
+        pytest.param(lambda: deep(20), id="lists in lists"),
+    ],
+)
+def test_a_column_of_a_type_that_carom_never_writes_is_refused(column: Callable[[], pa.Array]) -> None:
+    assert "type" in refused(column())
+
+
+def test_nulls_inside_of_a_list_may_not_be_more_than_its_bytes_can_hold() -> None:
+    column = pa.ListArray.from_arrays(pa.array([0, ROWS], pa.int32()), pa.nulls(ROWS))
+    assert f"claims {ROWS} values" in refused(column)
+
+
+def test_buffers_that_are_packed_a_second_time_are_not_unpacked() -> None:
+    zeros = pa.array(np.zeros(100_000))
+    assert "packed a second time" in refused(zeros, pa.ipc.IpcWriteOptions(compression="zstd"))
+
+
+def test_the_claims_of_a_batch_are_read_without_building_it() -> None:
+    batch = pa.record_batch([pa.array([[1.0, 2.0], [3.0]]), pa.array([1, 2])], names=["lists", "numbers"])
+    reader = pa.ipc.MessageReader.open_stream(stream(batch))
+    reader.read_next_message()
+    claimed = claims(reader.read_next_message().metadata.to_pybytes())
+    assert claimed.rows == 2 and claimed.lengths.tolist() == [2, 3, 2] and not claimed.compressed
+    assert claimed.buffer_bytes == sum(buffer.size for column in batch for buffer in column.buffers() if buffer)
+
+
+@pytest.mark.parametrize("cut", range(0, 200, 7))
+def test_metadata_that_are_cut_off_are_refused_and_nothing_else(cut: int) -> None:
+    reader = pa.ipc.MessageReader.open_stream(stream(pa.record_batch([pa.array([1.0])], names=["x"])))
+    reader.read_next_message()
+    whole = reader.read_next_message().metadata.to_pybytes()
+    if cut < len(whole) - 16:
+        with pytest.raises(DamageError):
+            claims(whole[:cut])
+
+
+def test_a_chunk_listed_twice_is_refused(run_file: Path) -> None:
+    # 1 kB of footer could stand for any number of rows.
+    where = Container.open(run_file).stores[0].entries[5]
+
+    def doubled(batch: pa.RecordBatch) -> pa.RecordBatch:
+        for name, value in (("chunk_byte_offset", where.offset), ("chunk_byte_size", where.length)):
+            batch = with_column(batch, name, pa.array([value] * batch.num_rows, pa.uint64()))
+        return batch
+
+    assembled(run_file, run_file, messages_of(run_file), index=doubled)
+    with pytest.raises(DamageError, match=f"chunk at byte {where.offset}, where none can be"):
+        Container.open(run_file)
+
+
+def test_an_index_of_more_chunks_than_the_file_can_hold_is_refused(run_file: Path) -> None:
+    def repeated(batch: pa.RecordBatch) -> pa.RecordBatch:
+        return batch.take(pa.array(np.zeros(20_000, np.int64)))
+
+    assembled(run_file, run_file, messages_of(run_file), index=repeated)
+    with pytest.raises(DamageError, match="tells of 20000 chunks in"):
+        Container.open(run_file)
+
+
+def test_a_message_of_endless_fields_is_not_taken_apart(run_file: Path) -> None:
+    parts = [(kind, body) for kind, body in messages_of(run_file) if kind != END]
+    parts[3] = (parts[3][0], b"\x08\x00" * 5_000_000)
+    assembled(run_file, run_file, parts, footer=False)
+    with pytest.raises(DamageError, match="too many fields"):
+        Container.open(run_file)
