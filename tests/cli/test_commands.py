@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from carom.experiment.report import worst_moment
 from carom.recording.recording import Recording
 from carom.scene.parts import unknown
 from command import carom
@@ -53,6 +54,38 @@ def test_inspect_prints_the_keys_that_scripts_rely_on(tmp_path: Path) -> None:
     assert summary["expect"]["max_overlap"]["met"] is True
     assert summary["profile"]["search"] > 0.0
     assert summary["moments"]["impact"]["bodies"] == [0, 1]
+
+
+BALL_ON_FLOOR = """
+gravity = { constant = 0.0, uniform = [0.0, 0.0, -10.0] }
+time = { duration = 0.5 }
+
+[[plane]]
+name = "floor [x]"
+
+[[body]]
+position = [0.0, 0.0, 9.0]
+
+[[body]]
+name = "ball"
+position = [9.0, 0.0, 1.2]
+"""
+
+
+def test_a_plane_is_called_by_its_name_and_not_a_body(tmp_path: Path) -> None:
+    scene_file(tmp_path, BALL_ON_FLOOR)
+    run = json.loads(carom("run", "scene.toml", "--json", "-o", "x.rrd", cwd=tmp_path).stdout)
+    inspected = json.loads(carom("inspect", "x.rrd", "--json", cwd=tmp_path).stdout)
+    carom("clip", "x.rrd", "--from", "0.1", "--bodies", "1", cwd=tmp_path)
+    clipped = json.loads(carom("inspect", "x-clip.rrd", "--json", cwd=tmp_path).stdout)
+    for document in (run, inspected, clipped):
+        impact = document["moments"]["impact"]
+        assert (impact["bodies"], impact["planes"]) == ([1], [0])
+        assert impact["between"] == 'body 1 "ball" and floor [x]'
+    for file in ("x.rrd", "x-clip.rrd"):
+        shown = carom("inspect", file, cwd=tmp_path).stdout
+        assert 'J of approach (½ μ v_n²), body 1 "ball" and floor [x], at step' in shown
+    assert worst_moment(Recording.open(tmp_path / "x.rrd"))[1].endswith('body 1 "ball" and floor [x]')
 
 
 def test_inspect_shows_where_the_time_of_a_step_went(tmp_path: Path) -> None:

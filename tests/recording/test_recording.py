@@ -129,3 +129,12 @@ def test_events_recorded_before_there_were_kinds_read_with_empty_ones(
     recording = Recording.open(tmp_path / "old.rrd")
     assert set(recording.events()["kind"].to_pylist()) == {""}
     assert recording.warnings() == [Event(30, 1.5, "WARN", "something at step 30")]
+
+
+def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(tmp_path: Path, merry: Merry) -> None:
+    n = len(merry.header.mass)
+    with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
+        recorder.put(next(iter(merry.frames(1))))
+        recorder.finish("completed", {"moments.impact.bodies": f"3,{n + 1}"})
+    impact = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
+    assert impact == {"bodies": [3], "planes": [1], "between": "body 3 and plane 1"}

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 MOMENTS = {
-    "impact": "hardest impact, {value:.4g} J",
+    "impact": "hardest impact, {value:.4g} J of approach (½ μ v_n²)",
     "overlap": "deepest overlap, {value:.3%} of the smaller radius",
     "contacts": "most contacts, {value:.0f}",
     "energy_error": "largest integration error, {value:.2e} of the energy scale",
@@ -46,7 +46,7 @@ def inspect(
     for line in _warnings(summary):
         console.print(line, markup=False)
     for line in _moments(summary, file):
-        console.print(line)
+        console.print(line, markup=False)
     console.print()
     console.print(_profile(summary))
 
@@ -109,9 +109,9 @@ def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
         if moment:
-            who, time = " and ".join(map(str, moment["bodies"])), moment["time"]
+            who, time = moment["between"], moment["time"]
             begin, end = max(0.0, time - window / 2), time + window / 2
-            what = wording.format(value=moment["value"]) + (f", bodies {who}" if who else "")
+            what = wording.format(value=moment["value"]) + (f", {who}" if who else "")
             yield f"{what}, at step {moment['step']}, t = {time:.6g} s"
             yield f"    carom view {file} --at {time:.9g}"
             yield f"    carom clip {file} --around {time:.9g} --window {window:.3g}"

@@ -112,13 +112,13 @@ def _met(verdict: Verdict) -> str:
 
 def _worst(trial: Trial) -> Table:
     """Show each worst moment with the command that looks at it."""
+    from rich.markup import escape
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
     for what, moment in trial.worst.items():
-        who = f"bodies {' and '.join(map(str, moment.bodies))}" if moment.bodies else ""
         command = f"carom view {trial.outcome.path} --at {moment.time:.6g}" if trial.outcome else ""
-        table.add_row(f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", who, command)
+        table.add_row(f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", escape(moment.between), command)
     return table
 
 

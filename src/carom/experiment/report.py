@@ -26,6 +26,10 @@ ROOM = 7_000_000  # bytes that a clip may have before it is packed
 REPLAY_AT_MOST = 30.0  # s
 ENERGY_ERROR = 1e-3  # of the scale; from there on it is what went wrong
 MOST_WARNINGS = 3
+WORST = {  # where nothing went wrong
+    "impact": "the hardest impact, {value:.4g} J of approach (½ μ v_n²)",
+    "overlap": "the deepest overlap, {value:.3%} of the smaller radius",
+}
 LEDGER = ("restitution", "friction", "stabilisation")
 
 
@@ -97,10 +101,10 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
-    for name, what in (("impact", "the hardest impact"), ("overlap", "the deepest overlap")):
-        if name in moments and moments[name]["bodies"]:
-            who = " and ".join(map(str, moments[name]["bodies"]))
-            return moments[name]["time"], f"{what}, bodies {who}"
+    for name, wording in WORST.items():
+        if name in moments and moments[name]["between"]:
+            what = wording.format(value=moments[name]["value"])
+            return moments[name]["time"], f"{what}, {moments[name]['between']}"
     return recording.moment(), "the fullest moment"
 
 

@@ -160,11 +160,12 @@ def _simulate(
     physics = _Physics(space, recorder, past)
     interrupted = _wait(physics, watch)
     status, reason = physics.ending(interrupted)
-    verdicts = judge(space.scene, space.moments, space.time)
+    moments = space.named_moments()
+    verdicts = judge(space.scene, moments, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
-    summary = {"wall_time": time.perf_counter() - began, **_summary(space, verdicts)}
+    summary = {"wall_time": time.perf_counter() - began, **_summary(space, moments, verdicts)}
     try:
         recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
     except RecordingError as error:
@@ -179,7 +180,7 @@ def _simulate(
         wall_time=time.perf_counter() - began,
         size=path.stat().st_size if path.exists() else 0,
         payload=recorder.payload_bytes,
-        moments=space.moments,
+        moments=moments,
         verdicts=verdicts,
         warnings=physics.warnings,
     )
@@ -274,9 +275,8 @@ def header_of(space: Space) -> Header:
     )
 
 
-def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
+def _summary(space: Space, moments: Moments, verdicts: list[Verdict]) -> dict[str, Scalar]:
     """Gather what is known only at the end, under dotted keys: the recording's last properties."""
-    moments = space.moments
     summary: dict[str, Scalar] = {
         "steps": space.step,
         "sim_time": space.time,
@@ -296,7 +296,9 @@ def _summary(space: Space, verdicts: list[Verdict]) -> dict[str, Scalar]:
         if moment is not None:
             key = f"moments.{name}"
             summary |= {f"{key}.value": moment.value, f"{key}.step": moment.step, f"{key}.time": moment.time}
-            summary[f"{key}.bodies"] = ",".join(str(body) for body in moment.bodies)
+            summary[f"{key}.bodies"] = ",".join(map(str, moment.bodies))
+            summary[f"{key}.planes"] = ",".join(map(str, moment.planes))
+            summary[f"{key}.between"] = moment.between
     for part, seconds in space.profile.seconds().items():
         summary[f"profile.{part}"] = seconds
     for verdict in verdicts:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from carom.physics.contact.tally import Tally
 from carom.physics.energy import Energy
@@ -18,7 +19,9 @@ class Moment:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()
+    bodies: tuple[int, ...] = ()  # while the run goes on the ends of a contact: from n on they count planes
+    planes: tuple[int, ...] = ()  # that a body touched, see `Moments.named`
+    between: str = ""  # names of bodies and planes
 
 
 NOTHING = Moment(0.0, 0, 0.0)
@@ -53,19 +56,27 @@ class Moments:
         self.total_contacts += tally.contacts
         self.impacts += tally.impacts
 
+    def named(self, names: Names) -> Moments:
+        """Return the same extremes with planes told from bodies, and both by their names."""
+        found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        for name, value in found.items():
+            if isinstance(value, Moment):
+                found[name] = _named(value, names)
+        return Moments(**found)
+
     def highlights(self, names: Names) -> tuple[Event, ...]:
         """Put the extremes of contacts and energy into words, in order of time."""
+        known = self.named(names)
         wordings = (
-            (self.impact, "Hardest impact of the run, {value:.4g} J"),
-            (self.overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
-            (self.contacts, "Most contacts of the run, {value:.0f}"),
-            (self.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
+            (known.impact, "Hardest impact of the run, {value:.4g} J of approach (½ μ v_n²)"),
+            (known.overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
+            (known.contacts, "Most contacts of the run, {value:.0f}"),
+            (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
         )
         events = []
         for moment, wording in wordings:
             if moment is not None and moment.value > 0:
-                who = " and ".join(names.of(body) for body in moment.bodies)
-                text = wording.format(value=moment.value) + (f": {who}." if who else ".")
+                text = wording.format(value=moment.value) + (f": {moment.between}." if moment.between else ".")
                 events.append(Event(moment.step, moment.time, "INFO", text, "extreme"))
         return tuple(sorted(events, key=lambda event: event.step))
 
@@ -86,6 +97,16 @@ class Moments:
         self.angular_momentum_error = (
             None if angular is None else _worse(self.angular_momentum_error, angular, step, time)
         )
+
+
+def _named(moment: Moment, names: Names) -> Moment:
+    n = len(names.bodies)
+    return replace(
+        moment,
+        bodies=tuple(end for end in moment.bodies if end < n),
+        planes=tuple(end - n for end in moment.bodies if end >= n),
+        between=" and ".join(names.of(end) for end in moment.bodies),
+    )
 
 
 def _worse(known: Moment | None, value: float, step: int, time: float) -> Moment:

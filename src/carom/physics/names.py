@@ -13,7 +13,8 @@ class Names:
     planes: list[str]
 
     def of(self, end: int) -> str:
-        """Name an end for people: ``body 3 "boulder"``, or a plane by its own name."""
+        """Name an end for people: ``body 3 "boulder"``, ``body 3`` if it has no other name, or a plane by its name."""
         if end < len(self.bodies):
-            return f'body {end} "{self.bodies[end]}"'
+            numbered, name = f"body {end}", self.bodies[end]
+            return numbered if name in ("", numbered) else f'{numbered} "{name}"'
         return self.planes[end - len(self.bodies)]

@@ -97,7 +97,8 @@ class Space:
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
         self._timestep = Timestep(scene.time, cfl(scene), target_dx(scene), self._falling, scene.anchored, self._team)
-        self._accounts = Accounts(scene, self.state, Names(self.names, self.planes.name))
+        self._called = Names(self.names, self.planes.name)
+        self._accounts = Accounts(scene, self.state, self._called)
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))
         self._stopping = False
@@ -267,7 +268,11 @@ class Space:
 
     def highlights(self) -> tuple[Event, ...]:
         """Return the extremes of the run so far as events, each at its own time."""
-        return self.moments.highlights(Names(self.names, self.planes.name))
+        return self.moments.highlights(self._called)
+
+    def named_moments(self) -> Moments:
+        """Return the extremes of the run so far, with bodies and planes by their names."""
+        return self.moments.named(self._called)
 
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
@@ -448,7 +453,7 @@ class Space:
             if self.moments.contacts is None:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
-                names = Names(self.names, self.planes.name)
+                names = self._called
                 self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.", "first-contact")
             self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():

@@ -35,7 +35,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
         "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
         "warnings": [asdict(event) for event in recording.warnings()],
-        "moments": _moments(recording.closing),
+        "moments": _moments(recording.closing, int(recording.info["bodies"])),
         "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": recording.versions,
         "expect": _below(recording.closing, "expect"),
@@ -81,12 +81,23 @@ def _contacts(steps: pa.Table) -> dict[str, float]:
     }
 
 
-def _moments(closing: Mapping[str, Any]) -> dict[str, Any]:
-    """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``."""
+def _moments(closing: Mapping[str, Any], bodies: int) -> dict[str, Any]:
+    """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``.
+
+    Recordings without `planes` count them among the bodies, from n on, and say no names.
+    """
     moments = _below(closing, "moments")
     for moment in moments.values():
-        moment["bodies"] = [int(body) for body in str(moment.get("bodies", "")).split(",") if body]
+        ends, planes = _numbers(moment.get("bodies", "")), _numbers(moment.get("planes", ""))
+        moment["bodies"] = [end for end in ends if end < bodies]
+        moment["planes"] = planes or [end - bodies for end in ends if end >= bodies]
+        unnamed = [f"body {body}" for body in moment["bodies"]] + [f"plane {plane}" for plane in moment["planes"]]
+        moment["between"] = moment.get("between") or " and ".join(unnamed)
     return moments
+
+
+def _numbers(text: Any) -> list[int]:
+    return [int(number) for number in str(text).split(",") if number]
 
 
 def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
