@@ -36,9 +36,18 @@ def test_warmup_says_where_the_kernels_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_after_a_warmup_nothing_is_left_to_compile(tmp_path: Path) -> None:
+def test_after_a_warmup_nothing_is_left_to_compile_but_what_was_damaged(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-m", "carom", "warmup"], cwd=tmp_path, env=environment, check=True)
-    cached = {path.name.split("-")[0] for path in (tmp_path / "cache").rglob("*.nbi")}
+    cached = {path.name.split("-")[0] for path in (tmp_path / "cache").rglob("*.nbc")}
     missing = {name for name in kernels() if ".".join(name.split(".")[-2:]) not in cached}
     assert not missing
+    files = sorted((tmp_path / "cache").rglob("*.nbc"))
+    damaged = files[:: len(files) // 10]
+    for file, other in zip(damaged[::2], damaged[1::2], strict=False):
+        contents = file.read_bytes()
+        file.write_bytes(other.read_bytes())
+        other.write_bytes(contents[: len(contents) // 2])
+    again = [sys.executable, "-m", "carom", "warmup", "--json"]
+    warmth = json.loads(subprocess.run(again, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, check=True).stdout)
+    assert len(damaged) - 1 <= warmth["compiled"] < len(files)

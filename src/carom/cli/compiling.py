@@ -6,10 +6,14 @@ from collections.abc import Callable
 
 import typer
 
+NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of your own"
+
 
 def announce_compilation(say: Callable[[str], None] | None = None) -> None:
     """Say so, on stderr unless told how, when kernels are compiled, once."""
-    from carom.physics.kernel import on_compilation
+    from carom.physics.kernel import cache_folder, on_compilation
 
     text = "Compiling kernels, once on this machine (about half a minute) …"
+    if not cache_folder():
+        text = f"Compiling kernels (about half a minute), at every start: {NO_CACHE} …"
     on_compilation(lambda: say(text) if say else typer.echo(text, err=True))

@@ -12,6 +12,7 @@ def warmup(as_json: JsonOption = False) -> None:
     import json
     from dataclasses import asdict
 
+    from carom.cli.compiling import NO_CACHE
     from carom.cli.units import duration_text
     from carom.experiment.warmup import warm_up
 
@@ -21,4 +22,5 @@ def warmup(as_json: JsonOption = False) -> None:
     if as_json:
         typer.echo(json.dumps(asdict(warmth), indent=2, ensure_ascii=False))
     else:
-        typer.echo(f"{warmth.compiled} kernels compiled in {duration_text(warmth.seconds)}; cache: {warmth.cache}")
+        where = f"cache: {warmth.cache}" if warmth.cache else NO_CACHE
+        typer.echo(f"{warmth.compiled} kernels compiled in {duration_text(warmth.seconds)}; {where}")

@@ -54,7 +54,7 @@ class Warmth:
 
     seconds: float
     compiled: int  # kernels; the others were in the cache
-    cache: str  # the folder of compiled kernels
+    cache: str  # the folder of compiled kernels; empty if they are not kept
 
 
 def warm_up() -> Warmth:

@@ -5,31 +5,15 @@ No ``fastmath``: reassociated or fused arithmetic would make the bits depend on 
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-PACKAGE = Path(__file__).parent
+import numba
+from numba import types
+from numba.core import event
 
-
-def _writable_cache() -> None:
-    """Give Numba a folder to cache in where it would find none: it raises at import otherwise."""
-    if "NUMBA_CACHE_DIR" in os.environ or os.access(PACKAGE, os.W_OK):
-        return
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    nearest = next(folder for folder in (home, *home.parents) if folder.exists())
-    if not os.access(nearest, os.W_OK):
-        user = os.getuid() if hasattr(os, "getuid") else "any"
-        os.environ["NUMBA_CACHE_DIR"] = str(Path(tempfile.gettempdir()) / f"carom-numba-{user}")
-
-
-_writable_cache()
-
-import numba  # noqa: E402 - reads NUMBA_CACHE_DIR when it is imported
-from numba import types  # noqa: E402
-from numba.core import event  # noqa: E402
+from carom.physics import kernel_cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -64,7 +48,10 @@ def inline(function: Function) -> Function:
 def _compiled(function: Function, **options: Any) -> Function:
     """Compile for Python and for other kernels, not for C; once for all numbers that are written where it is called."""
     compile_as: Any = numba.njit  # whose stub does not know all options
-    compiled = compile_as(cache=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    kept = kernel_cache.cache_of(function)
+    if kept is not None:
+        compiled._cache = kept
     template_for = compiled.get_call_template
 
     def get_call_template(args: Sequence[Any], kws: dict[str, Any]) -> Any:
@@ -77,8 +64,8 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 
 def cache_folder() -> str:
-    """Return the folder in which compiled kernels are kept, or under which, if each package has one of its own."""
-    return os.environ.get("NUMBA_CACHE_DIR") or str(numba.njit(cache=True)(cache_folder).stats.cache_path)
+    """Return the folder in which the compiled kernels of this package are kept; empty if none is writable."""
+    return str(kernel_cache.cache_folder(Path(__file__).parent) or "")
 
 
 class Compilations(event.Listener):

@@ -1,0 +1,165 @@
+"""Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
+
+Numba's own cache unpickles and links whatever lies in its folder, and knows a kernel by the file it is written in. Here
+each file begins with a checksum of what it holds, of the kernel and the types it is for, and of all sources that the
+kernel may be made of: what is damaged, exchanged or out of date is compiled anew. One file for each kernel and types;
+no index that two processes would write at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import stat
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+import numpy as np
+import xxhash
+from numba.core import caching, config, serialize
+from numba.core.compiler import CompileResult
+
+from carom.physics.sources import sources_of
+
+CHECKSUM = 16  # bytes, before the others
+_VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3])
+
+
+def cache_of(function: Callable[..., Any]) -> KernelCache | None:
+    """Return the cache of a kernel, or None where there is no folder for it or its sources cannot be read."""
+    file = Path(function.__code__.co_filename)
+    folder = cache_folder(file.parent)
+    if folder is None:
+        return None
+    try:
+        return KernelCache(function, folder, sources_of(function.__module__, file))
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+@cache
+def cache_folder(package: Path) -> Path | None:
+    """Return the folder for the compiled kernels of a package, or None if there is none that we may write to.
+
+    The first of these: below ``NUMBA_CACHE_DIR``; beside the sources, where their byte code is; in the user's cache; in
+    the system's temporary folder. The last two must be the user's own, and closed to others.
+    """
+    name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
+    chosen = config.CACHE_DIR  # type: ignore[attr-defined] # set when Numba is imported
+    if chosen and _is_writable(given := Path(chosen) / name):
+        return given
+    if _is_writable(beside := package / "__pycache__"):
+        return beside
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - no error without a home
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    for root in (Path(home) / "carom-kernels", Path(tempfile.gettempdir()) / f"carom-kernels-{user}"):
+        if root.is_absolute() and _is_private(root) and _is_writable(root / name):
+            return root / name
+    return None
+
+
+def _is_writable(folder: Path) -> bool:
+    """Make a folder if it is not there; tell whether we may write to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
+def _is_private(folder: Path) -> bool:
+    """Make a folder if it is not there; tell whether only this user can have put something into it."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir(mode=0o700)
+        found = folder.lstat()
+        above = [parent.stat() for parent in folder.parent.resolve().parents] + [folder.parent.stat()]
+    except OSError:
+        return False
+    if not hasattr(os, "getuid"):
+        return True  # Windows: the folders of a user are closed to others
+    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
+    return own and not any(_is_replaceable(parent) for parent in above)
+
+
+def _is_replaceable(parent: os.stat_result) -> bool:
+    """Tell whether another user could put a folder in the place of one in here; a sticky bit forbids it."""
+    open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
+    return parent.st_uid not in (0, os.getuid()) or bool(open_to_all)
+
+
+class KernelCache(caching._Cache):
+    """The compiled forms of one kernel, in the place of Numba's own cache."""
+
+    def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
+        code = function.__code__
+        version = sys.implementation.cache_tag
+        self._folder = folder
+        self._name = f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}.{version}"
+        self._made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
+
+    @property
+    def cache_path(self) -> str:
+        """The folder."""
+        return str(self._folder)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what is compiled for a signature, or None where there is nothing that holds what it should."""
+        target_context.refresh()
+        types = _types(sig, target_context.codegen())
+        try:
+            content = self._path(types).read_bytes()
+        except OSError:
+            return None
+        data = memoryview(content)[CHECKSUM:]
+        if content[:CHECKSUM] != self._checksum(types, data):
+            return None
+        return CompileResult._rebuild(target_context, *pickle.loads(data))  # type: ignore[no-untyped-call]
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled for a signature; where it cannot be kept, it is compiled again next time."""
+        types = _types(sig, data.codegen)
+        if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # only of use to this process
+            return
+        content: bytes = serialize.dumps(data._reduce())  # type: ignore[no-untyped-call]
+        path = self._path(types)
+        begun = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+        try:
+            begun.write_bytes(self._checksum(types, memoryview(content)) + content)
+            begun.replace(path)
+        except OSError:
+            with contextlib.suppress(OSError):
+                begun.unlink(missing_ok=True)
+
+    def _path(self, types: bytes) -> Path:
+        return self._folder / f"{self._name}.{xxhash.xxh3_64_hexdigest(types)}.nbc"
+
+    def _checksum(self, types: bytes, data: memoryview) -> bytes:
+        whole = xxhash.xxh3_128()
+        for part in (self._made_of, types, data):
+            whole.update(len(part).to_bytes(8, "little"))
+            whole.update(part)
+        return whole.digest()
+
+    def enable(self) -> None:
+        """Do nothing; Numba wants it."""
+
+    def disable(self) -> None:
+        """Do nothing; Numba wants it."""
+
+    def flush(self) -> None:
+        """Do nothing; Numba wants it."""
+
+
+def _types(sig: Any, codegen: Any) -> bytes:
+    """Tell what a kernel is compiled for: the types of its arguments, and the processor."""
+    return repr((sig, codegen.magic_tuple())).encode()

@@ -1,0 +1,186 @@
+"""Compiled kernels on disk: used if they are whole and up to date, else compiled anew; in folders of the user alone."""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import json
+import os
+import random
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import carom
+from carom.physics import kernel_cache
+from carom.physics.kernel_cache import CHECKSUM
+from carom.physics.sources import imports_of
+
+COUNT = 8
+KERNELS = "from carom.physics.kernel import kernel\nfrom pack.part import {part}\n" + "".join(
+    f"@kernel\ndef f{k}(x: float) -> float:\n    return {{part}}(x) + {k}.0\n" for k in range(COUNT)
+)
+PART = "from carom.physics.kernel import inner\n@inner\ndef {part}(x: float) -> float:\n    return {factor} * x\n"
+CALL = f"""
+import json
+from carom.physics.kernel import Compilations, cache_folder
+from pack import kernels
+with Compilations() as compilations:
+    values = [getattr(kernels, f"f{{k}}")(1.0) for k in range({COUNT})]
+print(json.dumps([values, compilations.count, cache_folder()]))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package of kernels that call one in another file, and a folder for what is compiled of it."""
+    folder = tmp_path / "pack"
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    (folder / "kernels.py").write_text(KERNELS.format(part="part"), encoding="utf-8")
+    (folder / "part.py").write_text(PART.format(part="part", factor=2.0), encoding="utf-8")
+    return folder
+
+
+def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
+    """Call the kernels in a process of their own: what they return, how many were compiled, and where they are kept."""
+    environment = {"NUMBA_CACHE_DIR": str(package.parent / "cache")} | options.pop("env", {})
+    called = subprocess.run(
+        [sys.executable, "-c", CALL],
+        env=os.environ | {"PYTHONPATH": str(package.parent)} | environment,
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+        **options,
+    )
+    assert called.returncode == 0, called.stderr
+    values, compiled, folder = json.loads(called.stdout)
+    return values, compiled, folder
+
+
+def damage(rng: random.Random, files: list[Path]) -> None:
+    """Change every file but the last in one of the ways in which files are found damaged."""
+    contents = [file.read_bytes() for file in files]
+    for k, file in enumerate(files[:-1]):
+        content = contents[k]
+        at = rng.randrange(len(content))
+        flipped = content[:at] + bytes([content[at] ^ 1 << rng.randrange(8)]) + content[at + 1 :]
+        ways = [
+            b"",
+            content[:at],
+            flipped,
+            contents[k + 1],  # another kernel's, whole in itself
+            content + b"\0",
+            content[: rng.randrange(CHECKSUM)],
+            rng.randbytes(len(content)),
+        ]
+        file.write_bytes(ways[k % len(ways)])
+
+
+def test_damaged_and_exchanged_files_are_compiled_anew(package: Path, seed: int) -> None:
+    expected = [2.0 + k for k in range(COUNT)]
+    assert call(package)[:2] == (expected, COUNT + 1)
+    assert call(package)[:2] == (expected, 0)
+    files = sorted((package.parent / "cache").rglob("kernels.f*.nbc"))
+    assert len(files) == COUNT
+    damage(random.Random(seed), files)
+    values, compiled, _ = call(package)
+    assert values == expected and compiled >= COUNT - 1
+    assert call(package)[:2] == (expected, 0)
+
+
+def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another_file(package: Path) -> None:
+    assert call(package)[1] == COUNT + 1
+    (package / "part.py").write_text(PART.format(part="part", factor=3.0), encoding="utf-8")
+    assert call(package)[:2] == ([3.0 + k for k in range(COUNT)], COUNT + 1)
+    (package / "other.py").write_text("x = 1\n", encoding="utf-8")
+    assert call(package)[1] == 0
+
+
+def test_what_a_kernel_may_be_made_of_is_found_as_python_finds_it() -> None:
+    """The search for imports is a quick one, by patterns: compare it with Python's own parser, for every file."""
+    root = Path(carom.__file__).parent
+    for file in root.rglob("*.py"):
+        parsed = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        names = set()
+        for node in parsed:
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{file}: a relative import is not followed"
+                names |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
+        paths = [root.joinpath(*name.split(".")[1:]) for name in names if name.split(".")[0] == "carom"]
+        files = {path.with_suffix(".py") for path in paths} | {path / "__init__.py" for path in paths}
+        assert {path for path in files if path.is_file()} <= set(imports_of(file, "carom")), file
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """A folder as the system's temporary one is: open to all, sticky."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    folder.chmod(0o1777)
+    return folder
+
+
+def test_a_folder_of_the_user_alone_is_made_and_used_again(root: Path) -> None:
+    assert kernel_cache._is_private(root / "mine") and kernel_cache._is_private(root / "mine")
+    assert (root / "mine").stat().st_mode & 0o777 == 0o700
+
+
+def test_a_folder_that_others_can_write_to_or_that_lies_elsewhere_is_not_used(root: Path) -> None:
+    (root / "open").mkdir()
+    (root / "open").chmod(0o770)
+    (root / "elsewhere").mkdir(mode=0o700)
+    (root / "link").symlink_to(root / "elsewhere")
+    (root / "file").touch(mode=0o700)
+    assert not any(kernel_cache._is_private(root / name) for name in ("open", "link", "file"))
+    root.chmod(0o777)  # without the sticky bit, anybody can put another folder in its place
+    assert not kernel_cache._is_private(root / "mine")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
+def test_a_folder_of_another_user_is_not_used(root: Path) -> None:
+    for name in ("theirs", "above/below"):
+        (root / name).mkdir(mode=0o700, parents=True)
+    os.chown(root / "theirs", 65534, 65534)
+    os.chown(root / "above", 65534, 65534)
+    assert not kernel_cache._is_private(root / "theirs") and not kernel_cache._is_private(root / "above" / "below")
+
+
+@pytest.fixture
+def read_only(package: Path) -> Iterator[dict[str, Any]]:
+    """Options for `call`: an installation that cannot be written to, a user without a home, a planted folder."""
+    shutil.copytree(Path(carom.__file__).parent, package.parent / "carom", ignore=shutil.ignore_patterns("__pycache__"))
+    temporary = package.parent / "temporary"
+    planted = temporary / f"carom-kernels-{os.getuid()}"
+    planted.mkdir(parents=True)
+    installed = [Path(folder) for top in (package, package.parent / "carom") for folder, _, _ in os.walk(top)]
+    for folder in installed:
+        folder.chmod(0o555)
+    temporary.chmod(0o1777)
+    planted.chmod(0o777)
+    environment = {"HOME": "/proc/none", "XDG_CACHE_HOME": "", "NUMBA_CACHE_DIR": "", "TMPDIR": str(temporary)}
+    yield {"env": environment, "preexec_fn": obey_permissions}
+    for folder in installed:
+        folder.chmod(0o755)
+
+
+def obey_permissions() -> None:
+    """Let even root write only where it is allowed to."""
+    drop, right_to_write_anywhere = 24, 1  # PR_CAPBSET_DROP, CAP_DAC_OVERRIDE
+    if os.geteuid() == 0:
+        ctypes.CDLL(None).prctl(drop, right_to_write_anywhere, 0, 0, 0)
+
+
+def test_without_a_folder_of_its_own_a_kernel_is_compiled_each_time_and_nothing_planted_is_used(
+    package: Path, read_only: dict[str, Any]
+) -> None:
+    assert call(package, **read_only) == ([2.0 + k for k in range(COUNT)], COUNT + 1, "")
+    assert not list(package.parent.rglob("*.nbc"))
