@@ -12,6 +12,9 @@ from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 from merry import Merry
 
+KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
+HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}
+
 
 @pytest.fixture
 def path(tmp_path: Path, merry: Merry) -> Path:
@@ -22,8 +25,9 @@ def path(tmp_path: Path, merry: Merry) -> Path:
             "completed",
             {
                 "contacts.total": 1234,
-                "expect.energy_error.met": True,
                 "profile.gravity": 0.5,
+                **{f"expect.energy_error.{key}": value for key, value in KEPT.items()},
+                **{f"moments.impact.{key}": value for key, value in HIT.items()},
                 "moments.impact.bodies": "3,17",
             },
         )
@@ -90,9 +94,9 @@ def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry)
 def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(path: Path) -> None:
     summary = Recording.open(path).summary()
     assert summary["contacts"]["total"] == 1234
-    assert summary["expect"] == {"energy_error": {"met": True}}
+    assert summary["expect"] == {"energy_error": KEPT}
     assert summary["profile"] == {"gravity": 0.5}
-    assert summary["moments"] == {"impact": {"bodies": [3, 17]}}
+    assert summary["moments"] == {"impact": {**HIT, "bodies": [3, 17]}}
 
 
 def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, merry: Merry) -> None:

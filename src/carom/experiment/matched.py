@@ -128,7 +128,7 @@ class _Frames:
         self.time: FloatArray = prints["time"].to_numpy()
         self.bits: NDArray[np.uint64] = prints["fingerprint"].to_numpy()
         self.track = Track(recording)
-        self.origin = np.asarray(recording.info["origin"], dtype=np.float64)
+        self.origin = recording.origin
         self.radius = float(np.max(recording.bodies.radius))
         table = recording.energy()
         self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))

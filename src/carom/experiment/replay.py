@@ -193,7 +193,7 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
         return Difference(frame.step, time, "time (s)", None, time, frame.time)
     recorded = recording.drawn_positions(frame.step)
     if recorded is not None and len(recorded) == len(frame.position):
-        shown = (frame.position - np.asarray(recording.info["origin"])).astype(np.float32)
+        shown = (frame.position - recording.origin).astype(np.float32)
         off = np.abs(shown.astype(np.float64) - recorded).max(axis=1)
         if off.max() > 0.0:
             body = int(off.argmax())

@@ -11,7 +11,10 @@ import pyarrow as pa
 from carom.recording.errors import DamageError, RecordingError
 
 # What reading meets where a name, a type or a length is not what carom writes. Files come from anywhere.
-_SURPRISES = (LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, pa.ArrowException)
+_SURPRISES = (
+    *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
+    pa.ArrowException,
+)
 
 
 @contextmanager

@@ -66,7 +66,7 @@ def write_overlay(
         If it cannot be written.
     """
     radius = a.bodies.radius[a.shown]
-    origin = np.asarray(a.info["origin"], dtype=np.float64)
+    origin = a.origin
     clock = Clock(float(a.info["time_scale"]))
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)

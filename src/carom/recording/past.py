@@ -34,7 +34,7 @@ class Past:
         self.step = step
         steps = recording.fingerprints()[STEP].to_numpy()
         self.frames = int(np.count_nonzero(steps <= step))
-        self.origin = np.asarray(recording.info["origin"], dtype=np.float64)  # (3,) m
+        self.origin = recording.origin  # (3,) m
         self.clock = Clock(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
         states = {paths.PHASE: recording.phases(), paths.DT_LIMIT: recording.dt_limits()}

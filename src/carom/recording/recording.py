@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce, wraps
 from pathlib import Path
@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
-from carom.recording import paths
+from carom.recording import paths, tables
 from carom.recording.container import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
 from carom.recording.damage import reading
-from carom.recording.errors import RecordingError
+from carom.recording.errors import DamageError, RecordingError
 from carom.recording.layout import schema_version
+from carom.recording.properties import checked
 from carom.recording.summary import summary
+from carom.recording.tables import Column
 from carom.recording.timelines import SIM_TIME, STEP
 
 if TYPE_CHECKING:
@@ -134,7 +135,10 @@ class Recording:
     def shown(self) -> list[int]:
         """Numbers of the bodies that have a sphere in it: all, unless it is a clip of a few."""
         few = self.clip.get("bodies", range(int(self.info["bodies"])))
-        return [int(body) for body in np.atleast_1d(few)]
+        found = [int(body) for body in np.atleast_1d(few)]
+        if not all(0 <= body < int(self.info["bodies"]) for body in found):
+            raise DamageError("it shows bodies that it does not have")
+        return found
 
     @property
     @_named
@@ -170,14 +174,23 @@ class Recording:
     @_named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia."""
-        stored = self._static(paths.STATIC_STATE)
-        return BodyTable(
-            name=list(stored["name"]),
-            group=np.asarray(stored["group"], dtype=np.int64),
-            mass=np.asarray(stored["mass"], dtype=np.float64),
-            radius=np.asarray(stored["radius"], dtype=np.float64),
-            inertia=np.asarray(stored["inertia"], dtype=np.float64),
-        )
+        stored, n = self._static(paths.STATIC_STATE), int(self.info["bodies"])
+        names, groups = stored["name"], np.asarray(stored["group"])
+        if not isinstance(names, list) or len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
+            raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
+        return BodyTable(names, groups, *(self._positive(stored[name], name) for name in ("mass", "radius", "inertia")))
+
+    def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
+        n, array = int(self.info["bodies"]), np.asarray(values)
+        if array.shape != (n,) or array.dtype != np.float64 or not np.all((array > 0.0) & np.isfinite(array)):
+            raise DamageError(f"{name} of its bodies is not {n} positive numbers")
+        return array
+
+    @cached_property
+    @_named
+    def origin(self) -> NDArray[np.float64]:
+        """Where the origin of what is drawn lies in the scene, (3,) m."""
+        return np.asarray(self.info["origin"], dtype=np.float64)
 
     @property
     @_named
@@ -206,15 +219,13 @@ class Recording:
     @_named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
-        return self._table(paths.MOMENTUM)
+        return self._table(paths.MOMENTUM, tables.MOMENTA)
 
     @_named
     def events(self) -> pa.Table:
         """Columns step, sim_time, level, text, kind (empty where the recording is older than kinds)."""
-        table = self._table(paths.EVENTS, ("TextLog:text", "TextLog:level"))
-        table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
-        kinds = [_kinds(chunk.batch) for chunk in self._chunks(paths.EVENTS)]
-        return table.append_column("kind", pa.array([kind for each in kinds for kind in each], pa.string()))
+        table = self._table(paths.EVENTS, tables.EVENTS, optional=("kind",))
+        return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
 
     def warnings(self, until: int | None = None) -> list[Event]:
         """Return what the run was warned of, up to a step, in order of time; how it ended is no warning."""
@@ -247,7 +258,7 @@ class Recording:
     @_named
     def checkpoint_times(self) -> dict[int, float]:
         """Simulated time in s by step of the exact checkpoints, rising; a clip's first may lie before its frames."""
-        table = self._table(paths.CHECKPOINT, ("time",))
+        table = self._table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
         times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
         times |= {int(step): float(time) for step, time in rows}
@@ -338,20 +349,19 @@ class Recording:
         return summary(self)
 
     @cached_property
-    def _start(self) -> dict[str, list[Any]]:
+    def _start(self) -> dict[str, NDArray[Any] | list[str]]:
         return self._static(paths.START, required=False)
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        found = self._table(paths.FINGERPRINT)
-        if found.num_rows:
-            return found
-        return found.append_column("fingerprint", pa.array([], pa.uint64())).append_column(
-            "time", pa.array([], pa.float64())
-        )
+        found = self._table(paths.FINGERPRINT, tables.FINGERPRINTS)
+        times = found["time"].to_numpy()
+        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+            raise DamageError("times that do not rise")
+        return found
 
     def _states(self, path: str) -> pa.Table:
-        table = self._table(path, ("StateChange:state",))
+        table = self._table(path, tables.STATES)
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
@@ -359,13 +369,18 @@ class Recording:
 
         A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
         """
-        parts: dict[str, list[pa.RecordBatch]] = {}
-        for chunk in self._chunks(f"{root}/**", "Scalars:scalars", names):
-            parts.setdefault(chunk.entity_path.rsplit("/", 1)[1], []).append(chunk.batch)
+        series = {entry.entity_path for entry in self.store.entries if not entry.is_static}
+        paths = {path.rsplit("/", 1)[1]: path for path in sorted(series) if path.startswith(f"{root}/")}
+        parts: dict[str, pa.Table] = {}
+        for name in names or paths:
+            chunks = self._chunks(paths[name], "Scalars:scalars") if name in paths else iter(())
+            found = tables.table(f"{root}/{name}", chunks, tables.SCALARS)
+            if found.num_rows:
+                parts[name] = found
         frames = self._fingerprints
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
-        columns |= {name: _flat(batches, "Scalars:scalars") for name, batches in parts.items()}
-        steps = {name: np.concatenate([batch[STEP].to_numpy() for batch in parts[name]]) for name in parts}
+        columns |= {name: part["Scalars:scalars"] for name, part in parts.items()}
+        steps = {name: part[STEP].to_numpy() for name, part in parts.items()}
         own = frames[STEP].to_numpy()
         if all(np.array_equal(column, own) for column in steps.values()):
             return pa.table(columns)
@@ -373,14 +388,8 @@ class Recording:
         places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
         return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
 
-    def _table(self, path: str, components: tuple[str, ...] | None = None) -> pa.Table:
-        chunks = list(self._chunks(path))
-        if not chunks:
-            empty: dict[str, Any] = {STEP: pa.array([], pa.int64()), SIM_TIME: pa.array([], pa.duration("ns"))}
-            return pa.table(empty | {name: pa.array([], pa.string()) for name in components or ()})
-        batches, names = [chunk.batch for chunk in chunks], components or chunks[0].components
-        columns = {name: pa.chunked_array([batch[name] for batch in batches]) for name in (STEP, SIM_TIME)}
-        return pa.table(columns | {name: _flat(batches, name) for name in names})
+    def _table(self, path: str, columns: Mapping[str, Column], optional: Sequence[str] = ()) -> pa.Table:
+        return tables.table(path, self._chunks(path), columns, optional)
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks as they lie in the file, one after the other."""
@@ -396,11 +405,9 @@ class Recording:
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
         return list(self.chunks(layouts[-1].entries)) if layouts else []
 
-    def _chunks(self, content: str, component: str | None = None, names: tuple[str, ...] = ()) -> Iterator[Chunk]:
-        """Read an entity's chunks in order; with ``/**`` at its end those of all entities below it, or some of them."""
-        found = [entry for entry in self.store.entries if not entry.is_static and _within(entry, content)]
-        if names:
-            found = [entry for entry in found if entry.entity_path.rsplit("/", 1)[1] in names]
+    def _chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
+        """Read an entity's chunks in order; with a component, those that have it."""
+        found = [entry for entry in self.store.entries if not entry.is_static and entry.entity_path == path]
         for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:
                 yield chunk
@@ -410,45 +417,33 @@ class Recording:
         found = [entry for entry in self.store.entries if entry.entity_path == path and entry.holds(step)]
         return self.chunks(found)
 
-    def _static(self, path: str, required: bool = True) -> dict[str, list[Any]]:
-        """Read the components of a static entity."""
-        found: dict[str, list[Any]] = {}
+    def _static(self, path: str, required: bool = True) -> dict[str, NDArray[Any] | list[str]]:
+        """Read the components of a static entity: arrays, or lists of texts."""
+        found: dict[str, NDArray[Any] | list[str]] = {}
         for chunk in self.chunks([e for e in self.store.entries if e.is_static and e.entity_path == path]):
-            found |= {name: chunk.batch[name][0].as_py() for name in chunk.components}
+            if chunk.batch.num_rows != 1:
+                raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which holds for all times")
+            found |= {name: _values(chunk.batch[name][0]) for name in chunk.components}
         if not found and required:
             raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
         return found
 
     def _property(self, name: str) -> dict[str, Any]:
         stored = self._static(f"{_PROPERTIES}/{name}", required=False)
-        return {key: values[0] if len(values) == 1 else values for key, values in stored.items()}
+        lists = {key: list(values) if isinstance(values, list) else values.tolist() for key, values in stored.items()}
+        return checked(name, {key: values[0] if len(values) == 1 else values for key, values in lists.items()})
 
 
-def _kinds(batch: pa.RecordBatch) -> list[str]:
-    """Return the kind of each event of a batch."""
-    if "kind" not in batch.schema.names:
-        return [""] * batch.num_rows
-    return [str(row[0]) if row else "" for row in batch["kind"].to_pylist()]
-
-
-def _within(entry: Entry, content: str) -> bool:
-    if content.endswith("/**"):
-        return entry.entity_path.startswith(content.removesuffix("**"))
-    return entry.entity_path == content
-
-
-def _flat(batches: list[pa.RecordBatch], name: str) -> pa.ChunkedArray:
-    """Join a component's column; one value a row comes without its list."""
-    column = pa.chunked_array([batch[name] for batch in batches])
-    lengths = pc.list_value_length(column)
-    if len(column) and pc.all(pc.equal(lengths, 1)).as_py():
-        return pc.list_flatten(column)
-    return column
-
-
-def _values(row: pa.ListScalar) -> NDArray[np.generic] | list[Any]:
-    """Return one row of a component: an array, or a list of texts."""
-    return list(row.as_py()) if pa.types.is_string(row.values.type) else row.values.to_numpy()
+def _values(row: pa.ListScalar) -> NDArray[Any] | list[str]:
+    """Copy one row of a component: an array, or a list of texts. DamageError if it has none, or a gap in it."""
+    values = row.values
+    if values is None or values.null_count:
+        raise DamageError("a row without its values")
+    if pa.types.is_string(values.type):
+        return list(values.to_pylist())
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    return np.array(values.to_numpy(zero_copy_only=False))
 
 
 def _column(table: pa.Table, name: str) -> NDArray[np.float64]:

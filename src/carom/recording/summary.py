@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
+from carom.recording.errors import DamageError
+
 if TYPE_CHECKING:
     from carom.recording.recording import Recording
 
@@ -38,7 +40,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "moments": _moments(recording.closing, int(recording.info["bodies"])),
         "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": recording.versions,
-        "expect": _below(recording.closing, "expect"),
+        "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
     }
     if clip:
         steps = clip["first_step"], found["steps"]
@@ -86,7 +88,7 @@ def _moments(closing: Mapping[str, Any], bodies: int) -> dict[str, Any]:
 
     Recordings without `planes` count them among the bodies, from n on, and say no names.
     """
-    moments = _below(closing, "moments")
+    moments = _complete(_below(closing, "moments"), ("value", "step", "time"))
     for moment in moments.values():
         ends, planes = _numbers(moment.get("bodies", "")), _numbers(moment.get("planes", ""))
         moment["bodies"] = [end for end in ends if end < bodies]
@@ -98,6 +100,14 @@ def _moments(closing: Mapping[str, Any], bodies: int) -> dict[str, Any]:
 
 def _numbers(text: Any) -> list[int]:
     return [int(number) for number in str(text).split(",") if number]
+
+
+def _complete(entries: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    """Refuse entries of which a part is missing."""
+    for name, entry in entries.items():
+        if missing := [key for key in keys if not isinstance(entry, dict) or key not in entry]:
+            raise DamageError(f"its property outcome has {name} without {missing[0]}")
+    return entries
 
 
 def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ class Track:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         with reading(recording.path):
-            self._origin = np.asarray(recording.info["origin"], dtype=np.float64)
+            self._origin = recording.origin
         self._shown = recording.shown
         self._drawn = _Rows(recording, paths.BODIES)
         self._exact = _Rows(recording, paths.CHECKPOINT)

@@ -1,0 +1,95 @@
+"""Recordings with something else in them than carom writes: one sentence, whoever asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from carom.recording.errors import RecordingError
+from carom.recording.recording import Recording
+from crafted import Change, changed, mapped, retyped, with_column, without_column
+
+OUTCOME, ABOUT = "__properties/outcome", "__properties/carom"
+
+
+def several(values: list[Any]) -> Callable[[int], pa.Array]:
+    return lambda rows: pa.array([values] * rows)
+
+
+def doubled(batch: pa.RecordBatch) -> pa.RecordBatch:
+    return with_column(batch, "step", pa.array(np.zeros(batch.num_rows, np.int64)))
+
+
+STATIC: list[tuple[str, Change, str]] = [
+    (ABOUT, retyped("title", several([3])), "title"),
+    (ABOUT, retyped("bodies", several([-1])), "bodies"),
+    (ABOUT, retyped("bodies", several([2**60])), "bodies"),
+    (ABOUT, retyped("time_scale", several(["x"])), "time_scale"),
+    (ABOUT, retyped("origin", several([0.0, 1.0])), "origin"),
+    (ABOUT, retyped("origin", several([0.0, np.nan, 1.0])), "origin"),
+    (ABOUT, lambda batch: without_column(batch, "bodies"), "has no bodies"),
+    (OUTCOME, retyped("outcome", several([1.5])), "outcome"),
+    (OUTCOME, retyped("contacts.total", several(["many"])), "contacts.total"),
+    (OUTCOME, retyped("moments.impact.bodies", several(["1,two"])), "moments.impact.bodies"),
+    (OUTCOME, lambda batch: without_column(batch, "moments.impact.time"), "impact without time"),
+    (OUTCOME, retyped("profile.gravity", several(["long"])), "profile.gravity"),
+]
+MOVING: list[tuple[str, Change, str]] = [
+    (
+        "state/fingerprint",
+        retyped("fingerprint", lambda rows: pa.array([[]] * rows, pa.list_(pa.uint64()))),
+        "1 values",
+    ),
+    ("state/fingerprint", mapped("fingerprint", lambda row: [*row, *row]), "1 values"),
+    ("state/fingerprint", mapped("fingerprint", lambda row: [None]), "1 values"),
+    ("state/fingerprint", mapped("time", lambda row: [np.nan]), "times that do not rise"),
+    ("state/fingerprint", doubled, "order of their steps"),
+    ("energy/total", retyped("Scalars:scalars", several(["x"])), "of type list"),
+    ("energy/total", mapped("Scalars:scalars", lambda row: [1.0, 2.0]), "1 values"),
+    ("state/momentum", mapped("momentum_error", lambda row: []), "1 values"),
+    ("step/contacts", mapped("Scalars:scalars", lambda row: [None]), "1 values"),
+    ("events", retyped("TextLog:level", several([1])), "of type list"),
+]
+
+
+@pytest.mark.parametrize(("entity", "change", "said"), STATIC, ids=[f"{said}" for _, _, said in STATIC])
+def test_a_property_of_another_kind_is_named(entity: str, change: Change, said: str, run_file: Path) -> None:
+    recording = Recording.open(changed(run_file, run_file, entity, change, static=True))
+    with pytest.raises(RecordingError, match=said):
+        recording.summary()
+
+
+@pytest.mark.parametrize(("entity", "change", "said"), MOVING, ids=[f"{path}: {said}" for path, _, said in MOVING])
+def test_a_row_that_has_not_what_it_should_is_named(entity: str, change: Change, said: str, run_file: Path) -> None:
+    recording = Recording.open(changed(run_file, run_file, entity, change))
+    with pytest.raises(RecordingError, match=said):
+        recording.summary()
+
+
+def test_names_of_fewer_bodies_than_there_are_are_refused(run_file: Path) -> None:
+    changed(run_file, run_file, "state/bodies", mapped("name", lambda row: row[:-1]), static=True)
+    with pytest.raises(RecordingError, match="names or groups of its bodies are not those of 60 bodies"):
+        Recording.open(run_file).bodies  # noqa: B018 - reads them
+
+
+def test_chunks_that_unpack_to_far_more_than_the_file_do_not_stay_in_memory(run_file: Path) -> None:
+    rows = 1_000_000  # of 52 bytes
+
+    def bomb(batch: pa.RecordBatch) -> pa.RecordBatch:
+        zeros = pa.ListArray.from_arrays(pa.array(np.arange(rows + 1, dtype=np.int32)), pa.array(np.zeros(rows)))
+        columns = {"Scalars:scalars": zeros, "step": pa.array(np.zeros(rows, np.int64))}
+        columns |= {"sim_time": pa.array(np.zeros(rows, np.int64)).cast(pa.duration("ns"))}
+        columns |= {"rerun.controls.RowId": batch["rerun.controls.RowId"].take(pa.array(np.zeros(rows, np.int64)))}
+        arrays = [columns[name] for name in batch.schema.names]
+        return pa.record_batch(arrays, schema=batch.schema)
+
+    changed(run_file, run_file, "energy/total", bomb, every=False)
+    held = pa.total_allocated_bytes()
+    with pytest.raises(RecordingError, match="order of their steps"):
+        Recording.open(run_file).energy("total")
+    assert pa.total_allocated_bytes() < held + 10_000_000
