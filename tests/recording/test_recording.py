@@ -96,7 +96,7 @@ def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(p
     assert summary["contacts"]["total"] == 1234
     assert summary["expect"] == {"energy_error": KEPT}
     assert summary["profile"] == {"gravity": 0.5}
-    assert summary["moments"] == {"impact": {**HIT, "bodies": [3, 17]}}
+    assert summary["moments"] == {"impact": {**HIT, "bodies": [3, 17], "planes": [], "between": "body 3 and body 17"}}
 
 
 def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, merry: Merry) -> None:
@@ -139,6 +139,7 @@ def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(tmp
     n = len(merry.header.mass)
     with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
         recorder.put(next(iter(merry.frames(1))))
-        recorder.finish("completed", {"moments.impact.bodies": f"3,{n + 1}"})
-    impact = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
-    assert impact == {"bodies": [3], "planes": [1], "between": "body 3 and plane 1"}
+        impact = {f"moments.impact.{key}": value for key, value in HIT.items()}
+        recorder.finish("completed", impact | {"moments.impact.bodies": f"3,{n + 1}"})
+    found = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
+    assert found == {**HIT, "bodies": [3], "planes": [1], "between": "body 3 and plane 1"}
