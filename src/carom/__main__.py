@@ -1,5 +1,19 @@
 """`python -m carom` is the command `carom`."""
 
-from carom.cli.main import main
+from __future__ import annotations
 
-main()
+import os
+
+
+def main() -> None:
+    """Run the command; an interrupt while it is loaded ends it without a traceback."""
+    try:
+        from carom.cli.process import main as run  # noqa: PLC0415 - takes half a second
+    except KeyboardInterrupt:
+        os.write(2, b"carom: interrupted\n")
+        os._exit(130)
+    run()
+
+
+if __name__ == "__main__":
+    main()

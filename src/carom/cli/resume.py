@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, LiveOption, RecordingArgument, ThreadsOption, seconds
-from carom.cli.run import live_viewer, report
+from carom.cli.run import live_viewer, report, telling_of
 
 
 def resume(
@@ -34,7 +34,7 @@ def resume(
     """Go on with a run that was stopped, was killed or has ended: the bits are those of one uninterrupted run."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
-    from carom.experiment.resume import claimed_target, continuation
+    from carom.experiment.resume import claimed_target, continuation, under_way
     from carom.experiment.resume import resume as go_on
     from carom.recording.recording import Recording
 
@@ -46,6 +46,6 @@ def resume(
         announce_compilation(progress.say)
         space = run.space(threads)
         address = live_viewer() if live else None
-        with progress:
+        with progress, telling_of(under_way(output or file)):
             outcome = go_on(run, space, output, force=force, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -51,9 +53,19 @@ def run(
         announce_compilation(progress.say)
         space = Space(loaded, threads)
         address = live_viewer() if live else None
-        with progress:
+        with progress, telling_of(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
+
+
+@contextmanager
+def telling_of(path: Path) -> Iterator[None]:
+    """Say what becomes of a recording whose run is ended at once, by the interrupt key pressed twice."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        typer.echo(f"carom: {path} was not closed; `carom repair {path}` closes it", err=True)
+        raise
 
 
 def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:

@@ -91,10 +91,10 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     """
     in_place = output is None or output.resolve() == source.resolve()
     target = source if output is None else output
-    if _under_way(target).resolve() == source.resolve():
+    if under_way(target).resolve() == source.resolve():
         raise RecordingError(f"{target} would be written under the name {source} until it is whole; name another file")
     with claimed_output(target, force or in_place) as claim:
-        refuse_output(_under_way(target), force)
+        refuse_output(under_way(target), force)
         yield claim
 
 
@@ -141,21 +141,22 @@ def resume(
 def _resume(
     run: Continuation, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
 ) -> Outcome:
-    source, under_way = run.recording.path, _under_way(target)
+    source, part = run.recording.path, under_way(target)
     past = Past(run.recording, run.checkpoint.step)
     outcome = simulate(
-        space, under_way, force=force, live=live, watch=watch, past=past, properties=_properties(run, space.threads)
+        space, part, force=force, live=live, watch=watch, past=past, properties=_properties(run, space.threads)
     )
     if outcome.frames <= run.recording.frames:
-        under_way.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise RecordingError(f"{source} is as it was: {outcome.status}: {outcome.reason}")
     if outcome.status == "disk":
-        return replace(outcome, reason=f"{outcome.reason}; {source} is as it was, and {under_way} has what is new")
-    under_way.replace(target)
+        return replace(outcome, reason=f"{outcome.reason}; {source} is as it was, and {part} has what is new")
+    part.replace(target)
     return replace(outcome, path=target)
 
 
-def _under_way(target: Path) -> Path:
+def under_way(target: Path) -> Path:
+    """Return where a continued run is recorded until it is whole."""
     return target.with_name(target.stem + UNDER_WAY)
 
 

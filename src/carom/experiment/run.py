@@ -14,6 +14,7 @@ import numpy as np
 
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
+from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import claimed_output
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
@@ -108,7 +109,10 @@ def simulate(
     properties: Mapping[str, Scalar] | None = None,
     member: SweepMember | None = None,
 ) -> Outcome:
-    """Run a space to the end of its scene and record it; the interrupt key ends it early, with a readable file.
+    """Run a space to the end of its scene and record it.
+
+    The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. The interrupt key pressed again raises
+    KeyboardInterrupt, and the file has no end.
 
     Parameters
     ----------
@@ -137,8 +141,8 @@ def simulate(
         If the file exists and ``force`` is not given, another run writes it, or it cannot be written at all.
     """
     path = Path(path)
-    with contextlib.nullcontext(claim) if claim else claimed_output(path, force):
-        return _simulate(space, path, live, watch, past, properties, member)
+    with Interrupts() as interrupts, contextlib.nullcontext(claim) if claim else claimed_output(path, force):
+        return _simulate(space, path, live, watch, past, properties, member, interrupts)
 
 
 def _simulate(
@@ -149,6 +153,7 @@ def _simulate(
     past: Past | None,
     properties: Mapping[str, Scalar] | None,
     member: SweepMember | None,
+    interrupts: Interrupts,
 ) -> Outcome:
     began = time.perf_counter()
     header = header_of(space)
@@ -158,8 +163,8 @@ def _simulate(
         header = replace(header, member=member, properties={**header.properties, "command": member.command})
     recorder = Recorder(path, header, live=live, past=past)
     physics = _Physics(space, recorder, past)
-    interrupted = _wait(physics, watch)
-    status, reason = physics.ending(interrupted)
+    _wait(physics, watch, interrupts)
+    status, reason = physics.ending(interrupts)
     moments = space.named_moments()
     verdicts = judge(space.scene, moments, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
@@ -203,12 +208,12 @@ class _Physics:
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
-    def ending(self, interrupted: bool) -> tuple[str, str]:
+    def ending(self, interrupts: Interrupts) -> tuple[str, str]:
         """Return the status and the reason of the end."""
         at = f"at t = {self.space.time:.6g} s"
         match self._error:
-            case None if interrupted:
-                return "interrupted", f"stopped by the user {at}"
+            case None if interrupts.count and self.space.time < self.space.scene.time.duration:
+                return "interrupted", f"stopped by {interrupts.sender} {at}"
             case None:
                 return "completed", ""
             case RecordingError():
@@ -227,20 +232,18 @@ class _Physics:
             self._error = error
 
 
-def _wait(physics: _Physics, watch: Watcher | None) -> bool:
-    """Watch the run until it ends; tell whether the user ended it."""
-    interrupted = False
-    while True:
+def _wait(physics: _Physics, watch: Watcher | None, interrupts: Interrupts) -> None:
+    """Watch the run until it ends, or end it when asked to."""
+    while not physics.wait(POLL):
+        if interrupts.count:
+            physics.space.stop()
         try:
-            if physics.wait(POLL):
-                return interrupted
             if watch:
                 watch(physics.space.status)
-        except KeyboardInterrupt:
-            if interrupted:
+        except KeyboardInterrupt:  # of a handler that a program has of its own
+            if interrupts.count:
                 raise
-            interrupted = True
-            physics.space.stop()
+            interrupts.count = 1
 
 
 def header_of(space: Space) -> Header:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 from distributed import Client, Future, KilledWorker
 
 from carom.experiment.environment import versions
-from carom.experiment.sweep.interrupts import Interrupts
+from carom.experiment.interrupts import Interrupts
 from carom.experiment.sweep.manifest import FAILED, Manifest, Run
 from carom.experiment.sweep.plan import Point
 from carom.experiment.sweep.task import Report, Task, execute

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carom.experiment.environment import versions
+from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import output_folder
 from carom.experiment.sweep import table
 from carom.experiment.sweep.cluster import connected, refuse_unfit
 from carom.experiment.sweep.conductor import Conductor, Watcher
 from carom.experiment.sweep.folder import Folder
-from carom.experiment.sweep.interrupts import Interrupts
 from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest, Run
 from carom.experiment.sweep.plan import Plan, Point
 
@@ -105,5 +105,5 @@ def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | 
     with connected(address, workers, len(todo)) as client:
         if address:
             refuse_unfit(client, str(manifest.folder.root), manifest.plan.digest, versions()["carom"])
-        with Interrupts() as interrupts:
+        with Interrupts(patience=2) as interrupts:
             return Conductor(client, manifest, watch).conduct(todo, interrupts)

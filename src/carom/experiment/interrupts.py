@@ -1,0 +1,77 @@
+"""What asks the program to end: the interrupt key, and the signals of job schedulers and of closed terminals."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a terminal that is closed
+_SAME_PRESS = 0.3  # s; wrappers such as `uv run` pass on an interrupt that the terminal has sent already
+
+_received: list[int] = []  # signals that were raised as KeyboardInterrupt
+
+
+def raise_signals() -> None:
+    """Let every signal that would end this process raise KeyboardInterrupt in the main thread, as Ctrl-C does."""
+    for number in (signal.SIGINT, *ENDING):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
+            signal.signal(number, _raise)
+
+
+def received() -> int:
+    """Return the signal that was raised as KeyboardInterrupt; 0 if none was."""
+    return _received[0] if _received else 0
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _received.append(number)
+    raise KeyboardInterrupt
+
+
+class Interrupts:
+    """Counts requests to end while its context lasts; outside the main thread it sees none.
+
+    Nothing is raised, so that work is not torn apart, until the interrupt key has been pressed more often than
+    ``patience``. Other signals count once, for their senders repeat them.
+
+    Parameters
+    ----------
+    patience
+        Presses of the interrupt key that are counted only.
+    """
+
+    def __init__(self, patience: int = 1) -> None:
+        self.count = 0
+        self.sender = "the user"
+        self._patience = patience
+        self._last = -_SAME_PRESS  # s, when the interrupt key was last pressed
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            known = (signal.SIG_DFL, signal.default_int_handler, _raise)
+            for number in (signal.SIGINT, *ENDING):
+                if signal.getsignal(number) in known:
+                    self._before[number] = signal.signal(number, self._see)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _see(self, number: int, frame: FrameType | None) -> None:
+        if number != signal.SIGINT:
+            if self.count == 0:
+                self.count, self.sender = 1, signal.Signals(number).name
+            return
+        now = time.monotonic()
+        if now - self._last >= _SAME_PRESS:
+            self.count += 1
+        self._last = now
+        if self.count > self._patience:
+            _raise(number, frame)

@@ -1,0 +1,155 @@
+"""The command as a process: signals close a run, and what cannot be printed does not end one."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from carom.recording.recording import Recording
+from command import carom
+
+LONG = ["run", "elastic-gas", "--set", "time.duration=1e5", "-o", "x.rrd"]
+SHORT = ["run", "two-spheres", "--set", "time.duration=1", "-o", "x.rrd", "--force"]
+
+
+def command(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "carom", *arguments]
+
+
+def start(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command(*arguments),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def wait_for_frames(path: Path, process: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 120
+    while not (path.exists() and path.stat().st_size > 100_000):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def assert_silent(stderr: str) -> None:
+    assert "Traceback" not in stderr and "Exception ignored" not in stderr, stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_ends_processes_closes_the_recording(number: signal.Signals, tmp_path: Path) -> None:
+    run = start(tmp_path, *LONG)
+    wait_for_frames(tmp_path / "x.rrd", run)
+    run.send_signal(number)
+    run.send_signal(number)  # schedulers and terminals send it to the process and to its group
+    _, stderr = run.communicate(timeout=60)
+    assert run.returncode == 1 and f"interrupted: stopped by {number.name}" in stderr
+    assert_silent(stderr)
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.finished and recording.outcome.startswith(f"interrupted: stopped by {number.name}")
+
+
+@pytest.mark.parametrize("after", [0.1, 0.5, 1.2, 2.5])
+def test_an_interrupt_while_the_command_starts_is_one_line(after: float, tmp_path: Path) -> None:
+    run = start(tmp_path, *LONG)
+    time.sleep(after)
+    run.send_signal(signal.SIGINT)
+    _, stderr = run.communicate(timeout=60)
+    assert_silent(stderr)
+    assert run.returncode == (1 if (tmp_path / "x.rrd").exists() else 130)
+    assert "interrupted" in stderr.splitlines()[-1]
+
+
+def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_path: Path) -> None:
+    run = start(tmp_path, *LONG)
+    wait_for_frames(tmp_path / "x.rrd", run)
+    run.send_signal(signal.SIGINT)
+    time.sleep(0.35)  # long enough to be a second press, and most often too short for the file to be closed
+    run.send_signal(signal.SIGINT)
+    _, stderr = run.communicate(timeout=60)
+    assert_silent(stderr)
+    assert run.returncode in (1, 130, -signal.SIGINT)
+    said = "carom: x.rrd was not closed; `carom repair x.rrd` closes it\ncarom: interrupted\n" in stderr
+    assert said != Recording.open(tmp_path / "x.rrd").finished
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: bool, tmp_path: Path) -> None:
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(tmp_path)
+        os.execv(sys.executable, command(*LONG))
+    path, deadline = tmp_path / "x.rrd", time.monotonic() + 120
+    while not (path.exists() and path.stat().st_size > 100_000):
+        assert time.monotonic() < deadline
+        os.read(terminal, 1000)
+    if closed:
+        os.close(terminal)
+    else:
+        os.write(terminal, b"\x03")
+        while "interrupted: stopped by the user" not in os.read(terminal, 10_000).decode(errors="replace"):
+            pass
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 1
+    who = "SIGHUP" if closed else "the user"
+    assert Recording.open(path).outcome.startswith(f"interrupted: stopped by {who}")
+
+
+def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    for stderr in (write, os.open("/dev/full", os.O_WRONLY)):
+        done = subprocess.run(command(*SHORT), cwd=tmp_path, stderr=stderr, stdout=subprocess.PIPE, check=False)
+        os.close(stderr)
+        assert done.returncode == 0 and b"completed" in done.stdout
+        assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
+
+
+def test_standard_output_that_is_full_is_one_sentence_and_the_recording_is_whole(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command(*SHORT), cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1] == "carom: cannot write to standard output: No space left on device"
+    assert_silent(done.stderr)
+    assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
+
+
+def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path: Path) -> None:
+    script = 'exec "$@" 0<&- 1>&- 2>&-'
+    done = subprocess.run(["sh", "-c", script, "sh", *command(*SHORT)], cwd=tmp_path, check=False)
+    assert done.returncode == 0
+    assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize("arguments", [["explain", "two-spheres"], ["scenes"], ["sweep", "--help"]])
+def test_other_encodings_than_utf_8_are_printed_without_what_they_lack(
+    encoding: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONIOENCODING", encoding)
+    done = subprocess.run(command(*arguments), cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 0 and done.stdout, done.stderr
+    assert_silent(done.stderr.decode(encoding))
+    done.stdout.decode(encoding)
+
+
+def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
+    script = f"{sys.executable} -m carom scenes | head -1"
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", script], cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == 0 and not done.stderr
+
+
+def test_a_mistake_keeps_its_exit_code(tmp_path: Path) -> None:
+    assert carom("run", "nothing.toml", cwd=tmp_path).returncode == 2
+    assert carom("run", cwd=tmp_path).returncode == 2
