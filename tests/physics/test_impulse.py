@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +13,8 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.contact.impulse import CollisionContext
 from carom.physics.contact.load import FRICTION, RESTITUTION, STABILISATION
-from examples import angular_momentum_of, bench_of, kinetic_energy_of, momentum_of, random_bodies
+from carom.physics.space import Space
+from examples import angular_momentum_of, bench_of, kinetic_energy_of, momentum_of, random_bodies, scene_of
 
 FloatArray = NDArray[np.float64]
 
@@ -183,3 +186,36 @@ def test_an_impulse_off_centre_turns_and_moves_the_body() -> None:
     body.apply_impulse(np.array([0.0, 2.0, 0.0]), np.array([0.5, 0.0, 0.0]))
     assert np.allclose(body.velocity, [0, 2.0 / body.mass, 0])
     assert np.allclose(body.angular_velocity, [0, 0, 1.0 / body.inertia])
+
+
+@pytest.mark.parametrize("restitution", [1.0, 0.5])
+@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4], [4, 3, 2, 1, 0], [2, 0, 4, 1, 3]])
+def test_a_row_struck_at_its_end_has_one_impact_for_each_contact_in_any_order_of_the_balls(
+    order: list[int], restitution: float
+) -> None:
+    row: list[dict[str, Any]] = [{"position": [3.0 + 2.0 * k, 0, 0], "mass": 1.0} for k in range(4)]
+    row.append({"position": [0, 0, 0], "velocity": [1.0, 0, 0], "mass": 1.0})
+    late = {"timing": "end-of-step", "restitution": restitution}
+    # Steps are parts of 1 s that are powers of two: the striker touches exactly at the end of the sixteenth.
+    time = {"duration": 1.0, "fixed_dt": 0.0625}
+    space = Space(scene_of([row[k] for k in order], gravity={"constant": 0.0}, contact=late, time=time))
+    for _ in space.run():
+        pass
+    assert space.moments.impacts == 4
+    assert space.moments.impact is not None and space.moments.impact.value == 0.25, "½ μ v²: the first blow"
+
+
+def test_the_hardest_impact_may_be_one_that_a_neighbour_passed_on() -> None:
+    # A ball of 3 kg throws one of 1 kg at 1.5 times its speed against the next of 1 kg: ½ ½ 1.5² J and ½ ¾ 1² J.
+    masses = zip((0.0, 3.0, 5.0), (3.0, 1.0, 1.0), strict=True)
+    bodies = [{"position": [x, 0, 0], "mass": mass, "velocity": [float(x == 0), 0, 0]} for x, mass in masses]
+    for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
+        late = {"timing": "end-of-step", "restitution": 1.0}
+        time = {"duration": 1.0, "fixed_dt": 0.0625}
+        scene = scene_of([bodies[k] for k in order], gravity={"constant": 0.0}, contact=late, time=time)
+        space = Space(scene)
+        for _ in space.run():
+            pass
+        assert space.moments.impacts == 2, "the third blow is of the first pair again, in the same step"
+        assert space.moments.impact is not None and space.moments.impact.value == 0.5625
+        assert set(space.moments.impact.bodies) == {order.index(1), order.index(2)}

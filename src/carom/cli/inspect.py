@@ -58,6 +58,8 @@ def _grid() -> Table:
 
 
 def _overview(summary: dict[str, Any]) -> Table:
+    from carom.experiment.contact_counts import counts_text
+
     energy, contacts = summary["energy"], summary["contacts"]
     angular = summary["angular_momentum"]["max_error"]
     table = _grid()
@@ -78,9 +80,9 @@ def _overview(summary: dict[str, Any]) -> Table:
     )
     unknown = "not conserved in a periodic box" if linear is not None else "likewise"
     table.add_row("angular momentum", unknown if angular is None else f"error at most {angular:.2e}")
-    table.add_row(
-        "contacts", f"{contacts['total']}, deepest overlap {contacts['max_overlap']:.3%} of the smaller radius"
-    )
+    counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    table.add_row("contacts", counted)
+    table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):

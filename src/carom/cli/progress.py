@@ -12,6 +12,7 @@ from rich.text import Text
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import bytes_text, duration_text
 from carom.cli.warnings import warning_lines
+from carom.experiment.contact_counts import counts_text
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.schema import Scene
@@ -63,11 +64,10 @@ class Progress(LiveLine):
             angular_text = "not conserved in a periodic box" if angular is None else f"{angular.value:.2e}"
             table.add_row("momentum", f"error at most {linear.value:.2e}, angular {angular_text}")
         if moments.overlap and moments.contacts:
-            table.add_row(
-                "contacts",
-                f"{moments.total_contacts}, {moments.impacts} of them impacts; at most {moments.contacts.value:.0f} at "
-                f"once; deepest overlap {moments.overlap.value:.2%} of the smaller radius",
-            )
+            counted = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
+            table.add_row("contacts", counted)
+            deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
+            table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
         for line in warning_lines(outcome.warnings):
             table.add_row("[yellow]warning[/yellow]", Text(line))
         for verdict in outcome.verdicts:

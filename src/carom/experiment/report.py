@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.experiment.contact_counts import counts_text
 from carom.experiment.environment import environment
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
@@ -161,6 +162,7 @@ def _summary(
 ) -> str:
     whole, times = recording.summary(), clip.fingerprints()["time"].to_numpy()
     energy, contacts = whole["energy"], whole["contacts"]
+    counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     lines = [
         f"# {recording.title}",
         "",
@@ -174,7 +176,7 @@ def _summary(
         f"| run | {whole['bodies']} bodies, {whole['steps']} steps, {whole['sim_time']:.6g} s simulated |",
         f"| energy | {energy['initial']:.6g} J at first, {energy['final']:.6g} J at last; "
         f"integration error at most {energy['max_error']:.3g} of the scale |",
-        f"| contacts | {contacts['total']}, deepest overlap {contacts['max_overlap']:.3g} of the smaller radius |",
+        f"| contacts | {counted}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius |",
         *(f"| promise {name} | {_promise(verdict)} |" for name, verdict in whole["expect"].items()),
         f"| versions | {', '.join(f'{package} {version}' for package, version in recording.versions.items())} |",
         f"| machine | {recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')} |",

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.experiment.contact_counts import EACH, ONCE_A_STEP
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
@@ -51,6 +52,7 @@ class Outcome:
     moments: Moments = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
+    impacts_counted: str = EACH  # see `contact_counts`
 
     @property
     def ok(self) -> bool:
@@ -188,6 +190,7 @@ def _simulate(
         moments=moments,
         verdicts=verdicts,
         warnings=physics.warnings,
+        impacts_counted=_impacts_counted(space),
     )
 
 
@@ -278,6 +281,10 @@ def header_of(space: Space) -> Header:
     )
 
 
+def _impacts_counted(space: Space) -> str:
+    return EACH if space.requirements.impact_time.modelled else ONCE_A_STEP
+
+
 def _summary(space: Space, moments: Moments, verdicts: list[Verdict]) -> dict[str, Scalar]:
     """Gather what is known only at the end, under dotted keys: the recording's last properties."""
     summary: dict[str, Scalar] = {
@@ -285,6 +292,7 @@ def _summary(space: Space, moments: Moments, verdicts: list[Verdict]) -> dict[st
         "sim_time": space.time,
         "contacts.total": moments.total_contacts,
         "contacts.impacts": moments.impacts,
+        "contacts.impacts_counted": _impacts_counted(space),
     }
     if moments.momentum_error is not None:
         summary["momentum.max_error"] = moments.momentum_error.value

@@ -43,8 +43,8 @@ class Moments:
     contacts: Moment | None = None  # most contacts in a step
     momentum_error: Moment | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Moment | None = NOTHING  # likewise
-    total_contacts: int = 0  # summed over the steps
-    impacts: int = 0  # contacts that closed faster than a contact at rest does, summed over the steps
+    total_contacts: int = 0  # contact-steps: contacts, summed over the steps
+    impacts: int = 0  # those on the way through a step each; those found at its end once a contact and step
     lowest_energy: float = float("inf")  # J
 
     def see_contacts(self, step: int, time: float, tally: Tally) -> None:

@@ -39,6 +39,7 @@ from carom.physics.contact.load import (
     STABILISATION,
     SWEEP,
 )
+from carom.physics.contact.paths import ROUNDING
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import AHEAD, prefetch
 
@@ -65,7 +66,8 @@ def strike(
 ) -> None:
     """Resolve a piece, once; note the largest change of a velocity.
 
-    In the first sweep note the approach, too, the fastest one, and whether a contact is at rest.
+    In the first sweep note the approach, too, the fastest one, and whether a contact is at rest. An impulse from a
+    neighbour may make a contact close faster in a later sweep than it did at first: that is then its approach.
 
     ``C`` are the contacts' hot columns and ``V`` the bodies' motion, see `Load`.
     """
@@ -101,6 +103,10 @@ def strike(
         if biased <= 0.0:
             continue
         largest_change = max(largest_change, biased)
+        if not rests and -vn > cold[c, APPROACH]:
+            speeds = abs(V[i, 0]) + abs(V[i, 1]) + abs(V[i, 2]) + abs(V[j, 0]) + abs(V[j, 1]) + abs(V[j, 2])
+            if -vn > ROUNDING * speeds:
+                cold[c, APPROACH] = -vn
         mi, mj = V[i, 6], V[j, 6]
         Kn = mi + mj
         Jn = biased / Kn

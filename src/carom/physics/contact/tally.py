@@ -31,7 +31,7 @@ class Tally(NamedTuple):
 
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
     contacts: int
-    impacts: int  # that closed faster than a contact at rest does
+    impacts: int  # on the way each; of those found at the end the contacts that closed faster than one at rest
     struck: float  # J, Σ ½ μ v_n² of these
     hardest: float  # J, the largest ½ μ v_n²
     hardest_pair: tuple[int, int]  # of those that are equally hard the first

@@ -163,7 +163,7 @@ class Workbench:
 
     @property
     def approach(self) -> FloatArray:
-        """(m,) m/s: the speed at which each contact closed when it was first visited."""
+        """(m,) m/s: the speed at which each contact closed when it was first visited, or faster when it was struck."""
         return self._load.cold[:, APPROACH]
 
     @property

@@ -1,0 +1,11 @@
+"""What a run's numbers of contacts are called."""
+
+from carom.experiment.contact_counts import EACH, ONCE_A_STEP, counts_text
+
+
+def test_impacts_and_contact_steps_are_told_apart_and_said_how_they_were_counted() -> None:
+    steps = "10969 contact-steps (pairs that touch, summed over steps)"
+    assert counts_text(10969, 11001, EACH) == f"11001 impacts, {steps}"
+    assert counts_text(10969, 529, ONCE_A_STEP) == f"529 impacts (counted once a pair and step), {steps}"
+    assert counts_text(10969, 529, None) == f"529 impacts, {steps}", "an older recording does not say"
+    assert counts_text(10969, None, None) == steps
