@@ -2,7 +2,7 @@
 
 python benchmarks/integrators.py                        prints the table of docs/trade.md
 
-Yoshida's method with some multiples of the automatic step is held against leapfrog with that step itself: errors of the
+Yoshida's method with some multiples of leapfrog's step is held against leapfrog with that step itself: errors of the
 positions against the exact course, force sums as the cost, both as the median of the ratios over clusters. Nothing is
 timed, so that the table is the same on any machine.
 """
@@ -16,12 +16,12 @@ from carom.experiment.exact import solve
 from carom.experiment.reference import scale_of
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.scene.requirements import target_dx
+from carom.scene.requirements import pull_fraction
 from carom.scene.schema import Scene
 
 SEEDS = range(1, 9)
 COUNTS = (2, 3, 5, 8, 10, 14, 20)
-STEPS = (2.0, 4.0)
+STEPS = (1.0, 2.0, 4.0)
 SUMS = {"leapfrog": 1, "yoshida4": 3}  # of forces, a step
 
 
@@ -41,7 +41,9 @@ def cluster(count: int, seed: int) -> Scene:
 
 def with_step(scene: Scene, integrator: str, factor: float) -> Scene:
     """Return the scene with an integrator, and a multiple of leapfrog's automatic step."""
-    keys = {"integrator": integrator, "target_dx": factor**2 * target_dx(scene)}
+    fraction = pull_fraction(scene)
+    assert fraction is not None, "a cluster of points that pull each other"
+    keys = {"integrator": integrator, "pull_fraction": factor * fraction}
     return scene.model_copy(update={"time": scene.time.model_copy(update=keys)})
 
 

@@ -17,7 +17,6 @@ from carom.physics.error import PhysicsError
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
 from carom.scene.error import SceneError
-from carom.scene.requirements import target_dx
 from carom.scene.schema import Scene
 from examples import cloud, pair
 
@@ -201,13 +200,16 @@ def test_threads_change_the_cost_and_no_bit(tmp_path: Path) -> None:
 
 
 def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
-    scene = cloud(4, contact={"enabled": False})
+    scene = cloud(4)
     auto, double, second, both = (
-        setting.apply(scene) for setting in vary(scene, ["time.integrator=auto,leapfrog", "step=1,2"])
+        setting.apply(scene).time for setting in vary(scene, ["time.integrator=auto,euler", "step=1,2"])
     )
-    assert target_dx(double) == pytest.approx(4.0 * target_dx(auto), rel=1e-15)
-    assert target_dx(both) == pytest.approx(4.0 * target_dx(second), rel=1e-15)
-    assert target_dx(auto) == pytest.approx(4.0 * target_dx(second), rel=1e-15), "of order four"
+    assert (auto.cfl, double.cfl, both.cfl) == (0.1, 0.2, 0.2) and both.integrator == "euler"
+    assert double.target_dx == both.target_dx == pytest.approx(4.0 * 0.004**2 * 0.2, rel=1e-15)
+    assert auto.target_dx == second.target_dx == "auto"
+    points = cloud(4, contact={"enabled": False}, time={"cfl": "auto"})
+    (double,) = (setting.apply(points).time for setting in vary(points, ["step=2"]))
+    assert (double.cfl, double.target_dx, double.pull_fraction) == ("auto", "auto", 0.02)
     (longest,) = vary(scene, ["time.max_dt=3", "step=2"])
     assert longest.apply(scene).time.max_dt == 6.0
 

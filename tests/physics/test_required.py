@@ -184,7 +184,7 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
     ("without friction", {"contact": SMOOTH}, TURNING),
     ("without gravity and field", {"gravity": {"constant": 0.0}, "contact": LATE}, DIRECT | FIELD | RESTING),
     ("without pushes", {"contact": {"stabilisation": "none"}}, PUSHING),
-    ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING),
+    ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING | STEP),
     ("at a fixed step", {"time": {"fixed_dt": 0.02}}, STEP),
 ]
 

@@ -11,7 +11,17 @@ from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
-from carom.scene.requirements import cfl, frame_interval, gravity_method, integrator, require, target_dx, timing
+from carom.scene.requirements import (
+    cfl,
+    frame_interval,
+    gravity_method,
+    integrator,
+    pull_fraction,
+    require,
+    smoothing,
+    target_dx,
+    timing,
+)
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 
@@ -108,7 +118,10 @@ POINTS = {"enabled": False}
     ("scene", "chosen", "why"),
     [
         (cloud(8, contact=POINTS), "yoshida4", "8 bodies pull each other, and no contact is modelled"),
-        (cloud(9, contact=POINTS), "leapfrog", "more than 8 bodies, whose encounters are sudden"),
+        (cloud(100, contact=POINTS, time={"cfl": "auto"}), "yoshida4", "100 bodies pull each other"),
+        (cloud(101, contact=POINTS), "leapfrog", "101 bodies, whose encounters the step does not resolve"),
+        (cloud(9, contact=POINTS, time={"fixed_dt": 0.1}), "leapfrog", "9 bodies, whose encounters"),
+        (cloud(9, contact=POINTS, time={"target_dx": 0.1}), "leapfrog", "9 bodies, whose encounters"),
         (cloud(8), "leapfrog", "contacts are found at the end of a step"),
         (cloud(8, contact=POINTS, gravity={"constant": 0.0}), "leapfrog", "exact without a pull between bodies"),
         (cloud(8, contact=POINTS, time={"integrator": "euler"}), "euler", 'time.integrator = "euler"'),
@@ -121,12 +134,21 @@ def test_the_integrator_is_of_fourth_order_where_nothing_is_sudden(scene: Scene,
     assert why in require(scene).integrator.why
 
 
-def test_the_fourth_order_takes_twice_the_step_where_it_is_chosen_for_its_order() -> None:
-    eight, second = (cloud(8, contact=POINTS, time={"integrator": name}) for name in ("auto", "leapfrog"))
-    assert target_dx(eight) == pytest.approx(4.0 * target_dx(second), rel=1e-15)
-    assert target_dx(cloud(8, time={"integrator": "yoshida4"})) == target_dx(cloud(8)) == target_dx(second)
-    many, fourth = (cloud(20, contact=POINTS, time={"integrator": name}) for name in ("auto", "yoshida4"))
-    assert target_dx(many) == target_dx(fourth)
+def test_radii_limit_the_step_only_where_bodies_can_touch() -> None:
+    touching, points = cloud(8, time={"cfl": "auto"}), cloud(8, time={"cfl": "auto"}, contact=POINTS)
+    assert (cfl(touching), pull_fraction(touching)) == (0.5, None)
+    assert target_dx(touching) == pytest.approx(0.008**2 * 0.2, rel=1e-15)
+    assert (cfl(points), target_dx(points), pull_fraction(points)) == (None, None, 0.01)
+    assert pull_fraction(cloud(101, contact=POINTS)) == 0.02
+    assert "pull_fraction = 0.01 of the shortest time of a pair" in require(points).adaptive_step.why
+
+
+def test_limits_that_are_given_hold_wherever_they_are_given() -> None:
+    given = cloud(8, time={"cfl": 0.1, "target_dx": 1e-3}, contact=POINTS)
+    assert (cfl(given), target_dx(given), pull_fraction(given), smoothing(given)) == (0.1, 1e-3, None, 0.2)
+    assert pull_fraction(cloud(8, time={"pull_fraction": 0.3})) == 0.3
+    assert smoothing(cloud(8, time={"cfl": "auto"}, contact=POINTS)) == 1.0
+    assert smoothing(cloud(8, time={"smoothing": 0.7}, contact=POINTS)) == 0.7
 
 
 AUTO, NOW = {"timing": "auto"}, {"timing": "time-of-impact"}
@@ -142,13 +164,13 @@ AUTO, NOW = {"timing": "auto"}, {"timing": "time-of-impact"}
         (scene_of(MOVING, contact=AUTO), "end-of-step", "gravity presses contacts together: an impact is", 0.5),
         (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "end-of-step", "the field presses contacts together", 0.5),
         (pair(contact=AUTO, time={"integrator": "yoshida4"}), "end-of-step", "yoshida4 is more than one drift", 0.5),
-        (scene_of(RESTING, gravity={"constant": 0}, contact=AUTO), "end-of-step", "no contact is possible", 0.5),
+        (scene_of(RESTING, gravity={"constant": 0}, contact=AUTO), "end-of-step", "no contact is possible", None),
         (pair(contact={"timing": "end-of-step"}), "end-of-step", 'contact.timing = "end-of-step"', 0.5),
         (scene_of(MOVING, contact=NOW), "time-of-impact", 'contact.timing = "time-of-impact"', 0.5),
     ],
 )
 def test_impacts_are_at_their_own_moments_where_nothing_presses(
-    scene: Scene, chosen: str, why: str, step: float
+    scene: Scene, chosen: str, why: str, step: float | None
 ) -> None:
     assert timing(scene) == chosen
     assert require(scene).impact_time.modelled == (chosen == "time-of-impact")

@@ -25,7 +25,7 @@ from carom.experiment.exact import TIGHTEST, solve, why_not
 from carom.experiment.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import cfl, gravity_method, require, target_dx
+from carom.scene.requirements import cfl, gravity_method, pull_fraction, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -103,11 +103,13 @@ def refined(scene: Scene, factor: float) -> list[str]:
     rule = scene.time
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={rule.fixed_dt / factor!r}"]
-    return [
-        f"time.max_dt={rule.max_dt / factor!r}",
-        f"time.cfl={cfl(scene) / factor!r}",
-        f"time.target_dx={target_dx(scene) / factor**2!r}",
-    ]
+    limits = {
+        "cfl": (cfl(scene), factor),
+        "target_dx": (target_dx(scene), factor**2),
+        "pull_fraction": (pull_fraction(scene), factor),
+    }
+    finer = [f"time.{key}={limit / by!r}" for key, (limit, by) in limits.items() if limit is not None]
+    return [f"time.max_dt={rule.max_dt / factor!r}", *finer]
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
@@ -115,7 +117,12 @@ def fineness(scene: Scene, setting: Scene) -> float:
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or base.max_dt) / (rule.fixed_dt or rule.max_dt)
-    return max(base.max_dt / rule.max_dt, cfl(scene) / cfl(setting), math.sqrt(target_dx(scene) / target_dx(setting)))
+    finer = [base.max_dt / rule.max_dt]
+    for limit, power in ((cfl, 1.0), (target_dx, 0.5), (pull_fraction, 1.0)):
+        coarse, fine = limit(scene), limit(setting)
+        if coarse is not None and fine is not None:
+            finer.append((coarse / fine) ** power)
+    return max(finer)
 
 
 def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:

@@ -26,6 +26,12 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.2, "max_dt": 0.02},
         "record": {"every": "step", "log_freq": 2},
     },
+    "points that pull each other": {
+        "body": _PAIR,
+        "gravity": {"constant": 1.0},
+        "contact": {"enabled": False},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
     "a cloud, by the tree": {
         "group": [_CROWD[0] | {"count": 2 * FEW}],
         "gravity": {"constant": 1.0, "method": "tree"},

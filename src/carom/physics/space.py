@@ -27,6 +27,7 @@ from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.phase import Phase
 from carom.physics.profile import Profile
+from carom.physics.pull_time import PullTime
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.status import StepStatus
@@ -35,7 +36,15 @@ from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import cfl, frame_interval, integrator, require, target_dx
+from carom.scene.requirements import (
+    cfl,
+    frame_interval,
+    integrator,
+    pull_fraction,
+    require,
+    smoothing,
+    target_dx,
+)
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +105,7 @@ class Space:
         self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
-        self._timestep = Timestep(scene.time, cfl(scene), target_dx(scene), self._falling, scene.anchored, self._team)
+        self._timestep = self._make_timestep()
         self._called = Names(self.names, self.planes.name)
         self._accounts = Accounts(scene, self.state, self._called)
         self._events: list[Event] = []
@@ -331,6 +340,19 @@ class Space:
     def _seen_contacts(self) -> CollisionGraph:
         return self._contact.seen.graph if self._contact else empty_graph()
 
+    def _make_timestep(self) -> Timestep:
+        scene, fraction = self.scene, pull_fraction(self.scene)
+        return Timestep(
+            scene.time,
+            cfl(scene),
+            target_dx(scene),
+            self._falling,
+            scene.anchored,
+            self._team,
+            pull=None if fraction is None else PullTime(scene.gravity, fraction, self.state),
+            smoothing=smoothing(scene),
+        )
+
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:
             return None
@@ -511,7 +533,12 @@ class Space:
         self._events.append(Event(self.step, self.time, level, text, kind))
 
     def _stuck(self, time: float) -> str:
+        remedy = {
+            "pull": "bodies fall into each other's centres: set gravity.softening, or let them touch, contact.enabled",
+            "acceleration": "raise time.target_dx, or set time.fixed_dt",
+            "velocity": "raise time.cfl, or set time.fixed_dt",
+        }.get(self.dt_limit, "raise time.target_dx or time.cfl, or set time.fixed_dt")
         return (
             f"step {self.step + 1} of {self.dt:.3g} s no longer moves the clock at t = {time:.6g} s "
-            f"(limit: {self.dt_limit}); raise time.target_dx or time.cfl, or set time.fixed_dt"
+            f"(limit: {self.dt_limit}); {remedy}"
         )

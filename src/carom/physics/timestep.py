@@ -2,7 +2,10 @@
 
     dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body further than target_dx
     dt_v = min_i 2 s_i / (u_i + √(u_i² + 2 |a_i| s_i))   no body moves further than s_i = cfl · r_i
-    dt   = min(dt_a, dt_v, max_dt)                       smoothed by a moving average where it grows
+    dt_p = pull_fraction · τ                             τ of the pull that acts fastest, see `pull_time`
+    dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
+
+By default the first two hold where bodies can touch, and the third where they cannot: radii then have no say.
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
 uniform field: a scene that moves or falls as a whole gets the same steps. Where planes, walls or fixed bodies stand
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.momentum import centre_velocity
+from carom.physics.pull_time import PullTime
 from carom.physics.team import SOLO, Team
 from carom.scene.schema import Time
 
@@ -34,22 +38,43 @@ END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged 
 
 
 class Timestep:
-    """Chooses each step and remembers what the average needs."""
+    """Chooses each step and remembers what the average needs.
+
+    Parameters
+    ----------
+    time
+        The scene's section.
+    cfl, target_dx, pull
+        What limits the step besides ``max_dt``; ``target_dx`` in m; None for no limit.
+    smoothing
+        Weight of the new step in the average.
+    field
+        (3,) m/s², as far as it pulls all alike.
+    anchored
+        Whether something stands still: speeds then count from it.
+    team
+        Who looks at the bodies.
+    """
 
     def __init__(
         self,
         time: Time,
-        cfl: float,
-        target_dx: float,
+        cfl: float | None,
+        target_dx: float | None,
         field: FloatArray,
         anchored: bool = False,
         team: Team = SOLO,
+        *,
+        pull: PullTime | None = None,
+        smoothing: float = 1.0,
     ) -> None:
         self._time = time
         self._cfl = cfl
-        self._target_dx = target_dx  # m
-        self._field = field  # (3,) m/s², as far as it pulls all alike
-        self._anchored = anchored  # whether something stands still: speeds then count from it
+        self._target_dx = target_dx
+        self._pull = pull
+        self._smoothing = smoothing
+        self._field = field
+        self._anchored = anchored
         self._team = team
         self.previous = 0.0  # s, the average; 0 until there is one
 
@@ -64,7 +89,7 @@ class Timestep:
         Returns
         -------
         dt, limit
-            s, and what set it: "acceleration", "velocity", "cap", "growth" (the average), "fixed" or "end".
+            s, and what set it: "acceleration", "velocity", "pull", "cap", "growth" (the average), "fixed" or "end".
         """
         if self._time.fixed_dt is not None:
             dt, limit = self._time.fixed_dt, "fixed"
@@ -77,25 +102,33 @@ class Timestep:
     def _adaptive(self, bodies: Bodies) -> tuple[float, str]:
         target, limit = self.target(bodies)
         if 0.0 < self.previous < target:
-            smoothed = self.previous + self._time.smoothing * (target - self.previous)
-            target, limit = smoothed, limit if self._time.smoothing == 1.0 else "growth"
+            smoothed = self.previous + self._smoothing * (target - self.previous)
+            target, limit = smoothed, limit if self._smoothing == 1.0 else "growth"
         self.previous = target
         return target, limit
 
     def target(self, bodies: Bodies) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
-        time = self._time
-        a_max, fastest, every = self._limits(bodies)
-        dt_a = math.sqrt(2.0 * self._target_dx / a_max) if a_max > 0.0 else math.inf
-        dt_v = fastest if time.velocity_limit == "fastest-body" else every
-        dt = min(dt_a, dt_v, time.max_dt)
-        limit = "cap" if dt == time.max_dt else "velocity" if dt == dt_v else "acceleration"
+        dt, limit = self._time.max_dt, "cap"
+        if self._target_dx is None and self._cfl is None and (self._pull is None or self._pull.of_pairs):
+            a_max, fastest, every = 0.0, math.inf, math.inf
+        else:
+            a_max, fastest, every = self._limits(bodies)
+        if self._cfl is not None:
+            dt_v = fastest if self._time.velocity_limit == "fastest-body" else every
+            dt, limit = (dt_v, "velocity") if dt_v < dt else (dt, limit)
+        if self._target_dx is not None and a_max > 0.0:
+            dt_a = math.sqrt(2.0 * self._target_dx / a_max)
+            dt, limit = (dt_a, "acceleration") if dt_a < dt else (dt, limit)
+        if self._pull is not None:
+            dt_p = self._pull.step(bodies, a_max)
+            dt, limit = (dt_p, "pull") if dt_p < dt else (dt, limit)
         return dt, limit
 
     def _limits(self, bodies: Bodies) -> Limits:
         """Find the limits that all bodies set."""
         blocks, velocity, anchored = -(-len(bodies) // BLOCK), bodies.velocity, self._anchored
-        state = velocity, bodies.acceleration, bodies.radius, self._field, self._cfl
+        state = velocity, bodies.acceleration, bodies.radius, self._field, self._cfl or 1.0
         if self._team.size == 1 or blocks < SOME:
             return _limits(*state, bodies.mass, anchored)
         V = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, bodies.mass)

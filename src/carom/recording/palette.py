@@ -28,6 +28,7 @@ DT_LIMITS = {
     "start": GREY,
     "acceleration": PURPLE,
     "velocity": ORANGE,
+    "pull": VERMILION,
     "cap": SKY,
     "growth": YELLOW,
     "fixed": BLUE,

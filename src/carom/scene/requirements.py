@@ -23,9 +23,13 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from rest through the smallest radius
 STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
 
-SMOOTH_UP_TO = 8  # bodies without contacts: of more, encounters decide, and there order four gains less than it costs
-SMOOTH_STEP = 2.0  # times the step that leapfrog gets: with it Yoshida's method takes 1.5 times the force sums and errs
-# by 0.0007 (3 bodies) to 0.42 (8) of what leapfrog does; leapfrog for that price, by 0.44 (benchmarks/integrators.py)
+SMOOTH_UP_TO = 8  # bodies without contacts: of more, a step that does not follow the pulls misses encounters, and
+# there order four gains less than it costs
+
+PAIRS_UP_TO = 100  # bodies whose pairs are looked at one by one for the step; beyond, that costs as much as the pulls
+PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
+PULL_FRACTION = 0.02  # of the time that the largest acceleration tells of: of two equal bodies it is twice the pair's
+SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
 
 ONE_DRIFT = ("euler", "leapfrog")  # a step of these drifts once, and forward: impacts have a place on the way
 LATE_CFL = 0.5  # of its radius a body may cross in a step, where impacts wait for the step's end
@@ -270,7 +274,10 @@ def integrator(scene: Scene) -> Literal["euler", "leapfrog", "leapfrog-dkd", "yo
 
 
 def _is_smooth(scene: Scene) -> bool:
-    return pulls.gravity(scene).modelled and not contacts.contact(scene).modelled and scene.count <= SMOOTH_UP_TO
+    if not pulls.gravity(scene).modelled or contacts.contact(scene).modelled:
+        return False
+    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
+    return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
 
 
 def _integrator(scene: Scene) -> Part:
@@ -285,7 +292,7 @@ def _integrator(scene: Scene) -> Part:
         late = timing(scene) == "end-of-step"
         why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step, whatever the order"
     else:
-        why = f"more than {SMOOTH_UP_TO} bodies, whose encounters are sudden"
+        why = f"{scene.count} bodies, whose encounters the step does not resolve"
     return Part(name, True, f"leapfrog: {why}")
 
 
@@ -293,11 +300,21 @@ def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
-    why = f"cfl = {cfl(scene):g}, target_dx = {target_dx(scene):.3g} m"
-    if scene.time.target_dx != "auto":
-        return Part(name, True, why)
-    share = _auto_step(scene)
-    return Part(name, True, f"{why}: {share:g} of a fall through the smallest radius")
+    return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")
+
+
+def _limits(scene: Scene) -> list[str]:
+    """Describe what limits the step besides ``max_dt``."""
+    texts = []
+    if (part := cfl(scene)) is not None:
+        texts.append(f"cfl = {part:g}")
+    if (reach := target_dx(scene)) is not None:
+        of_fall = f": {_auto_step(scene):g} of a fall through the smallest radius"
+        texts.append(f"target_dx = {reach:.3g} m" + (of_fall if scene.time.target_dx == "auto" else ""))
+    if (fraction := pull_fraction(scene)) is not None:
+        times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
+        texts.append(f"pull_fraction = {fraction:g} of the {times}")
+    return texts
 
 
 def _warm_up(scene: Scene) -> Part:
@@ -306,27 +323,57 @@ def _warm_up(scene: Scene) -> Part:
     return Part("warm-up", True, "adaptive steps begin with accelerations")
 
 
-def target_dx(scene: Scene) -> float:
-    """Return the farthest that the largest acceleration may move a body in a step, in metres.
+def target_dx(scene: Scene) -> float | None:
+    """Return the farthest that the largest acceleration may move a body in a step, in metres; None for no limit.
 
-    A fall from rest through the smallest radius r takes √(2 r/a); a part s of that time is s² r of the way.
+    A fall from rest through the smallest radius r takes √(2 r/a); a part s of that time is s² r of the way. Where
+    nothing can touch, radii have no say.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
+    if not contacts.contact(scene).modelled:
+        return None
     radii = [body.radius for body in scene.body] + [group.radius.min for group in scene.group]
     return _auto_step(scene) ** 2 * min(radii)
 
 
-def cfl(scene: Scene) -> float:
-    """Return the part of its own radius that a body may cross in a step."""
+def cfl(scene: Scene) -> float | None:
+    """Return the part of its own radius that a body may cross in a step; None for no limit."""
     if scene.time.cfl != "auto":
         return scene.time.cfl
+    if not contacts.contact(scene).modelled:
+        return None
     return FREE_CFL if timing(scene) == "time-of-impact" and not contacts.load(scene) else LATE_CFL
 
 
+def pull_fraction(scene: Scene) -> float | None:
+    """Return the step as a part of the shortest time in which pulls change the motion; None for no limit.
+
+    Unless it is given, it stands in for the limits by radius where nothing can touch, but not for a ``target_dx``.
+    """
+    if not pulls.gravity(scene).modelled:
+        return None
+    if scene.time.pull_fraction != "auto":
+        return scene.time.pull_fraction
+    if contacts.contact(scene).modelled or scene.time.target_dx != "auto":
+        return None
+    return PAIR_FRACTION if scene.count <= PAIRS_UP_TO else PULL_FRACTION
+
+
+def smoothing(scene: Scene) -> float:
+    """Return the weight of the new step in the moving average.
+
+    Contacts come and go, and the step that they allow jumps. That of the pulls alone is smooth: an average would lag
+    behind it, so that an orbit would be stepped differently on its way in and out, and drift.
+    """
+    if scene.time.smoothing != "auto":
+        return scene.time.smoothing
+    by_pull_alone = cfl(scene) is None and target_dx(scene) is None and pull_fraction(scene) is not None
+    return 1.0 if by_pull_alone else SMOOTHING
+
+
 def _auto_step(scene: Scene) -> float:
-    longer = SMOOTH_STEP if _is_smooth(scene) and integrator(scene) == "yoshida4" else 1.0
-    return longer * STEP_PER_BODY * min(scene.count, MANY)
+    return STEP_PER_BODY * min(scene.count, MANY)
 
 
 def frame_interval(scene: Scene) -> float:

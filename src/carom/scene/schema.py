@@ -37,15 +37,25 @@ class Time(Section):
     target_dx: Positive | Literal["auto"] = Field(
         "auto",
         description="m, farthest that the largest acceleration may move a body in a step; "
-        '"auto" is a part of the smallest radius, the smaller the fewer bodies there are',
+        '"auto" is a part of the smallest radius, the smaller the fewer bodies there are, and no limit where nothing '
+        "can touch",
     )
     cfl: Positive | Literal["auto"] = Field(
         "auto",
         description="fraction of its own radius that a body may cross in a step, more than 0; "
-        '"auto" is 0.5, and 1 where impacts are resolved at their own moments and nothing presses contacts together',
+        '"auto" is 0.5, and 1 where impacts are resolved at their own moments and nothing presses contacts together; '
+        "no limit where nothing can touch",
     )
-    smoothing: Positive = Field(
-        0.2, le=1, description="weight of the new dt in the moving average, above 0; 1 is no smoothing"
+    pull_fraction: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="step as a fraction of the shortest time in which a pull changes the motion of a pair, "
+        'r/√(v² + G(m_i + m_j)/r), more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
+        "touch (0.02 of more than 100 bodies, from their accelerations), and no limit elsewhere or with a target_dx",
+    )
+    smoothing: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="weight of the new dt in the moving average, above 0; 1 is no smoothing; "
+        '"auto" is 0.2, and 1 where the pull alone limits the step',
     )
     velocity_limit: Literal["every-body", "fastest-body"] = Field(
         "every-body", description="whose radius and speed limit the step; fastest-body is the seed's rule"
@@ -54,8 +64,8 @@ class Time(Section):
     integrator: Literal["auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
         "auto",
         description="semi-implicit Euler, leapfrog (order 2), leapfrog as drift-kick-drift (not where contacts may "
-        "press) or Yoshida's (order 4); auto is Yoshida's where a few bodies pull each other and cannot touch, else "
-        "leapfrog",
+        "press) or Yoshida's (order 4); auto is Yoshida's where up to 100 bodies pull each other and cannot touch, "
+        "else leapfrog",
     )
 
 

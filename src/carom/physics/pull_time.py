@@ -1,0 +1,90 @@
+"""The shortest time in which a pull changes the motion of a body: what limits the step where nothing can touch.
+
+A pair at the distance r passes in r/v and falls together in √(r³/(G M)), M = m_i + m_j. Both together, with Plummer's
+R² = r² + ε²,
+
+    1/τ² = v²/R² + G M/R³,    τ'/τ = (r·v/R²) (1 + 3/2 (G M/R) / (v² + G M/R))
+
+(Pelupessy, Jänes & Portegies Zwart 2012 take the shorter of the two.) A step of η τ by the state at its beginning is
+longer on the way in than on the way out of an encounter, and the energy drifts. Half of what τ changes by in the step
+is therefore added, as they do: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is stepped
+alike in both directions of time. Of an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹, and to
+10⁻⁶ without.
+
+Many bodies are not looked at in pairs. If the acceleration a of a body is that of one neighbour of mass m, that is at
+r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾); a body in the common field of many gets a shorter time by
+this than it has. Softening ε bounds the time from below by √(ε/a).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.kernel import kernel
+from carom.scene.requirements import PAIRS_UP_TO
+from carom.scene.schema import Gravity
+
+FloatArray = NDArray[np.float64]
+
+SHORTEST_MEAN = 0.5  # of the divisor 1 - η τ'/2, which only a large η could bring down to 0
+
+
+class PullTime:
+    """Finds the step that the pulls allow.
+
+    Parameters
+    ----------
+    gravity
+        The scene's section.
+    fraction
+        η, the step over the shortest time.
+    bodies
+        Whose masses count; what is fixed pulls, and is not pulled.
+    """
+
+    def __init__(self, gravity: Gravity, fraction: float, bodies: Bodies) -> None:
+        self._fraction = fraction
+        self._constant, self._softening = gravity.constant, gravity.softening
+        self._mean = gravity.constant * float(np.mean(bodies.mass))  # m³/s², G m
+        self.of_pairs = len(bodies) <= PAIRS_UP_TO
+
+    def step(self, bodies: Bodies, largest: float) -> float:
+        """Return the longest step in seconds, given the largest acceleration of a body in m/s²."""
+        if self.of_pairs:
+            state = bodies.position, bodies.velocity, bodies.mass, bodies.ends.inverse_mass
+            return _step_of_pairs(*state, self._constant, self._softening, self._fraction)
+        if largest == 0.0:
+            return math.inf
+        alone = math.sqrt(math.sqrt(self._mean) / (largest * math.sqrt(largest)))
+        return self._fraction * max(alone, math.sqrt(self._softening / largest))
+
+
+@kernel
+def _step_of_pairs(
+    x: FloatArray, v: FloatArray, m: FloatArray, inverse_mass: FloatArray, G: float, softening: float, fraction: float
+) -> float:
+    """Return h of the pair whose τ is the shortest; infinite if none pulls."""
+    soft2 = softening * softening
+    fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
+    for i in range(len(m) - 1):
+        for j in range(i + 1, len(m)):
+            if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:
+                continue
+            R2, v2, along = soft2, 0.0, 0.0
+            for k in range(3):
+                d, u = x[j, k] - x[i, k], v[j, k] - v[i, k]
+                R2, v2, along = R2 + d * d, v2 + u * u, along + d * u
+            if R2 == 0.0:  # centres that coincide do not pull each other
+                continue
+            pull = G * (m[i] + m[j]) / np.sqrt(R2)
+            rate = (v2 + pull) / R2
+            if rate > fastest:
+                fastest, change = rate, (along / R2) * (1.0 + 1.5 * pull / (v2 + pull))
+    if fastest == 0.0:
+        return np.inf
+    step: float = fraction / np.sqrt(fastest)
+    return step / max(SHORTEST_MEAN, 1.0 - 0.5 * step * change)
