@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,27 +11,64 @@ from carom.scene.schema import Scene
 from command import carom
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
-SHORT = ("--set", "time.duration=1.0")
+SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")
 
 
 def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measurement(tmp_path: Path) -> None:
     # of the four only Yoshida's keep 1e-8, and a step four times as long costs a quarter
     done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "integrator = yoshida4, step × 4" in done.stdout.splitlines()[-1]
+    said = done.stdout.splitlines()[-5:]
+    assert said[0].startswith("The cheapest of 5 settings tried: integrator = yoshida4, step × 4, ")
+    assert " times as fast as the scene as written (" in said[1]
+    assert said[2].startswith("It keeps energy ") and said[3].startswith("Worse than as written: position ")
+    assert said[4] == "Written to figure-eight-tuned.toml. The measurements stay in recordings/tradeoff/figure-eight."
     text = (tmp_path / "figure-eight-tuned.toml").read_text(encoding="utf-8")
     assert text.startswith("# carom tune: integrator = yoshida4, step × 4\n# measured: energy ")
     assert "# Three equal masses chase each other" in text, "the author's comments stay"
     scene = Scene.load(tmp_path / "figure-eight-tuned.toml")
     assert scene.time.fixed_dt == 0.008 and scene.time.integrator == "yoshida4"
+    assert scene.record == Scene.load("figure-eight", ["record.every=0.1"]).record, "frames are where they were"
     again = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, cwd=tmp_path)
     assert again.returncode == 2 and "exists; give --force" in again.stderr
+
+
+def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replaces(tmp_path: Path) -> None:
+    command = ("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT)
+    study = tmp_path / "recordings" / "tradeoff" / "figure-eight" / "tradeoff.json"
+    (tmp_path / "figure-eight-tuned.toml").write_text("old", encoding="utf-8")
+    first = carom(*command, "--force", cwd=tmp_path)
+    assert first.returncode == 0, first.stderr
+    assert (tmp_path / "figure-eight-tuned.toml").read_text(encoding="utf-8").startswith("# carom tune")
+    kept = study.read_bytes()
+    forced = carom(*command, "--force", cwd=tmp_path)
+    assert forced.returncode == 0 and "errors" not in forced.stderr and study.read_bytes() == kept
+    other = carom(*command, "--force", "--set", "time.duration=2.0", cwd=tmp_path)
+    assert other.returncode == 2 and "another scene" in other.stderr
+    assert "give --new-study to begin anew, or another folder with --study" in other.stderr
+    anew = carom(*command, "--force", "--new-study", cwd=tmp_path)
+    assert anew.returncode == 0 and "errors" in anew.stderr and study.read_bytes() != kept
+
+
+def test_without_values_to_vary_it_searches_and_tells_a_script_what_it_found(tmp_path: Path) -> None:
+    short = ("--set", "time.duration=1.0", "--set", "time.fixed_dt=0.01", "--set", "record.every=0.25")
+    done = carom("tune", "figure-eight", "--error", "energy=1e-5", "--repeats", "1", "--json", *short, cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+    found = json.loads(done.stdout)
+    assert found["tried"] >= 13 and found["limits"] == {"energy": 1e-5}
+    assert found["best"]["errors"]["energy"] <= 1e-5 and found["as_written"]["name"] == "as written"
+    assert found["speed"] == pytest.approx(found["as_written"]["cost"] / found["best"]["cost"])
+    assert found["file"] == "figure-eight-tuned.toml" and found["why_none"] is None
+    before, after = found["worse"]["position"]
+    assert before < after == found["best"]["errors"]["position"]
+    tuned = Scene.load(tmp_path / "figure-eight-tuned.toml")
+    assert tuned.time.fixed_dt == pytest.approx(0.01 * float(found["best"]["name"].rpartition("× ")[2]))
 
 
 def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Path) -> None:
     done = carom("tune", "figure-eight", "--error", "position=1e-12", *QUICK, *SHORT, cwd=tmp_path)
     assert done.returncode == 1
-    assert "none of the settings keeps position=1e-12: the nearest is integrator = yoshida4: position" in done.stderr
+    assert "none of the 5 settings tried keeps position=1e-12: the nearest is as written: position " in done.stderr
     assert not (tmp_path / "figure-eight-tuned.toml").exists()
 
 

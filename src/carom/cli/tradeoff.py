@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,8 @@ from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.tradeoff import Result, Study
+    from carom.experiment.setting import Setting
+    from carom.experiment.tradeoff import Result, Study, Teller
 
 VaryOption = Annotated[
     list[str] | None,
@@ -39,6 +41,7 @@ COLUMNS = {
     "size": "size",
     "dispersion": "dispersion",
 }
+STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
 PIPE_WIDTH = 212  # characters of the table where the output is not a terminal
 
 
@@ -52,7 +55,7 @@ def tradeoff(
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the study of another scene.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Begin anew, in place of the study that is there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
     """Measure what accuracy costs on a scene: its settings' costs and errors, and which are worth having.
@@ -61,58 +64,60 @@ def tradeoff(
     """
     import json
 
-    study, finished = measured(scene, vary, repeats, folder, overrides, threads, force, quiet=as_json)
+    from carom.experiment.setting import default_settings
+
+    study, settings = opened(scene, vary, folder, overrides, threads, force)
+    wanted = default_settings(study.scene) if settings is None else settings
+    finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
     if as_json:
         typer.echo(json.dumps(study.document(), indent=2, ensure_ascii=False))
     else:
         _show(study)
     _draw(study, quiet=as_json)
     if not finished:
-        typer.echo("carom: stopped; what is measured is kept, and the same command goes on with it", err=True)
+        typer.echo(STOPPED, err=True)
         raise typer.Exit(1)
 
 
-def measured(
+def opened(
     source: str,
     vary: list[str] | None,
-    repeats: int,
     folder: Path | None,
     overrides: list[str] | None,
     threads: int | None,
-    force: bool,
-    *,
-    quiet: bool,
-) -> tuple[Study, bool]:
-    """Measure the settings of a scene; tell whether it was not stopped before the end."""
+    anew: bool,
+    advice: str | None = None,
+) -> tuple[Study, list[Setting] | None]:
+    """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
+    from carom.experiment.setting import vary as grid
+    from carom.experiment.tradeoff import ADVICE, Study
+    from carom.scene.schema import Scene
+
+    scene = Scene.load(source, overrides)
+    settings = grid(scene, vary) if vary else None
+    where = folder or Path("recordings/tradeoff") / Path(source).stem
+    return Study(scene, where, threads=threads, force=anew, advice=advice or ADVICE), settings
+
+
+def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
+    """Measure, saying what is measured; tell whether it was not stopped before the end."""
     from rich.console import Console
     from rich.markup import escape
 
     from carom.cli.compiling import announce_compilation
-    from carom.experiment.output import output_folder
-    from carom.experiment.setting import default_settings
-    from carom.experiment.setting import vary as grid
-    from carom.experiment.tradeoff import DOCUMENT, Study
-    from carom.recording.claim import Claim
-    from carom.scene.schema import Scene
 
-    scene = Scene.load(source, overrides)
-    settings = grid(scene, vary) if vary else default_settings(scene)
     if not quiet:
         announce_compilation()
-    folder = folder or Path("recordings/tradeoff") / Path(source).stem
-    output_folder(folder)
-    with Claim(folder / DOCUMENT):
-        study = Study(scene, folder, threads=threads, force=force)
-        console = Console(stderr=True, quiet=quiet, highlight=False)
-        try:
-            if console.is_terminal:
-                with console.status("") as status:
-                    study.measure(settings, repeats, lambda text: status.update(escape(text)))
-            else:
-                study.measure(settings, repeats, lambda text: console.print(escape(text), soft_wrap=True))
-        except KeyboardInterrupt:
-            return study, False
-        return study, True
+    console = Console(stderr=True, quiet=quiet, highlight=False)
+    try:
+        if console.is_terminal:
+            with console.status("") as status:
+                measure(lambda text: status.update(escape(text)))
+        else:
+            measure(lambda text: console.print(escape(text), soft_wrap=True))
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _draw(study: Study, quiet: bool) -> None:

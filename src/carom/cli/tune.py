@@ -1,14 +1,20 @@
-"""`carom tune`: the cheapest settings of a scene that keep its errors within a limit."""
+"""`carom tune`: the cheapest setting of a scene that keeps its errors within limits."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
-from carom.cli.tradeoff import RepeatsOption, VaryOption, measured, table_of
+from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, RepeatsOption, opened, ran, table_of
+
+if TYPE_CHECKING:
+    from carom.experiment.tradeoff import Study
+    from carom.experiment.tune import Tuning
+
+ADVICE = "give --new-study to begin anew, or another folder with --study"
 
 
 def tune(
@@ -22,7 +28,15 @@ def tune(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: the scene's name and -tuned.toml.")
     ] = None,
-    vary: VaryOption = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--vary",
+            metavar="KEY=A,B,C",
+            help="Try these values and all combinations of them, as for `carom tradeoff`. Default: search for the "
+            "cheapest setting, the step and one key after the other.",
+        ),
+    ] = None,
     repeats: RepeatsOption = 3,
     folder: Annotated[
         Path | None,
@@ -30,25 +44,69 @@ def tune(
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE, or the study of another scene.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it exists; the study is kept.")] = False,
+    new_study: Annotated[
+        bool, typer.Option("--new-study", help="Measure everything anew, in place of the study that is there.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
-    """Find the cheapest settings of a scene that keep every limit, measured, and write them as a scene file."""
-    from rich.console import Console
+    """Find the cheapest setting of a scene that keeps every limit, measured, and write it as a scene file.
+
+    The search begins at about a dozen settings, and changes the step and one key after the other until nothing is an
+    improvement. A setting whose recording would have fewer frames is out. What is measured is kept: run again, it goes
+    on where it was.
+    """
+    import json
 
     from carom.experiment.output import refuse_output
-    from carom.experiment.tune import cheapest, limits, nearest, write
+    from carom.experiment.tune import limits, tuned, write
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
     refuse_output(path, force)
-    study, finished = measured(scene, vary, repeats, folder, overrides, threads, force, quiet=False)
-    Console(highlight=False, width=None if Console().is_terminal else 200).print(table_of(study))
+    study, settings = opened(scene, vary, folder, overrides, threads, new_study, ADVICE)
+    found: list[Tuning] = []
+    finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
+    if not as_json:
+        _show(study)
     if not finished:
-        typer.echo("carom: stopped; what is measured is kept, and the same command goes on with it", err=True)
+        typer.echo(STOPPED, err=True)
         raise typer.Exit(1)
-    best = cheapest(study, asked)
-    if best is None:
-        typer.echo(f"carom: none of the settings keeps {', '.join(error)}: {nearest(study, asked)}", err=True)
+    (tuning,) = found
+    if tuning.best is not None:
+        write(tuning, path)
+    if as_json:
+        document = tuning.document() | {"file": str(path) if tuning.best else None}
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+    elif tuning.best is not None:
+        typer.echo("\n".join([*_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
+    if tuning.best is None:
+        said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error)}: {tuning.why_none()}"
+        typer.echo(f"carom: {said}", err=True)
         raise typer.Exit(1)
-    write(study, best, asked, path)
-    typer.echo(f"{best.setting.name}: {best.cost:.3g} s, written to {path}")
+
+
+def _show(study: Study) -> None:
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table_of(study))
+
+
+def _lines(tuning: Tuning) -> list[str]:
+    """Say what was found, how much faster it is than the scene as written, and what it makes worse."""
+    best, written = tuning.best, tuning.written
+    assert best is not None and best.errors is not None, "something was found"
+    lines = [f"The cheapest of {len(tuning.tried)} settings tried: {best.setting.name}, {best.cost:.3g} s."]
+    if written.costs and best is not written:
+        missed = tuning.misses(written)
+        but = f", which misses {', '.join(missed)}" if missed else ""
+        lines.append(f"It is {tuning.speed:.2g} times as fast as the scene as written ({written.cost:.3g} s{but}).")
+    kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
+    lines.append(f"It keeps {', '.join(kept)}.")
+    worse = [f"{name} {after:.2g} (was {before:.2g})" for name, (before, after) in tuning.worse().items()]
+    if worse:
+        lines.append(f"Worse than as written: {', '.join(worse)}.")
+    return lines

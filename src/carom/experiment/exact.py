@@ -136,6 +136,7 @@ class _Solver:
             sinking=0.0,
             impacts=len(self._struck),
             steps=0,
+            frames=0,
         )
         return Exact(trajectory, self._ended, self._struck)
 

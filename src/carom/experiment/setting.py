@@ -11,12 +11,14 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import gravity_method, require
+from carom.scene.requirements import gravity_method, integrator, require, timing
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
 
 STEP = "step"  # a key of its own: so many times the step, whatever rule sets it
 THREADS = "threads"  # likewise: for the kernels; they change the cost and no bit
+TIMING = "contact.timing"
+STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator where it is all that matters
 FEW = 20  # bodies whose gravity no tree would be used for
 
 
@@ -39,32 +41,95 @@ class Setting:
         return scene_from_text(scene.toml, scene.title, list(self.overrides))
 
 
-def default_settings(scene: Scene) -> list[Setting]:
-    """Return about a dozen settings worth knowing, of the parts that the scene requires."""
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A setting by its coordinates: a factor on the step, and the keys that have another value than the scene's."""
+
+    step: float = 1.0
+    values: tuple[tuple[str, str], ...] = ()  # key and value, as given to ``--set``
+
+    def value(self, key: str) -> str | None:
+        """Return the value of a key; None where it is the scene's."""
+        return dict(self.values).get(key)
+
+    def having(self, key: str, value: str | None) -> Point:
+        """Return the point with another value of a key, or with the scene's."""
+        others = {k: v for k, v in self.values if k != key}
+        return Point(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
+
+    def times(self, factor: float) -> Point:
+        """Return the point with so many times the step."""
+        return Point(self.step * factor, self.values)
+
+    def setting(self, scene: Scene) -> Setting:
+        """Return it as a setting of a scene."""
+        return _setting(scene, (*(_value(key, value) for key, value in self.values), _times(self.step)))
+
+
+def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Return the keys that trade speed for accuracy in a scene, each with values that differ from the scene's."""
     parts = require(scene)
-    forces, located = parts.gravity.modelled or parts.field.modelled, parts.impact_time.modelled
+    forces, located = parts.pulls, parts.impact_time.modelled
+    found: dict[str, tuple[str, ...]] = {}
     if not parts.contact.modelled:
-        return [
-            *vary(scene, ["time.integrator=euler"]),
-            *vary(scene, ["time.integrator=leapfrog,leapfrog-dkd,yoshida4", f"{STEP}=4,2,1,0.5"]),
-        ]
-    choices = [f"{STEP}=4", f"{STEP}=2", f"{STEP}=1", f"{STEP}=0.5"]
-    if forces:
-        choices += ["time.integrator=euler", "time.integrator=yoshida4", "contact.solver=staged"]
-    else:
-        choices += [f"{STEP}=8", f"{STEP}=0.25"]
-    if forces or not located:  # else next to nothing is left to the end of the step
-        choices += ["contact.sweeps=2", "contact.stabilisation=none", "contact.stabilisation=baumgarte"]
-    other = "end-of-step" if located else "time-of-impact"
-    otherwise = vary(
-        scene, [f"contact.timing={other}", f"{STEP}=" + ("2" if forces else "1,0.25" if located else "8,1")]
-    )
-    if parts.adaptive_step.modelled:
-        choices += ["time.velocity_limit=fastest-body", "time.smoothing=1"]
-    if parts.gravity.modelled and scene.count > FEW:
-        tree = ["gravity.opening_angle=0.3,0.8", "gravity.quadrupoles=false"]
-        choices += tree if gravity_method(scene) == "tree" else ["gravity.method=tree"]
-    return [setting for choice in choices for setting in vary(scene, [choice])] + otherwise
+        found["time.integrator"] = ("euler", "leapfrog", "leapfrog-dkd", "yoshida4")
+    elif forces:
+        found["time.integrator"] = ("euler", "leapfrog", "yoshida4")
+        found["contact.solver"] = ("lasting", "staged")
+    if parts.contact.modelled:
+        if forces or not located:  # else next to nothing is left to the end of the step
+            found["contact.sweeps"] = ("2",)
+            found["contact.stabilisation"] = ("split", "none", "baumgarte")
+        found["contact.timing"] = ("end-of-step", "time-of-impact")
+        if parts.adaptive_step.modelled:
+            found["time.velocity_limit"] = ("every-body", "fastest-body")
+            found["time.smoothing"] = ("1",)
+    if parts.contact.modelled and parts.gravity.modelled and scene.count > FEW:
+        if gravity_method(scene) == "tree":
+            found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
+            found["gravity.quadrupoles"] = ("true", "false")
+        else:
+            found["gravity.method"] = ("tree",)
+    own = _in_effect(scene)
+    return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
+
+
+def _in_effect(scene: Scene) -> dict[str, str]:
+    """Return the values that the knobs have in a scene, with those that it leaves to be decided."""
+    contact, gravity = scene.contact, scene.gravity
+    return {
+        "time.integrator": integrator(scene),
+        "time.velocity_limit": scene.time.velocity_limit,
+        "time.smoothing": f"{scene.time.smoothing:g}",
+        "contact.solver": contact.solver,
+        "contact.sweeps": str(contact.sweeps),
+        "contact.stabilisation": contact.stabilisation,
+        "contact.timing": timing(scene),
+        "gravity.method": gravity_method(scene),
+        "gravity.opening_angle": f"{gravity.opening_angle:g}",
+        "gravity.quadrupoles": str(gravity.quadrupoles).lower(),
+    }
+
+
+def default_points(scene: Scene) -> list[Point]:
+    """Return about a dozen settings worth knowing, of the parts that the scene requires; the first is the scene."""
+    parts, other = require(scene), knobs(scene)
+    forces, located = parts.pulls, parts.impact_time.modelled
+    if not parts.contact.modelled:
+        own = Point()
+        orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]
+        euler = [point for point in orders if point.value("time.integrator") == "euler"]
+        return [own, *euler, *(p.times(k) for p in orders if p not in euler for k in STEPS if p.times(k) != own)]
+    steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
+    points = [Point(step) for step in steps]
+    points += [Point().having(key, value) for key, values in other.items() if key != TIMING for value in values]
+    otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
+    return points + [Point(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+
+
+def default_settings(scene: Scene) -> list[Setting]:
+    """Return the default points as settings."""
+    return [point.setting(scene) for point in default_points(scene)]
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:
@@ -138,7 +203,15 @@ def _axis(choice: str) -> list[_Choice]:
         return [_step(choice, value) for value in parts]
     if key == THREADS:
         return [_threads(choice, value) for value in parts]
-    return [_Choice(f"{key.rpartition('.')[2]} = {value}", f"{key}={value}") for value in parts]
+    return [_value(key, value) for value in parts]
+
+
+def _value(key: str, value: str) -> _Choice:
+    return _Choice(f"{key.rpartition('.')[2]} = {value}", f"{key}={value}")
+
+
+def _times(step: float) -> _Choice:
+    return _Choice("" if step == 1.0 else f"step × {step:g}", step=step)
 
 
 def _step(choice: str, value: str) -> _Choice:
@@ -148,7 +221,7 @@ def _step(choice: str, value: str) -> _Choice:
         times = 0.0
     if not 0.0 < times < math.inf:
         raise SceneError(f"--vary {choice}: {value!r} is no number above 0, by which the step is multiplied")
-    return _Choice("" if times == 1.0 else f"step × {times:g}", step=times)
+    return _times(times)
 
 
 def _threads(choice: str, value: str) -> _Choice:

@@ -34,8 +34,9 @@ from carom.scene.schema import Scene
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
-VERSION = 2  # of the document; 1 had no sinking
+VERSION = 3  # of the document; 1 had no sinking, 2 no frames and references that knew nothing of rounding
 COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
+ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 MARGIN = 2.0  # how many times smaller than the smallest steps compared those of a refined reference are at least
 
@@ -51,6 +52,7 @@ class Result:
     reason: str = ""  # why it was refused or failed
     costs: list[float] = field(default_factory=list)  # s, of each run
     steps: int = 0
+    frames: int = 0  # that a recording of it has
     errors: Errors | None = None
 
     @property
@@ -81,7 +83,9 @@ class Study:
     threads
         For the kernels.
     force
-        Whether to replace the study of another scene.
+        Whether to begin anew, in place of whatever study is there.
+    advice
+        What a person can do where the folder holds another study.
 
     Raises
     ------
@@ -89,8 +93,11 @@ class Study:
         If the folder holds a study of another scene and ``force`` is not given, or what it holds cannot be read.
     """
 
-    def __init__(self, scene: Scene, folder: Path, *, threads: int | None = None, force: bool = False) -> None:
+    def __init__(
+        self, scene: Scene, folder: Path, *, threads: int | None = None, force: bool = False, advice: str = ADVICE
+    ) -> None:
         self.scene, self.folder, self.threads = scene, folder, threads
+        self._advice = advice
         self.results: list[Result] = []
         self.reference: Reference | None = None
         output_folder(folder)
@@ -107,8 +114,8 @@ class Study:
         ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
         return median(ranges) if ranges else 0.0
 
-    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> None:
-        """Measure what is not measured yet.
+    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
+        """Measure what is not measured yet, and return the results of these settings.
 
         The first run of a setting is followed for its errors, and not timed: it also compiles what is needed. Then all
         settings are timed once, then all a second time, and so on, so that a machine that slows down for a while does
@@ -125,16 +132,18 @@ class Study:
             self._save()
         for number, result in enumerate(results, start=1):
             if result.status == "pending":
-                tell(f"{number}/{len(results)}  {result.setting.name}: errors")
+                tell(f"{_count(number, results)}{result.setting.name}: errors")
                 self._follow(result)
                 self._save()
         for turn in range(repeats):
             for number, result in enumerate(results, start=1):
                 if result.status == "measured" and len(result.costs) <= turn:
                     left = _left(results, repeats)
-                    tell(f"{number}/{len(results)}  {result.setting.name}: cost, {turn + 1} of {repeats}{left}")
+                    which = _count(number, results)
+                    tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
                     result.costs.append(self._cost(result))
                     self._save()
+        return results
 
     def floor(self, error: str) -> float:
         """Return what the reference is uncertain by, or rounding: errors below it are not told apart."""
@@ -166,20 +175,27 @@ class Study:
             "reference": None if self.reference is None else _reference_entry(self.reference),
             "settings": [
                 {
-                    "name": result.setting.name,
-                    "overrides": list(result.setting.overrides),
-                    "threads": result.setting.threads,
-                    "status": result.status,
-                    "reason": result.reason,
-                    "steps": result.steps,
-                    "costs": result.costs,
-                    "cost": _number(result.cost),
-                    "spread": result.spread,
-                    "errors": result.errors and _numbers(result.errors),
+                    **self.entry(result),
                     "marks": {e: marks[e].get(result.setting.name, "") for e in NAMES} if result.complete else {},
                 }
                 for result in self.results
             ],
+        }
+
+    def entry(self, result: Result) -> dict[str, Any]:
+        """Return what is known of one setting for a JSON document."""
+        return {
+            "name": result.setting.name,
+            "overrides": list(result.setting.overrides),
+            "threads": result.setting.threads,
+            "status": result.status,
+            "reason": result.reason,
+            "steps": result.steps,
+            "frames": result.frames,
+            "costs": result.costs,
+            "cost": _number(result.cost),
+            "spread": result.spread,
+            "errors": result.errors and _numbers(result.errors),
         }
 
     def _result(self, setting: Setting) -> Result:
@@ -211,7 +227,8 @@ class Study:
             result.status, result.reason = "failed", str(error)
             return
         run.save(self._path(result))
-        result.status, result.steps, result.errors = "measured", run.steps, self.reference.errors(run)
+        result.status, result.errors = "measured", self.reference.errors(run)
+        result.steps, result.frames = run.steps, run.frames
 
     def _cost(self, result: Result) -> float:
         """Run a setting once, with nothing recorded, and return how long it took in s."""
@@ -240,11 +257,12 @@ class Study:
             if kept["version"] == VERSION and theirs == self.scene.toml:
                 self._reopen(known, kept["settings"])
                 return
+            if kept["version"] != VERSION and theirs == self.scene.toml:
+                raise ValueError("another version of carom measured it")
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise ExperimentError(f"{path}: cannot be gone on with ({error}); give --force to begin anew") from None
+            raise ExperimentError(f"{path}: cannot be gone on with ({error}); {self._advice}") from None
         raise ExperimentError(
-            f"{self.folder}: holds a study of another scene, or of this one before it was changed; give --force to "
-            "begin anew, or another folder with -o"
+            f"{self.folder}: holds a study of another scene, or of this one before it was changed; {self._advice}"
         )
 
     def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:
@@ -262,12 +280,17 @@ class Study:
             )
         for entry in settings:
             setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"))
-            result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"])
+            result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
             if result.status == "measured" and self.reference is not None:
                 result.errors = self.reference.errors(self.trajectory(result))
             elif result.status in ("refused", "measured"):  # another version may run it
                 result.status = "pending"
             self.results.append(result)
+
+
+def _count(number: int, results: list[Result]) -> str:
+    """Say which one it is, of more than one."""
+    return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 
 def _left(results: list[Result], repeats: int) -> str:

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
+from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -45,6 +47,7 @@ class Trajectory:
     sinking: float  # mean overlap over the smaller radius of what touches late in the run; NaN where nothing can rest
     impacts: int  # contacts that closed faster than at rest, summed over the steps
     steps: int
+    frames: int  # in a recording of the run; 0 of a reference, which none is made of
 
     def __len__(self) -> int:
         return len(self.time)
@@ -114,6 +117,7 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
         sinking=watch.sinking if space.requirements.resting.modelled else np.nan,
         impacts=moments.impacts,
         steps=space.step,
+        frames=watch.frames,
     )
 
 
@@ -125,6 +129,8 @@ class _Watch:
         self.velocity: list[FloatArray] = []
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times = space, times
+        self._recorded = every(frame_interval(space.scene))
+        self._frames, self._last_recorded = 1, True  # the start
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
@@ -135,6 +141,8 @@ class _Watch:
         """Look at the state before a step: this is called when its length is known and nothing has moved yet."""
         self.see_contacts(before)
         self._began = before
+        self._last_recorded = self._recorded(step, before, time)
+        self._frames += self._last_recorded
         done = len(self.position)
         passes = done < len(self._times) and time >= self._times[done]
         if passes:
@@ -153,6 +161,11 @@ class _Watch:
             for pair, moment in zip(touching[fresh][order].tolist(), met[fresh][order].tolist(), strict=True):
                 self.met.setdefault(pair, moment)
             self._touching = touching
+
+    @property
+    def frames(self) -> int:
+        """How many frames a recording has of the run so far; its end is always one."""
+        return self._frames + (not self._last_recorded)
 
     @property
     def sinking(self) -> float:
