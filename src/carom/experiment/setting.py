@@ -11,7 +11,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import gravity_method, integrator, require, timing
+from carom.scene.requirements import gravity_method, integrator, require, smoothing, timing
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
 
@@ -100,7 +100,7 @@ def _in_effect(scene: Scene) -> dict[str, str]:
     return {
         "time.integrator": integrator(scene),
         "time.velocity_limit": scene.time.velocity_limit,
-        "time.smoothing": f"{scene.time.smoothing:g}",
+        "time.smoothing": f"{smoothing(scene):g}",
         "contact.solver": contact.solver,
         "contact.sweeps": str(contact.sweeps),
         "contact.stabilisation": contact.stabilisation,
