@@ -11,7 +11,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
-from carom.scene.load import scene_from_text
+from carom.scene.load import longest_text, scene_from_text
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
 
@@ -26,7 +26,12 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     RecordingError
         If it is not one of as many bodies as the recording has.
     """
-    scene = scene_from_text(recording.scene_toml, f"the scene in {recording.path}", overrides)
+    text, bodies = recording.scene_toml, len(recording.bodies.mass)
+    if len(text) > longest_text(bodies):
+        raise RecordingError(
+            f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
+        )
+    scene = scene_from_text(text, f"the scene in {recording.path}", overrides)
     if scene.count != len(recording.bodies.mass):
         raise RecordingError(
             f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
 import itertools
 import re
@@ -21,8 +22,12 @@ from carom.scene.error import SceneError
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.schema import ABOUT_THE_END, Scene, Time
+from carom.scene.toml_text import toml_text
 
-LARGEST_FILE = 4_000_000  # bytes; a scene is a page or two, whatever is larger is not one
+LARGEST_FILE = 64_000_000  # bytes; 400 000 bodies that are written one by one, and half a minute to read
+_LARGEST_BESIDES_BODIES = 4_000_000  # characters
+_LARGEST_BODY = 1000  # characters of one that is written with all its keys, a long name and comments
+_COMMENTED = 200_000  # characters; up to there overrides keep the comments, which takes a second
 MOST_MESSAGES = 8
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 _INDEX = re.compile(r"[0-9]{1,9}")
@@ -53,7 +58,7 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
     Parameters
     ----------
     text
-        At most ``LARGEST_FILE`` characters.
+        At most `longest_text` of its bodies. The comments of a long one are lost where overrides are given.
     source
         What messages call it.
     overrides
@@ -65,15 +70,20 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
         Naming the source, the line and the key.
     """
     if len(text) > LARGEST_FILE:
-        raise SceneError(f"{source}: {len(text)} characters are too many for a scene")
+        raise SceneError(f"{source}: {len(text)} characters are too many for a scene; at most {LARGEST_FILE}")
     data = _parse(text, source)
     if not overrides:
         return _validate(data, text, _Places(source, text, {}))
-    document = tomlkit.parse(text)
+    document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
     overridden = {_apply_override(document, override): override for override in overrides}
     _keep_promised_duration(document, data, overridden)
-    effective = tomlkit.dumps(document)
+    effective = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
     return _validate(_parse(effective, source), effective, _Places(source, text, overridden))
+
+
+def longest_text(bodies: int) -> int:
+    """Return how many characters a scene of so many bodies may have: whatever runs, and so is recorded, is read."""
+    return min(LARGEST_FILE, _LARGEST_BESIDES_BODIES + _LARGEST_BODY * bodies)
 
 
 def _parse(text: str, source: str) -> dict[str, Any]:
@@ -96,11 +106,15 @@ def scene_from_dict(data: dict[str, Any]) -> Scene:
     """Build a scene from a plain dictionary; errors name the key."""
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
-    try:
-        text = tomlkit.dumps(data)
-    except (TypeError, ValueError, tomlkit.exceptions.TOMLKitError) as error:
-        raise SceneError(f"not a scene: {error}") from None
+    text = _written(data)
     return _validate(data, text, _Places("", "", {}))
+
+
+def _written(data: dict[str, Any]) -> str:
+    try:
+        return toml_text(data)
+    except TypeError as error:
+        raise SceneError(f"not a scene: {error}") from None
 
 
 class _Places:
@@ -138,7 +152,7 @@ def _find(source: str | Path) -> Path:
 def _read(path: Path) -> str:
     try:
         if path.stat().st_size > LARGEST_FILE:
-            raise SceneError(f"{path}: {path.stat().st_size} bytes is too large for a scene")
+            raise SceneError(f"{path}: {path.stat().st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
@@ -146,7 +160,7 @@ def _read(path: Path) -> str:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def _apply_override(document: tomlkit.TOMLDocument, override: str) -> KeyPath:
+def _apply_override(document: Any, override: str) -> KeyPath:
     """Set one key of the document, keeping its comments; return the path that was set."""
     dotted, separator, text = override.partition("=")
     keys = tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.strip().split("."))
@@ -193,7 +207,7 @@ def _duration(document: Any) -> float | None:
 def _parse_value(text: str) -> Any:
     """Read a TOML value; a bare word is a string."""
     try:
-        return tomlkit.value(text)
+        return tomlkit.value(text).unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError):
         return text
 
@@ -207,6 +221,11 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
         messages = [_explain(detail, path, places) for path, detail in explained]
         more = len(first_of_each_key) - MOST_MESSAGES
         raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages)) from None
+    if len(text) > longest_text(scene.count):
+        raise SceneError(
+            f"{places.file or 'the scene'}: {len(text)} characters are too many for a scene of {scene.count} bodies; "
+            f"at most {longest_text(scene.count)}"
+        )
     scene._toml = text
     return scene
 

@@ -1,0 +1,62 @@
+"""Values as TOML text. tomlkit, which keeps comments, takes a millisecond a body; this takes ten microseconds."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def toml_text(data: Mapping[str, Any]) -> str:
+    """Write a document: plain keys first, then a section for each table and each table of a list.
+
+    Raises
+    ------
+    TypeError
+        If a value is of no type that a scene has.
+    """
+    return "\n".join(_lines(data)) + "\n"
+
+
+def _lines(data: Mapping[str, Any]) -> Iterator[str]:
+    sections = {key: value for key, value in data.items() if isinstance(value, Mapping) or _is_tables(value)}
+    yield from (f"{_key(key)} = {_value(value)}" for key, value in data.items() if key not in sections)
+    for key, value in sections.items():
+        header = f"[{_key(key)}]" if isinstance(value, Mapping) else f"[[{_key(key)}]]"
+        for table in [value] if isinstance(value, Mapping) else value:
+            yield from ("", header)
+            yield from (f"{_key(name)} = {_value(inner)}" for name, inner in table.items())
+
+
+def _is_tables(value: Any) -> bool:
+    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
+
+
+def _key(key: Any) -> str:
+    if not isinstance(key, str):
+        raise TypeError(f"{key!r}: a key must be text")
+    return key if _BARE_KEY.fullmatch(key) else _string(key)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, int):
+        return int.__repr__(value)
+    if isinstance(value, float):
+        return float.__repr__(value)  # of subclasses, such as NumPy's, too
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_value, value)) + "]"
+    raise TypeError(f"{type(value).__name__} is of no type that a scene has")
+
+
+def _string(text: str) -> str:
+    """Quote text: what JSON escapes TOML does, besides DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

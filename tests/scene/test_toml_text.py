@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import tomllib
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carom.scene.toml_text import toml_text
+
+text = st.text(st.characters(exclude_categories=["Cs"]), max_size=10)
+scalar = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | text
+value = st.recursive(scalar, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(text, inner, max_size=3))
+
+
+@given(st.dictionaries(text, value, max_size=5))
+def test_what_is_written_is_read_as_it_was(data: dict[str, Any]) -> None:
+    assert tomllib.loads(toml_text(data)) == data
+
+
+def test_numbers_of_numpy_and_tuples_are_written_as_numbers_and_lists() -> None:
+    assert toml_text({"body": [{"position": (np.float64(0.1), 2, 3.0)}]}) == "\n[[body]]\nposition = [0.1, 2, 3.0]\n"
+
+
+def test_what_no_scene_has_is_refused() -> None:
+    with pytest.raises(TypeError, match="NoneType is of no type"):
+        toml_text({"time": {"duration": None}})
