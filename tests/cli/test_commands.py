@@ -268,3 +268,22 @@ def test_help_imports_neither_the_compiler_nor_the_viewer(tmp_path: Path) -> Non
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip().endswith("[]")
+
+
+def test_a_recording_given_as_a_scene_is_answered_with_what_can_be_done_with_it(run_file: Path, tmp_path: Path) -> None:
+    named = run_file.rename(tmp_path / "my run.rrd")
+    done = carom("run", named.name, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.startswith("carom: my run.rrd: a recording, not a scene; ")
+    for name in ("view", "inspect", "replay", "resume"):
+        assert f"`carom {name} 'my run.rrd'`" in done.stderr
+
+
+def test_repair_is_offered_for_a_damaged_recording_and_not_for_what_never_was_one(
+    run_file: Path, tmp_path: Path
+) -> None:
+    torn = tmp_path / "my run.rrd"
+    torn.write_bytes(run_file.read_bytes()[:20_000])
+    assert "`carom repair 'my run.rrd'` saves" in carom("inspect", torn.name, cwd=tmp_path).stderr
+    (tmp_path / "scene.toml").write_text(ONE_BODY * 20, encoding="utf-8")
+    said = carom("inspect", "scene.toml", cwd=tmp_path).stderr
+    assert said.startswith("carom: scene.toml is not a recording (") and "repair" not in said

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import ForceOption, JsonOption
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -103,7 +104,7 @@ def _print(found: Diff, output: Path | None) -> None:
     console.print()
     console.print(f"[bold]{found.verdict.text[0].upper()}{found.verdict.text[1:]}.[/bold]")
     if output is not None:
-        console.print(f"{output} written: both, one over the other; carom view {output}")
+        console.print(f"{output} written: both, one over the other; {command('view', output)}")
 
 
 def _overview(found: Diff) -> Table:

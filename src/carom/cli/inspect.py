@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from carom.cli.options import JsonOption, RecordingArgument
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -115,9 +116,9 @@ def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
             begin, end = max(0.0, time - window / 2), time + window / 2
             what = wording.format(value=moment["value"]) + (f", {who}" if who else "")
             yield f"{what}, at step {moment['step']}, t = {time:.6g} s"
-            yield f"    carom view {file} --at {time:.9g}"
-            yield f"    carom clip {file} --around {time:.9g} --window {window:.3g}"
-            yield f"    carom replay {file} --from {begin:.6g} --to {end:.6g} --every step"
+            yield "    " + command("view", file, "--at", f"{time:.9g}")
+            yield "    " + command("clip", file, "--around", f"{time:.9g}", "--window", f"{window:.3g}")
+            yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 
 
 def _profile(summary: dict[str, Any]) -> Table:

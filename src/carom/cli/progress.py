@@ -15,6 +15,7 @@ from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
+from carom.scene.command import command
 from carom.scene.schema import Scene
 
 
@@ -76,6 +77,6 @@ class Progress(LiveLine):
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
         table.add_row(
             "next",
-            f"carom view {outcome.path}  ·  carom inspect {outcome.path}  ·  carom picture {outcome.path}",
+            "  ·  ".join(command(name, outcome.path) for name in ("view", "inspect", "picture")),
         )
         Console(file=sys.stdout, soft_wrap=True).print(table)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, LiveOption, SceneArgument, SetOption, ThreadsOption
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from carom.cli.progress import Progress
@@ -64,7 +65,7 @@ def telling_of(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo(f"carom: {path} was not closed; `carom repair {path}` closes it", err=True)
+        typer.echo(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
         raise
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from carom.cli.options import ForceOption
+from carom.scene.command import command
 
 
 def scenes(
@@ -62,4 +63,4 @@ def new(
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
-    typer.echo(f"{path} written. Next: carom explain {path}, then carom run {path}")
+    typer.echo(f"{path} written. Next: {command('explain', path)}, then {command('run', path)}")

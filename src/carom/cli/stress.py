@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import SetOption
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -117,8 +118,10 @@ def _worst(trial: Trial) -> Table:
 
     table = Table.grid(padding=(0, 2))
     for what, moment in trial.worst.items():
-        command = f"carom view {trial.outcome.path} --at {moment.time:.6g}" if trial.outcome else ""
-        table.add_row(f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", escape(moment.between), command)
+        look = command("view", trial.outcome.path, "--at", f"{moment.time:.6g}") if trial.outcome else ""
+        table.add_row(
+            f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", escape(moment.between), escape(look)
+        )
     return table
 
 

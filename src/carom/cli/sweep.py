@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import SetOption
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from carom.experiment.sweep.sweep import Ending
@@ -124,9 +125,9 @@ def _run(
     with needing("cluster", "carom sweep", "distributed", "dask"):
         from carom.experiment.sweep.sweep import sweep as make
     planned = plan(scene, overrides, vary, seeds, zipped)
-    command = " ".join(["carom", *sys.argv[1:]])
+    typed = command(*sys.argv[1:])
     with SweepProgress(planned.title, len(planned.points), quiet) as progress:
-        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command)
+        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=typed)
 
 
 def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> None:
@@ -148,7 +149,7 @@ def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> N
     if ending.left:
         why = f"{ending.stopped}: " if ending.stopped else ""
         typer.echo(f"carom: {why}{ending.left} runs are left; the same command goes on with them", err=True)
-    typer.echo(f"next: carom sweep --table {folder}")
+    typer.echo(f"next: {command('sweep', '--table', folder)}")
 
 
 def _document(ending: Ending, figure: Path | None) -> dict[str, Any]:

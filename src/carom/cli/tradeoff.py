@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+from carom.scene.command import command
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -137,7 +138,7 @@ def _draw(study: Study, quiet: bool) -> None:
         said.append(f"no figure: {error}")
     record(study, recording)
     if not quiet:
-        typer.echo("  ".join([*said, f"carom view {recording}"]))
+        typer.echo("  ".join([*said, command("view", recording)]))
 
 
 def _show(study: Study) -> None:

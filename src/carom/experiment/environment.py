@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+import shlex
 import sys
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,7 @@ def versions() -> dict[str, str]:
 def environment(threads: int) -> dict[str, str | int]:
     """Return the properties that a recording carries about where it came from."""
     stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
-    stamped["command"] = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    stamped["command"] = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
     stamped["git"] = _revision()
     stamped["platform"] = platform.platform()
     stamped["cpu"] = _cpu()

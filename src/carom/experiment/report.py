@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from carom.recording.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.picture import render
 from carom.recording.recording import Recording
+from carom.scene.command import command
 from carom.scene.error import SceneError
 
 FRAMES = 120  # of the clip, half of them before the moment
@@ -188,8 +190,8 @@ def _summary(
         "## Look at it",
         "",
         "```sh",
-        f"carom replay {name}    # are the bits the same on your machine?",
-        f"unzip {name} {bundle.CLIP} && carom view {bundle.CLIP} --at {moment:.9g}",
+        f"{command('replay', name)}    # are the bits the same on your machine?",
+        f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{moment:.9g}')}",
         "```",
         "",
     ]

@@ -9,6 +9,8 @@ from pathlib import Path
 import pyarrow as pa
 
 from carom.recording.errors import DamageError, RecordingError
+from carom.recording.framing import looks_recorded
+from carom.scene.command import command
 
 # What reading meets where a name, a type or a length is not what carom writes. Files come from anywhere.
 _SURPRISES = (
@@ -39,4 +41,6 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _damaged(path: Path, reason: str) -> str:
-    return f"{path} is not a recording, or is damaged ({reason}); `carom repair {path}` saves what can be read"
+    if not looks_recorded(path):
+        return f"{path} is not a recording ({reason})"
+    return f"{path} is not a recording, or is damaged ({reason}); `{command('repair', path)}` saves what can be read"

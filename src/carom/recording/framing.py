@@ -11,6 +11,7 @@ import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO
 
 import xxhash
@@ -50,6 +51,17 @@ def is_rrd(file: BinaryIO) -> bool:
     file.seek(0)
     header = file.read(STREAM_HEADER)
     return len(header) == STREAM_HEADER and header.startswith(_MAGIC) and header[9] == _PROTOBUF
+
+
+def looks_recorded(path: Path) -> bool:
+    """Tell whether a file begins like a recording, in whatever version, or has its footer: some of it may be saved."""
+    try:
+        with path.open("rb") as file:
+            begins = file.read(len(_MAGIC))
+            file.seek(max(0, os.fstat(file.fileno()).st_size - STREAM_FOOTER))
+            return begins == _MAGIC or _FOOTER_MAGIC in file.read(STREAM_FOOTER)
+    except OSError:
+        return False
 
 
 def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:

@@ -7,8 +7,6 @@ import difflib
 import itertools
 import re
 import tomllib
-import types
-import typing
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -18,7 +16,9 @@ import tomlkit.exceptions
 from pydantic import BaseModel, ValidationError
 
 from carom.scene.bundled import bundled_scenes, extreme_scenes
+from carom.scene.command import command
 from carom.scene.error import SceneError
+from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.schema import ABOUT_THE_END, Scene, Time
@@ -29,6 +29,7 @@ _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of one that is written with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; up to there overrides keep the comments, which takes a second
 MOST_MESSAGES = 8
+RECORDED = b"RRF2"  # how a recording begins
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 _INDEX = re.compile(r"[0-9]{1,9}")
 
@@ -151,6 +152,9 @@ def _find(source: str | Path) -> Path:
 
 def _read(path: Path) -> str:
     try:
+        with path.open("rb") as file:
+            if file.read(4) == RECORDED:
+                raise SceneError(f"{path}: a recording, not a scene; {_what_to_do_with(path)}")
         if path.stat().st_size > LARGEST_FILE:
             raise SceneError(f"{path}: {path.stat().st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
         return path.read_text(encoding="utf-8")
@@ -158,6 +162,11 @@ def _read(path: Path) -> str:
         raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def _what_to_do_with(recording: Path) -> str:
+    done = {"view": "shows it", "inspect": "says how it went", "replay": "runs it again", "resume": "goes on with it"}
+    return ", ".join(f"`{command(name, recording)}` {what}" for name, what in done.items())
 
 
 def _apply_override(document: Any, override: str) -> KeyPath:
@@ -176,7 +185,8 @@ def _apply_override(document: Any, override: str) -> KeyPath:
             node = node[key]
         except (KeyError, IndexError, TypeError):
             where = ".".join(map(str, keys[: depth + 1]))
-            raise SceneError(f"--set {override}: there is no {where} in the scene") from None
+            unknown = hint(keys[:1]) if keys[0] not in Scene.model_fields else ""
+            raise SceneError(f"--set {override}: there is no {where} in the scene{unknown}") from None
         if not isinstance(node, (dict, list)):
             where = ".".join(map(str, keys[: depth + 1]))
             raise SceneError(f"--set {override}: {where} is a value, not a section")
@@ -234,7 +244,7 @@ def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
     """One line a person can act on: place, key, what is wrong, what would be right."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), detail["input"]
     if detail["type"] == "extra_forbidden":
-        return f"{place}unknown key {key}{_nearest(path)}"
+        return f"{place}unknown key {key}{hint(path)}"
     if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):
         return f"{place}{key} is missing{_expected(path)}"
     if detail["type"] == "value_error":
@@ -301,30 +311,12 @@ def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
         if model is None:
             return None, None
         holder, field = model, model.model_fields.get(key)
-        model = _model_in(field.annotation) if field is not None else None
+        model = model_in(field.annotation) if field is not None else None
         if field is None:
             return holder, None
     return model, field
 
 
-def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """Find the model inside an annotation such as ``tuple[Body, ...]`` or ``Region | None``."""
-    if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
-        return annotation if issubclass(annotation, BaseModel) else None
-    found = (_model_in(member) for member in typing.get_args(annotation))
-    return next((model for model in found if model is not None), None)
-
-
 def _expected(path: KeyPath) -> str:
     _, field = _field(path)
     return f" ({path[-1]}: {field.description})" if field is not None and field.description else ""
-
-
-def _nearest(path: KeyPath) -> str:
-    model, _ = _field(path[:-1]) if path[:-1] else (Scene, None)
-    if model is None:
-        return ""
-    near = difflib.get_close_matches(str(path[-1]), model.model_fields, n=1, cutoff=0.5)
-    if near:
-        return f'; did you mean "{near[0]}"?'
-    return f"; known here: {', '.join(model.model_fields)}"
