@@ -97,3 +97,11 @@ def test_what_cannot_be_solved_exactly_says_why(name: str, reason: str) -> None:
 def test_planes_and_boxes_are_refused() -> None:
     assert "planes" in why_not(pair(plane=[{"point": [0, 0, -5]}]))
     assert "periodic" in why_not(pair(domain={"boundary": "periodic", "size": [20.0, 20.0, 20.0]}))
+
+
+def test_a_sample_at_the_moment_of_a_contact_has_the_velocities_after_it() -> None:
+    # gap 2 m at 2 m/s: contact at 1 s, which is the fourth of eight samples; exact in binary
+    scene = pair(time={"duration": 2.0}, contact={"restitution": 1.0, "static_friction": 0.0})
+    exact = solve(Space(scene), np.arange(1, 9) / 4)
+    assert exact.time == [1.0]
+    assert exact.trajectory.velocity[:, 0, 0].tolist() == [1.0] * 3 + [-1.0] * 5

@@ -69,6 +69,11 @@ def test_no_reference_claims_to_know_more_than_rounding_leaves() -> None:
     assert min(uncertainty.position, uncertainty.velocity, uncertainty.size, uncertainty.dispersion) >= 2.0**-52
 
 
+def test_an_impact_at_a_round_time_leaves_the_velocities_certain() -> None:
+    # the balls of the cradle meet at 0.7 s, which a 140th of its 600 samples would be, before or after by rounding
+    assert make_reference(Scene.load("newtons-cradle")).uncertainty.velocity <= 1e-13
+
+
 def test_a_course_that_takes_too_long_ends_where_the_budget_does(monkeypatch: pytest.MonkeyPatch) -> None:
     ticks = itertools.count()
     monkeypatch.setattr(exact, "clock", SimpleNamespace(perf_counter=lambda: 1e-3 * next(ticks)))  # 1 ms a step

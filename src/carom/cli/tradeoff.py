@@ -43,7 +43,7 @@ COLUMNS = {
     "dispersion": "dispersion",
 }
 STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
-PIPE_WIDTH = 212  # characters of the table where the output is not a terminal
+PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 
 
 def tradeoff(

@@ -102,7 +102,7 @@ class _Solver:
         if twin:
             _nudge(self._bodies, scene.time.duration, twin)
             self._i, self._j = self._i[::-1], self._j[::-1]
-        self._max_step = (LONGER if twin else 1.0) * float(np.diff(times, prepend=0.0).max())
+        self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
@@ -120,6 +120,7 @@ class _Solver:
         while self._time < end and not self._ended:
             touching = self._advance(end, longest)
             longest = self._resolve(touching) if touching else math.inf
+            self._sample_now()
         position, velocity = self._position, self._velocity
         shape = (len(position), self._n, 3)
         trajectory = Trajectory(
@@ -158,21 +159,31 @@ class _Solver:
                 break
             found = self._first_contact(solver, before, y) if self._contacts else None
             after, state = found or (solver.t, solver.y)
-            self._sample(before, y, after, state)
+            self._sample(before, y, after)
             self._accept(after, state)
             if clock.perf_counter() > self._deadline:
                 self._end(f"{self._budget:.3g} s of computing reached t = {after:.6g} s")
             if found is not None:
                 return self._touching()
+            self._sample_now()
         return []
 
-    def _sample(self, before: float, y: FloatArray, after: float, state: FloatArray) -> None:
-        """Keep the samples of an accepted step, whose beginning and end are given."""
-        while len(self._position) < len(self._times) and self._times[len(self._position)] <= after:
-            time = float(self._times[len(self._position)])
-            x, v = (state if time == after else self._at(before, y, time)).reshape(2, self._n, 3)
+    def _sample(self, before: float, y: FloatArray, after: float) -> None:
+        """Keep the samples within a step that begins with a state."""
+        while (time := self._next_sample()) < after:
+            x, v = self._at(before, y, time).reshape(2, self._n, 3)
             self._position.append(x.copy())
             self._velocity.append(v.copy())
+
+    def _sample_now(self) -> None:
+        """Keep the sample at the present time, if there is one: what is struck then has its new velocity."""
+        if self._next_sample() == self._time:
+            self._position.append(self._bodies.position.copy())
+            self._velocity.append(self._bodies.velocity.copy())
+
+    def _next_sample(self) -> float:
+        """Return the time of the next sample in s, infinite after the last."""
+        return float(self._times[len(self._position)]) if len(self._position) < len(self._times) else math.inf
 
     def _at(self, before: float, y: FloatArray, time: float) -> FloatArray:
         """Return the state at a time within the step that begins with a state."""

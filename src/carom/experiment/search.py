@@ -17,6 +17,7 @@ import math
 
 from carom.experiment.setting import Point, default_points, knobs
 from carom.experiment.tradeoff import Result, Study, Teller
+from carom.scene.requirements import auto_interval
 
 FRAMES_KEPT = 0.95  # of the frames that a recording of the scene has: a longer step is not worth a jerking picture
 NEARER = 0.9  # of the factor by which limits are missed, that half the step has to come down to
@@ -123,16 +124,19 @@ def excess(study: Study, written: Result, result: Result, limits: dict[str, floa
     factors = [found[name] / limit if limit else 1.0 + found[name] for name, limit in limits.items()]
     missed = [factor for factor, name in zip(factors, limits, strict=True) if not found[name] <= limits[name]]
     if loses_frames(study, written, result):
-        missed.append(written.frames / result.frames)
+        missed.append(written.frames / result.frames)  # a factor that half the step brings down
     return max((math.inf if math.isnan(factor) else factor for factor in missed), default=0.0)
 
 
 def loses_frames(study: Study, written: Result, result: Result) -> bool:
     """Tell whether a recording has fewer frames than one of the scene as written.
 
-    A scene that records every step asks for frames at no time, and loses none.
+    Where that records every step, it is enough to have as many as a recording that chooses its frames itself.
     """
-    return study.scene.record.every != "step" and result.frames < FRAMES_KEPT * written.frames
+    wanted = written.frames
+    if study.scene.record.every == "step":
+        wanted = min(wanted, round(study.scene.time.duration / auto_interval(study.scene)))
+    return result.frames < FRAMES_KEPT * wanted
 
 
 def unsure(study: Study, limits: dict[str, float]) -> list[str]:

@@ -26,6 +26,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES = 200  # times at which trajectories are compared
+EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section is far from every simple ratio
 LATE = 0.9  # of the samples: from then on what was going to come to rest should have
 FEW, SAMPLES_OF_FEW = 20, 600  # so few bodies cost nothing, and their paths can be drawn
 
@@ -77,10 +78,12 @@ class Trajectory:
 def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
 
-    The fractions are computed first: the last is then exactly 1, and no time is rounded past the end of the run.
+    The fractions are computed first: the last is then exactly 1, and no time is rounded past the end of the run. The
+    others are no round numbers, as the times of impacts can be: at such a moment a velocity has two values.
     """
     count = SAMPLES_OF_FEW if scene.count <= FEW else SAMPLES
-    fractions = np.arange(1, count + 1) / count
+    fractions = (np.arange(1, count + 1) - EARLIER) / count
+    fractions[-1] = 1.0
     return np.asarray(scene.time.duration * fractions)
 
 

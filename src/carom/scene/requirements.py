@@ -380,7 +380,10 @@ def frame_interval(scene: Scene) -> float:
     """Return the simulated time between recorded frames in seconds; 0 records every step."""
     if scene.record.every == "step":
         return 0.0
-    if scene.record.every == "auto":
-        affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
-        return scene.time.duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
-    return scene.record.every
+    return auto_interval(scene) if scene.record.every == "auto" else scene.record.every
+
+
+def auto_interval(scene: Scene) -> float:
+    """Return the simulated time in seconds between the frames of a recording that chooses them itself."""
+    affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
+    return scene.time.duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
