@@ -9,7 +9,7 @@ import numpy as np
 
 from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.energy import Energy, EnergyBaseline, Ledger
+from carom.physics.energy import Energy, EnergyBaseline, Ledger, Origin
 from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.moments import Moment, Moments
@@ -123,9 +123,9 @@ class Merry:
     def books(self, energy: Energy) -> Books:
         nothing = (0.0, 0.0, 0.0)
         return Books(
-            energy=EnergyBaseline(initial=energy.total, scale=energy.scale),
+            energy=EnergyBaseline(energy.total, energy.scale, Origin(energy.total, 0.0, 0.0)),
             momentum=MomentumBaseline(nothing, nothing, nothing, 1.0, 1.0),
-            watch=WatchTally(energy, 3),
+            watch=WatchTally(energy, 0.5, 3),
             moments=Moments(impact=Moment(0.1, 7, 0.35, (1, 2)), total_contacts=5),
             activity=0.1,
             phase="free",

@@ -49,7 +49,8 @@ def test_an_extreme_meets_its_criteria(name: str) -> None:
 def test_an_extreme_promises_energy_and_momentum_and_says_why(name: str) -> None:
     scene = Scene.load(f"extremes/{name}")
     expect = scene.expect
-    assert expect.energy_error is not None and expect.energy_gain is not None
+    if not expect.warned:  # a run that must warn cannot be right
+        assert expect.energy_error is not None and expect.energy_gain is not None
     assert (expect.momentum_error is None) is scene.anchored, "what stands still takes momentum"
     header = extremes()[name].read_text(encoding="utf-8").partition("title")[0]
     assert "# Look for:" in header and "# Criteria:" in header
@@ -86,8 +87,8 @@ def test_the_overlapped_start_is_set_apart_without_any_speed() -> None:
 
 
 def test_the_orbit_of_eccentricity_0999_closes() -> None:
-    # An energy error of 10⁻⁹ of the scale is 4 × 10⁻⁶ of the orbit's energy, so 6 × 10⁻⁶ of its period of 2 π, twice;
-    # at apocentre the comet moves at 0.022 and hardly accelerates.
+    # An error of 4 × 10⁻⁶ of the orbit's energy is one of 6 × 10⁻⁶ of its period of 2 π, twice; at
+    # apocentre the comet moves at 0.022 and hardly accelerates.
     space = extreme("kepler-0999")
     start = space.state.position[1].copy()
     run_through(space)

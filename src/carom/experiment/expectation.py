@@ -20,6 +20,7 @@ class Verdict:
     measured: float
     worst: Moment | None = None  # None where no moment is to blame
     at_least: bool = False  # the limit is one from below
+    note: str = ""  # what was measured, where the name does not say
     promised_at: float | None = None  # s, the end that the promise is about, where the run did not end there
 
     @property
@@ -43,7 +44,8 @@ class Verdict:
         missed = "" if self.met else "; missed"
         if self.promised_at is not None:
             missed = f" at t = {self.promised_at:.6g} s; not judged"
-        return f"{self.name}: {self.measured:.3g} ({self.bound} {self.limit:.3g}{missed})"
+        note = f", {self.note}" if self.note else ""
+        return f"{self.name}: {self.measured:.3g}{note} ({self.bound} {self.limit:.3g}{missed})"
 
 
 def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
@@ -51,12 +53,12 @@ def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
     something is fixed, counts as infinitely wrong. The final kinetic energy is judged at the end that it was promised
-    for and the number of impacts from then on.
+    for, the number of impacts and the warnings from then on.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}
     measured = {
-        "energy_error": (_value(moments.energy_error), moments.energy_error),
+        "energy_error": (_value(moments.energy_fault), moments.energy_fault),
         "energy_gain": (moments.energy_gain.value, moments.energy_gain),
         "momentum_error": (_or_infinite(moments.momentum_error), moments.momentum_error),
         "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), moments.angular_momentum_error),
@@ -64,10 +66,24 @@ def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
         "final_kinetic": (moments.kinetic.value, moments.kinetic),
         "impacts": (moments.impacts, None),
     }
-    return [
-        Verdict(name, limit, value, worst, at_least=name == "impacts", promised_at=elsewhere.get(name))
+    gained = moments.energy_fault is not None and moments.energy_fault is not moments.energy_error
+    notes = {"energy_error": "put in by impulses of contacts"} if gained else {}
+    verdicts = [
+        Verdict(
+            name,
+            limit,
+            value,
+            worst,
+            at_least=name == "impacts",
+            note=notes.get(name, ""),
+            promised_at=elsewhere.get(name),
+        )
         for name, (value, worst) in measured.items()
         if (limit := getattr(expect, name)) is not None
+    ]
+    return verdicts + [
+        Verdict(f"warned_{kind}", 1.0, float(kind in moments.warned), at_least=True, promised_at=elsewhere["impacts"])
+        for kind in expect.warned
     ]
 
 

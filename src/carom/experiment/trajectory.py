@@ -40,7 +40,7 @@ class Trajectory:
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
     met: FloatArray  # (m,) s, when they first did
-    energy_error: float  # largest |integration error| over the energy scale
+    energy_error: float  # largest |integration error| over the energy scale, or what contacts put in if that is more
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # likewise
@@ -112,7 +112,7 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
         velocity=np.array(watch.velocity),
         pair=np.stack((met // n, met % n), axis=1),
         met=np.array(list(watch.met.values())),
-        energy_error=moments.energy_error.value if moments.energy_error else 0.0,
+        energy_error=moments.energy_fault.value if moments.energy_fault else 0.0,
         energy_gain=moments.energy_gain.value,
         momentum_error=moments.momentum_error.value if moments.momentum_error else np.nan,
         angular_momentum_error=moments.angular_momentum_error.value if moments.angular_momentum_error else np.nan,

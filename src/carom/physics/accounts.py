@@ -31,16 +31,18 @@ class Accounts:
         The state at the start.
     names
         For a warning.
+    constant
+        J, the gravitational energy of fixed bodies among each other.
     """
 
-    def __init__(self, scene: Scene, bodies: Bodies, names: Names) -> None:
+    def __init__(self, scene: Scene, bodies: Bodies, names: Names, constant: float = 0.0) -> None:
         field, periodic = np.array(scene.gravity.uniform), scene.domain.boundary == "periodic"
         self.ledger = Ledger()
         self.energy: Energy
         self.momentum: Momentum
         self.step = -1  # of the last stock-taking
         self._bodies = bodies
-        self._energy = EnergyAccount(field, scene.anchored)
+        self._energy = EnergyAccount(bodies, field, scene.anchored, constant)
         self._momentum = MomentumAccount(bodies, field, periodic, scene.anchored)
         self._watch = EnergyWatch(scene.record.energy_tolerance, names)
         self._suspects: list[Suspects] = []
@@ -99,8 +101,8 @@ class Accounts:
         moments.see_momentum(step, time, self.momentum)
         self.step = step
 
-    def check(self, time: float) -> Event | None:
-        """Compare the energy with that of the check before; return a warning if it rose."""
-        warning = self._watch.check(self.step, time, self.energy, self._suspects)
+    def check(self, time: float, moments: Moments) -> list[Event]:
+        """Let the watch look at the energy; return its warnings."""
+        warnings = self._watch.check(self.step, time, self.energy, moments.contact_gain.value, self._suspects)
         self._suspects = []
-        return warning
+        return warnings

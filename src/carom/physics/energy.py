@@ -3,13 +3,14 @@
     E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / √(r_ij² + ε²) - Σ m g·x
     E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
 
-The error is compared with the largest kinetic + |gravitational| energy so far. Without a uniform field or anything
-fixed the kinetic part counts from the centre of mass: a scene that moves as a whole is held to the same standard.
+The error is compared with the energy scale: the total that is conserved, or what the field and the spins exchange with
+it where that is more (docs/physics.md, 11).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from carom.physics.kernel import kernel
 from carom.physics.momentum import centre_velocity
 
 FloatArray = NDArray[np.float64]
+
+CANCELLED = 1e-8  # of their magnitudes: a sum of which no more is left is as good as 0 in scenes written by people
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +51,11 @@ class Ledger:
         """What left less what entered."""
         return self.restitution + self.friction - self.stabilisation
 
+    @property
+    def taken_out(self) -> float:
+        """What left, without entries of the wrong sign."""
+        return max(0.0, self.restitution) + max(0.0, self.friction)
+
 
 @dataclass(frozen=True, slots=True)
 class Energy:
@@ -62,7 +70,7 @@ class Energy:
     field: float  # -Σ m g·x, of the uniform field
     ledger: Ledger
     integration_error: float
-    scale: float  # largest kinetic + |gravitational| so far; without a field, kinetic about the centre of mass
+    scale: float  # what errors are compared with; see `EnergyAccount`
 
     @property
     def total(self) -> float:
@@ -71,8 +79,23 @@ class Energy:
 
     @property
     def relative_error(self) -> float:
-        """|integration error| over the energy scale; 0 where there is no energy."""
-        return abs(self.integration_error) / self.scale if self.scale > 0.0 else 0.0
+        """|integration error| over the energy scale."""
+        return self.relative(abs(self.integration_error))
+
+    def relative(self, energy: float) -> float:
+        """Return an energy in joules over the energy scale; any energy is the whole of it where the scale is 0."""
+        if self.scale > 0.0:
+            return energy / self.scale
+        return 0.0 if energy == 0.0 else math.copysign(1.0, energy)
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The terms at the start that the energy scale counts from, in joules."""
+
+    conserved: float  # kinetic + gravitational, from the centre of mass if nothing is fixed
+    rotational: float
+    field: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +104,38 @@ class EnergyBaseline:
 
     initial: float  # J, the total at the start of the run
     scale: float  # J, the largest so far
+    origin: Origin | None = None  # None in recordings that had another scale, which then goes on as it was
 
 
 class EnergyAccount:
-    """Turns the state into an `Energy`, remembering where the run began and the largest scale so far."""
+    """Turns the state into an `Energy`, remembering where the run began and the largest energy scale so far.
 
-    def __init__(self, field: FloatArray, anchored: bool = False) -> None:
+    The scale is the largest so far of
+
+    - |E_c - (restitution + friction) + stabilisation|, where E_c is the kinetic and gravitational energy at the start:
+      the total that is conserved, after what contacts took out of it and pushes put in;
+    - what the uniform field and the spins have exchanged with it, |ΔE_field| and |ΔE_rotational|;
+    - Σ m |g| r, where there is a field: bodies that rest on a plane have no other energy.
+
+    Where kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
+
+    Parameters
+    ----------
+    bodies
+        Of the run.
+    field
+        (3,) m/s², the uniform field.
+    anchored
+        Whether something stands still: speeds then count from it in E_c, otherwise from the centre of mass.
+    constant
+        J, the gravitational energy of fixed bodies among each other, which is left out of E_c.
+    """
+
+    def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
         self._field = field
-        self._at_rest = anchored or bool(field.any())  # whether motion counts from rest, not from the centre of mass
+        self._anchored = anchored
+        self._constant = constant
+        self._lift = float(np.sqrt(field @ field) * (bodies.mass @ bodies.radius))  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(self, bodies: Bodies, gravitational: float, ledger: Ledger) -> Energy:
@@ -97,10 +144,22 @@ class EnergyAccount:
             bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, self._field
         )
         total = translational + rotational + gravitational + field
-        moving = translational if self._at_rest else internal
-        scale = moving + rotational + abs(gravitational)
-        known = self.baseline or EnergyBaseline(total, scale)
-        self.baseline = EnergyBaseline(known.initial, max(known.scale, scale))
+        if self.baseline is None:
+            moving, binding = translational if self._anchored else internal, gravitational - self._constant
+            conserved, cancelling = moving + binding, moving + abs(binding)
+            if abs(conserved) < CANCELLED * cancelling:
+                conserved = cancelling
+            self.baseline = EnergyBaseline(total, self._lift, Origin(conserved, rotational, field))
+        known = self.baseline
+        if known.origin:
+            scale = max(
+                known.scale,
+                abs(known.origin.conserved),
+                abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation),
+                abs(field - known.origin.field),
+                abs(rotational - known.origin.rotational),
+            )
+            self.baseline = replace(known, scale=scale)
         return Energy(
             translational=translational,
             rotational=rotational,

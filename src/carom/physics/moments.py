@@ -37,6 +37,7 @@ class Moments:
 
     energy_error: Moment | None = None  # |integration error| / scale
     energy_gain: Moment = NOTHING  # rise of the total energy from its lowest so far / scale
+    contact_gain: Moment = NOTHING  # what impulses of contacts gave back of what they took, or more / scale
     kinetic: Moment = NOTHING  # kinetic energy / scale: of the last step, not the largest
     impact: Moment | None = None  # J, largest ½ μ v_n² of a contact that was closing
     overlap: Moment | None = None  # deepest overlap / smaller radius
@@ -46,6 +47,16 @@ class Moments:
     total_contacts: int = 0  # contact-steps: contacts, summed over the steps
     impacts: int = 0  # those on the way through a step each; those found at its end once a contact and step
     lowest_energy: float = float("inf")  # J
+    energy_scale: float = 0.0  # J, of the last step
+    most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
+    warned: tuple[str, ...] = ()  # kinds of warnings given so far
+
+    @property
+    def energy_fault(self) -> Moment | None:
+        """The larger of the integration error and of what impulses of contacts put in: none of it may be."""
+        if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
+            return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
+        return self.energy_error
 
     def see_contacts(self, step: int, time: float, tally: Tally) -> None:
         """Take note of a step's contacts."""
@@ -83,12 +94,22 @@ class Moments:
     def see_energy(self, step: int, time: float, energy: Energy) -> None:
         """Take note of the energy of a step."""
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
+        self.energy_scale = energy.scale
         self.lowest_energy = min(self.lowest_energy, energy.total)
-        gain = (energy.total - self.lowest_energy) / energy.scale if energy.scale > 0.0 else 0.0
+        gain = energy.relative(energy.total - self.lowest_energy)
         if gain > self.energy_gain.value:
             self.energy_gain = Moment(gain, step, time)
-        kinetic = energy.translational + energy.rotational
-        self.kinetic = Moment(kinetic / energy.scale if energy.scale > 0.0 else 0.0, step, time)
+        taken = energy.ledger.restitution + energy.ledger.friction
+        self.most_taken = max(self.most_taken, taken)
+        given = max(self.most_taken - taken, -energy.ledger.restitution, -energy.ledger.friction)
+        if energy.relative(given) > self.contact_gain.value:
+            self.contact_gain = Moment(energy.relative(given), step, time)
+        self.kinetic = Moment(energy.relative(energy.translational + energy.rotational), step, time)
+
+    def see_warning(self, kind: str) -> None:
+        """Take note that a warning was given."""
+        if kind not in self.warned:
+            self.warned += (kind,)
 
     def see_momentum(self, step: int, time: float, momentum: Momentum) -> None:
         """Take note of the momenta of a step."""

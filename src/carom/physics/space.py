@@ -107,7 +107,7 @@ class Space:
         self._contact = self._make_contact()
         self._timestep = self._make_timestep()
         self._called = Names(self.names, self.planes.name)
-        self._accounts = Accounts(scene, self.state, self._called)
+        self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies())
         self._events: list[Event] = []
         self._phase = Phase(len(self.state))
         self._stopping = False
@@ -286,7 +286,7 @@ class Space:
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
-            self._take_stock(self._potential(), checked=False)
+            self._take_stock(self._potential(), checked=True)
         state, needs, momentum = self.state, self.requirements, self._accounts.momentum
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
@@ -378,18 +378,19 @@ class Space:
         if not self.time > before:
             raise PhysicsError(self._stuck(before))
         due = schedule(self.step + 1, before, self.time) or self.dt_limit == "end"  # a schedule sees every step
+        checked = checked or due
         if checked and contact:
             self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
         self.step += 1
         self.profile.mark("timestep")
-        potential = self._integrate(self.dt, with_potential=due or checked)
+        potential = self._integrate(self.dt, with_potential=checked)
         if contact:
             self._respond(contact)
             if checked:
                 self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
         else:
             self._phase.see(0, 0.0, 0.0)
-        if due or checked:
+        if checked:
             self._take_stock(potential, checked)
         return due
 
@@ -466,6 +467,14 @@ class Space:
         unused = np.empty_like(self.state.acceleration)
         return self._gravity.accelerate(self.state.position, unused, potential=True) or 0.0
 
+    def _potential_of_fixed_bodies(self) -> float:
+        """Return the gravitational energy of what is fixed, in J: it never changes."""
+        fixed = self._fixed
+        gravity = gravity_of(self.scene, self.state.mass[fixed], self._team) if len(fixed) > 1 else None
+        if gravity is None:
+            return 0.0
+        return gravity.accelerate(self.state.position[fixed], np.empty((len(fixed), 3)), potential=True) or 0.0
+
     def _respond(self, contact: ContactStage) -> None:
         """Resolve the contacts and book what they did."""
         contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
@@ -475,11 +484,11 @@ class Space:
             if self.moments.contacts is None:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
-                names = self._called
-                self._log("INFO", f"First contact: {names.of(i)} and {names.of(j)}.", "first-contact")
+                text = f"First contact: {self._called.of(i)} and {self._called.of(j)}."
+                self._log(Event(self.step, self.time, "INFO", text, "first-contact"))
             self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():
-                self._log("WARN", text, "limit")
+                self._log(Event(self.step, self.time, "WARN", text, "limit"))
         self._phase.see(contact.tally.contacts, contact.tally.struck, self._accounts.energy.scale)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
@@ -498,9 +507,9 @@ class Space:
         except PhysicsError:
             refuse_infinities(self.state, self.names, self.step, self.time)  # says which bodies it was
             raise
-        warning = self._accounts.check(self.time) if checked else None
-        if warning:
-            self._events.append(warning)
+        if checked:
+            for warning in self._accounts.check(self.time, self.moments):
+                self._log(warning)
         self.profile.mark("energy")
 
     def _warm_up(self) -> float:
@@ -529,8 +538,10 @@ class Space:
             self._contact.begin(self.first_dt)
         return potential
 
-    def _log(self, level: str, text: str, kind: str) -> None:
-        self._events.append(Event(self.step, self.time, level, text, kind))
+    def _log(self, event: Event) -> None:
+        self._events.append(event)
+        if event.level == "WARN":
+            self.moments.see_warning(event.kind)
 
     def _stuck(self, time: float) -> str:
         remedy = {

@@ -20,6 +20,7 @@ from carom.physics.names import Names
 FloatArray = NDArray[np.float64]
 
 MOST_CONTACTS = 6  # named in a warning, those that added most first
+LOST = 0.1  # of the energy scale; an orbit of such an energy has another size and another period
 MOST_WARNINGS = 100  # in a run; a run that gains energy at every check has said so by then
 
 
@@ -68,41 +69,98 @@ class Suspects:
 class WatchTally:
     """What the watch knows from one check to the next."""
 
-    last: Energy | None = None  # of the last check
+    lowest: Energy | None = None  # the lowest total since the last warning
+    since: float = 0.0  # s, when it was
     warnings: int = 0
+    lost: bool = False  # whether it has warned that the energy is lost
+    gained: bool = False  # whether it has warned that impulses of contacts put energy in
 
 
 class EnergyWatch:
-    """Compares the energy from check to check and warns of a rise."""
+    """Looks at the energy at every check and warns of a rise, and of an integration error that makes the run useless.
+
+    A rise counts from the lowest energy since the last warning, so that a slow one is seen however often it is checked.
+    """
 
     def __init__(self, tolerance: float, names: Names) -> None:
         self._tolerance = tolerance
         self._names = names
         self.tally = WatchTally()
 
-    def check(self, step: int, time: float, energy: Energy, suspects: list[Suspects]) -> Event | None:
-        """Warn if the total rose by more than the tolerance times the energy scale since the last check.
+    def check(
+        self, step: int, time: float, energy: Energy, contact_gain: float, suspects: list[Suspects]
+    ) -> list[Event]:
+        """Return the warnings of this check.
 
-        The suspects are the contacts of the step before, whose bodies it names with their states, and of this one.
+        Parameters
+        ----------
+        step, time, energy
+            Of the check; s.
+        contact_gain
+            The most that impulses of contacts have put in so far, over the energy scale.
+        suspects
+            The contacts of the step before, whose bodies a warning names with their states, and of this one.
         """
-        last, warnings = self.tally.last, self.tally.warnings
-        rose = last is not None and energy.total - last.total > self._tolerance * energy.scale
-        self.tally = WatchTally(energy, warnings + rose)
-        if last is None or not rose or warnings >= MOST_WARNINGS:
-            return None
-        rise = energy.total - last.total
-        stabilisation = energy.ledger.stabilisation - last.ledger.stabilisation
-        integration = energy.integration_error - last.integration_error
-        culprit = "stabilisation" if stabilisation > integration else "the integrator"
-        text = (
-            f"Energy rose by {rise:.4g} J ({rise / energy.scale:.2g} of the scale) since the last check: "
-            f"{stabilisation:+.4g} J from stabilisation, {integration:+.4g} J from the integrator. "
-            f"Mostly {culprit}."
-        )
-        text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
-        if self.tally.warnings == MOST_WARNINGS:
-            text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
-        return Event(step, time, "WARN", text, "energy-rise")
+        tally = self.tally
+        lowest = tally.lowest or energy
+        rose = energy.total - lowest.total > self._tolerance * energy.scale
+        events = []
+        if rose and tally.warnings < MOST_WARNINGS:
+            text = _rise(energy, lowest, tally.since)
+            text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
+            if tally.warnings + 1 == MOST_WARNINGS:
+                text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
+            events.append(Event(step, time, "WARN", text, "energy-rise"))
+        gained = contact_gain > self._tolerance
+        if gained and not tally.gained:
+            text = "\n".join([_gain(energy, contact_gain), *(step.describe(self._names) for step in suspects)])
+            events.append(Event(step, time, "WARN", text, "energy-ledger"))
+        lost = energy.relative_error > LOST
+        if lost and not tally.lost:
+            events.append(Event(step, time, "WARN", _loss(energy, lowest), "energy-lost"))
+        if rose or tally.lowest is None or energy.total < lowest.total:
+            lowest, since = energy, time
+        else:
+            since = tally.since
+        self.tally = WatchTally(lowest, since, tally.warnings + rose, tally.lost or lost, tally.gained or gained)
+        return events
+
+
+def _rise(energy: Energy, lowest: Energy, since: float) -> str:
+    """Say how far the energy has risen since a time in s, and by what."""
+    now, then = energy.ledger, lowest.ledger
+    parts = {
+        "stabilisation": now.stabilisation - then.stabilisation,
+        "the integrator": energy.integration_error - lowest.integration_error,
+        "impulses of contacts": then.restitution + then.friction - now.restitution - now.friction,
+    }
+    shares = ", ".join(f"{joules:+.4g} J from {part}" for part, joules in parts.items())
+    rise = energy.total - lowest.total
+    return (
+        f"Energy rose by {rise:.4g} J ({energy.relative(rise):.2g} of the scale) since t = {since:.6g} s: "
+        f"{shares}. Mostly {max(parts, key=lambda part: parts[part])}."
+    )
+
+
+def _loss(energy: Energy, lowest: Energy) -> str:
+    """Say how wrong the energy is."""
+    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart do not pull any more
+    what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
+    part = energy.relative_error
+    amount = f"{part:.0%} of" if part < 10.0 else f"{part:.2g} times"
+    return (
+        f"{what}: integration has changed the total energy by {energy.integration_error:+.4g} J, {amount} the energy "
+        'scale. Take shorter steps (time.target_dx, time.cfl or time.fixed_dt), or time.integrator = "yoshida4".'
+    )
+
+
+def _gain(energy: Energy, contact_gain: float) -> str:
+    """Say that impulses of contacts put energy in."""
+    ledger = energy.ledger
+    return (
+        f"Impulses of contacts have put energy in, {contact_gain:.2g} of the energy scale, where they can only take it "
+        f"out: so far restitution took {ledger.restitution:.4g} J and friction {ledger.friction:.4g} J."
+    )
 
 
 def _vector(values: FloatArray) -> str:

@@ -268,7 +268,7 @@ class BatchEncoder:
             yield _scalars(f"{LEDGER}/{term}", batch, [getattr(energy.ledger, term) for energy in energies])
         error = [energy.integration_error for energy in energies]
         yield _scalars(INTEGRATION_ERROR, batch, error)
-        relative = [e.integration_error / e.scale if e.scale > 0 else 0.0 for e in energies]
+        relative = [energy.relative(energy.integration_error) for energy in energies]
         yield _scalars(RELATIVE_ERROR, batch, relative)
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:

@@ -223,9 +223,10 @@ class Recording:
 
     @_named
     def events(self) -> pa.Table:
-        """Columns step, sim_time, level, text, kind (empty where the recording is older than kinds)."""
+        """Columns step, sim_time, level, text, kind (empty in recordings older than kinds), in the order of steps."""
         table = self._table(paths.EVENTS, tables.EVENTS, optional=("kind",))
-        return table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))  # those of the end look back
 
     def warnings(self, until: int | None = None) -> list[Event]:
         """Return what the run was warned of, up to a step, in order of time; how it ended is no warning."""

@@ -185,9 +185,9 @@ class Record(Section):
     every: Literal["auto", "step"] | Positive = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
     )
-    log_freq: Count = Field(100, description="steps between energy checks; 1 or more")
+    log_freq: Count = Field(100, description="steps between energy checks, besides those of frames; 1 or more")
     energy_tolerance: Positive = Field(
-        1e-3, description="rise of the energy between two checks, over the energy scale, that logs a warning"
+        1e-3, description="rise of the energy, over the energy scale, that logs a warning"
     )
 
 
@@ -338,7 +338,10 @@ ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that only a run of the 
 class Expect(Section):
     """[expect]: promises checked at the end; a run that misses one exits 1 and says so."""
 
-    energy_error: NonNegative | None = Field(None, description="largest |integration error| over the energy scale")
+    energy_error: NonNegative | None = Field(
+        None,
+        description="largest |integration error| over the energy scale, or what impulses of contacts put in if more",
+    )
     energy_gain: NonNegative | None = Field(
         None, description="largest rise of the total energy above its lowest so far, over the energy scale, at frames"
     )
@@ -352,7 +355,11 @@ class Expect(Section):
     )
     impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
     duration: Positive | None = Field(
-        None, description="s, the duration for which final_kinetic and impacts are promised; by default that of [time]"
+        None,
+        description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",
+    )
+    warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "limit"], ...] = Field(
+        (), description='kinds of warnings that the run must give, such as "energy-lost"'
     )
 
 
