@@ -199,7 +199,7 @@ def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None
 
 
 def test_explain_forces_parts_besides_those_that_the_scene_forces(tmp_path: Path) -> None:
-    command = ("explain", "elastic-gas", "--set", "model.force=potential", "--force", "torque", "--json")
+    command = ("explain", "elastic-gas", "--set", "model.force=potential", "--model", "torque", "--json")
     parts = json.loads(carom(*command, cwd=tmp_path).stdout)["parts"]
     forced = {part["name"] for part in parts if part["why"].startswith("forced")}
     assert forced == {"potential", "gravity", "torque", "spin"}
@@ -208,9 +208,9 @@ def test_explain_forces_parts_besides_those_that_the_scene_forces(tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["explain", "elastic-gas", "--force", "spinn"], f"--force spinn: {unknown('spinn')}"),
+        (["explain", "elastic-gas", "--model", "spinn"], f"--model spinn: {unknown('spinn')}"),
         (
-            ["explain", "kepler-orbits", "--force", "friction"],
+            ["explain", "kepler-orbits", "--model", "friction"],
             "model.force: friction cannot be forced on: contact.enabled = false; set it to true",
         ),
         (

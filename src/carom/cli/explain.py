@@ -18,12 +18,13 @@ if TYPE_CHECKING:
 def explain(
     scene: SceneArgument,
     overrides: SetOption = None,
-    force: Annotated[
+    parts: Annotated[
         list[str] | None,
         typer.Option(
-            "--force", metavar="PART", help="Model a part though the scene does not require it; may be given again."
+            "--model", metavar="PART", help="Model a part though the scene does not require it; may be given again."
         ),
     ] = None,
+    forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
     as_json: JsonOption = False,
 ) -> None:
     """Say what a scene requires and why, and what each part, each entity and the whole run will cost."""
@@ -34,7 +35,7 @@ def explain(
     from carom.cli.units import bytes_text, duration_text
     from carom.experiment.estimate import estimate
 
-    loaded = _forced(scene, list(overrides or []), force or [])
+    loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()
     found = estimate(loaded)
     if as_json:
@@ -57,21 +58,21 @@ def explain(
     )
 
 
-def _forced(scene: str, overrides: list[str], force: list[str]) -> Scene:
-    """Load a scene with parts forced on, besides those that it forces by itself."""
+def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:
+    """Load a scene with parts switched on, besides those that it switches on by itself."""
     import json
 
     from carom.scene.error import SceneError
     from carom.scene.parts import PARTS, unknown
     from carom.scene.schema import Scene
 
-    for part in force:
+    for part in parts:
         if part not in PARTS:
-            raise SceneError(f"--force {part}: {unknown(part)}")
+            raise SceneError(f"--model {part}: {unknown(part)}")
     loaded = Scene.load(scene, overrides)
-    if not force:
+    if not parts:
         return loaded
-    return Scene.load(scene, [*overrides, f"model.force={json.dumps([*loaded.model.force, *force])}"])
+    return Scene.load(scene, [*overrides, f"model.force={json.dumps([*loaded.model.force, *parts])}"])
 
 
 def _table(first: str, share: str) -> Table:

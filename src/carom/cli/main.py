@@ -28,13 +28,14 @@ from carom.cli import (
     view,
     warmup,
 )
+from carom.cli.flags import Command, Group
 from carom.experiment.memory import keep_freed_memory
 
 app = typer.Typer(
     name="carom",
+    cls=Group,
     help="A flight recorder for colliding spheres: simulate a scene, record every collision, look at it.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -58,24 +59,24 @@ def _root(
     """Simulate a scene, record every collision, look at it."""
 
 
-app.command("run")(run.run)
-app.command("scenes")(scenes.scenes)
-app.command("new")(scenes.new)
-app.command("explain")(explain.explain)
-app.command("inspect")(inspect.inspect)
-app.command("replay")(replay.replay)
-app.command("report")(report.report)
-app.command("resume")(resume.resume)
-app.command("stress")(stress.stress)
-app.command("sweep")(sweep.sweep)
-app.command("tradeoff")(tradeoff.tradeoff)
-app.command("tune")(tune.tune)
-app.command("view")(view.view)
-app.command("picture")(view.picture)
-app.command("clip")(clip.clip)
-app.command("diff")(diff.diff)
-app.command("repair")(repair.repair)
-app.command("warmup")(warmup.warmup)
+app.command("run", cls=Command)(run.run)
+app.command("scenes", cls=Command)(scenes.scenes)
+app.command("new", cls=Command)(scenes.new)
+app.command("explain", cls=Command)(explain.explain)
+app.command("inspect", cls=Command)(inspect.inspect)
+app.command("replay", cls=Command)(replay.replay)
+app.command("report", cls=Command)(report.report)
+app.command("resume", cls=Command)(resume.resume)
+app.command("stress", cls=Command)(stress.stress)
+app.command("sweep", cls=Command)(sweep.sweep)
+app.command("tradeoff", cls=Command)(tradeoff.tradeoff)
+app.command("tune", cls=Command)(tune.tune)
+app.command("view", cls=Command)(view.view)
+app.command("picture", cls=Command)(view.picture)
+app.command("clip", cls=Command)(clip.clip)
+app.command("diff", cls=Command)(diff.diff)
+app.command("repair", cls=Command)(repair.repair)
+app.command("warmup", cls=Command)(warmup.warmup)
 
 
 def main() -> None:

@@ -20,8 +20,18 @@ def seconds(text: str) -> float:
     return value
 
 
+def bundled(incomplete: str) -> list[str]:
+    """Complete the name of a bundled scene; where none fits, the shell completes files."""
+    from carom.scene.bundled import bundled_scenes, extreme_scenes
+
+    return [name for name in (*bundled_scenes(), *extreme_scenes()) if name.startswith(incomplete)]
+
+
 SceneArgument = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.")
+    str,
+    typer.Argument(
+        metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.", autocompletion=bundled
+    ),
 ]
 RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).")]
 ThreadsOption = Annotated[

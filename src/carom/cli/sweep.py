@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import SetOption
+from carom.cli.options import SetOption, bundled
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -22,14 +22,17 @@ PlotOption = Annotated[
 
 def sweep(
     scene: Annotated[
-        str | None, typer.Argument(metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.")
+        str | None,
+        typer.Argument(
+            metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.", autocompletion=bundled
+        ),
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
             "--vary",
             metavar="KEY=VALUES",
-            help="a,b,c · first:last:count · first:last:countlog. May be given again; or [sweep] in the scene.",
+            help="a,b,c · first:last:count · first:last:countlog. May be given again. Default: \\[sweep] of the scene.",
         ),
     ] = None,
     seeds: Annotated[

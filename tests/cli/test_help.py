@@ -1,0 +1,73 @@
+"""Help texts: what is written is what is shown."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.markup import render
+from typer.main import get_command
+
+from carom.cli.main import app
+from command import carom
+
+ROOT: Any = get_command(app)
+COMMANDS: dict[str, Any] = {"carom": ROOT, **ROOT.commands}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_text_loses_what_stands_in_brackets_to_markup(name: str) -> None:
+    command = COMMANDS[name]
+    for text in (command.help, *(parameter.help for parameter in command.params)):
+        written = (text or "").replace("\\[", "[")
+        assert render(text or "").plain == written
+
+
+def test_the_help_of_a_sweep_names_the_section_of_the_scene(tmp_path: Path) -> None:
+    shown = re.sub(r"[\s│]+", " ", carom("sweep", "--help", cwd=tmp_path).stdout)
+    assert "[sweep] of the scene" in shown
+
+
+@pytest.mark.parametrize("name", ["run", "sweep"])
+def test_a_flag_does_not_look_as_if_it_took_a_value(name: str, tmp_path: Path) -> None:
+    shown = carom(name, "--help", cwd=tmp_path).stdout
+    (line,) = (line for line in shown.splitlines() if "--force" in line)
+    assert "bool" not in shown and re.search(r"--force +(Replace|Remove)", line)
+
+
+def test_force_means_in_every_command_that_something_is_replaced() -> None:
+    for name, command in COMMANDS.items():
+        for parameter in command.params:
+            if "--force" in parameter.opts and not parameter.hidden:
+                assert parameter.is_bool_flag, f"carom {name}"
+                assert re.search("[Rr]eplace|[Rr]emove|in place of", parameter.help), f"carom {name}"
+
+
+def test_explain_models_a_part_by_its_name_and_by_the_name_it_had(tmp_path: Path) -> None:
+    for option in ("--model", "--force"):
+        said = carom("explain", "two-spheres", option, "spni", cwd=tmp_path)
+        assert said.returncode == 2 and "--model spni: no part" in said.stderr
+
+
+def test_the_shell_completes_commands_and_bundled_scenes(tmp_path: Path) -> None:
+    def completed(words: str) -> list[str]:
+        asked = {"_CAROM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        program = "from carom.cli.main import app; app(prog_name='carom')"
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env={**os.environ, **asked},
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=tmp_path,
+        )
+        return done.stdout.split()
+
+    assert completed("carom re") == ["replay", "report", "resume", "repair"]
+    assert completed("carom run figure") == ["figure-eight"]
+    assert "extremes/mass-ratio" in completed("carom explain extremes/")
