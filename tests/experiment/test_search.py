@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from carom.experiment.search import excess
-from carom.experiment.setting import Point, default_points, knobs
+from carom.experiment.setting import Point, default_points, knobs, vary
 from carom.experiment.tradeoff import Result, Study
 from carom.experiment.tune import Tuning, tuned
 from carom.scene.requirements import integrator
@@ -34,8 +34,9 @@ def priced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Study, "_cost", cost)
 
 
-def search(scene: Scene, folder: Path, **limits: float) -> Tuning:
-    return tuned(Study(scene, folder, threads=1), limits, 1, lambda text: None)
+def search(scene: Scene, folder: Path, choices: list[str] | None = None, **limits: float) -> Tuning:
+    settings = None if choices is None else vary(scene, choices)
+    return tuned(Study(scene, folder, threads=1), limits, 1, lambda text: None, settings)
 
 
 def eight(**time: float) -> Scene:
@@ -112,3 +113,22 @@ def point_of(result: Result, scene: Scene) -> Point:
     keys = {key: value for key, value in values.items() if value in knobs(scene).get(key, ())}
     step = result.setting.name.rpartition("step × ")[2] if "step × " in result.setting.name else "1"
     return Point(float(step), tuple(sorted(keys.items())))
+
+
+def test_an_orbit_that_is_lost_keeps_no_limit_on_the_energy(tmp_path: Path) -> None:
+    # e = 0.9999 in steps that jump over the pericentre: an error over the largest energy ever would be 3e-5
+    lost = Scene.load("extremes/kepler-09999-lost")
+    tuning = search(lost, tmp_path / "lost", ["time.integrator=leapfrog,yoshida4"], energy=1e-4)
+    assert tuning.best is None
+    assert all(result.errors and result.errors.energy > 0.1 for result in tuning.tried)
+    adaptive = Scene.from_dict(
+        {
+            "time": {"duration": lost.time.duration},
+            "gravity": {"constant": 1.0},
+            "contact": {"enabled": False},
+            "body": [body.model_dump(include={"position", "velocity", "radius", "mass"}) for body in lost.body],
+        }
+    )
+    tuning = search(adaptive, tmp_path / "adaptive", ["step=1,4"], energy=1e-4)
+    assert tuning.best is not None and tuning.best.errors is not None
+    assert tuning.best.errors.position < 1e-2, "what keeps the energy is on its orbit"
