@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import xxhash
@@ -33,7 +34,7 @@ def changed(
     Without its footer it is a run that was killed. With one, the index says what is there.
     """
     parts = [(message.kind, body) for message, body in _messages(source)]
-    found = [k for k, (kind, body) in enumerate(parts) if kind == CHUNK and _is(body, entity, static)]
+    found = [k for k, (kind, body) in enumerate(parts) if kind == CHUNK and is_of(body, entity, static)]
     assert found, f"there is no /{entity} in {source}"
     for k in found if every else found[-1:]:
         parts[k] = (CHUNK, repacked(parts[k][1], stream(change(decode(parts[k][1])[1].batch))))
@@ -125,7 +126,7 @@ def without_column(batch: pa.RecordBatch, name: str) -> pa.RecordBatch:
     return pa.record_batch([batch.column(k) for k in kept], schema=schema)
 
 
-def mapped(name: str, each: Callable[[list[object]], list[object]]) -> Change:
+def mapped(name: str, each: Callable[[list[Any]], list[Any]]) -> Change:
     """Return a change of one component, row by row; its type stays."""
 
     def change(batch: pa.RecordBatch) -> pa.RecordBatch:
@@ -152,7 +153,8 @@ def messages_of(path: Path) -> list[tuple[int, bytes]]:
     return [(found.kind, body) for found, body in _messages(path)]
 
 
-def _is(body: bytes, entity: str, static: bool) -> bool:
+def is_of(body: bytes, entity: str, static: bool = False) -> bool:
+    """Tell whether a chunk has rows of an entity of the run."""
     store, chunk = decode(body)
     return store.kind == RECORDING and chunk.entity_path == entity and chunk.is_static == static
 

@@ -11,6 +11,7 @@ from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
 from carom.physics.energy import Energy, EnergyBaseline, Ledger, Origin
 from carom.physics.event import Event
+from carom.physics.fingerprint import fingerprint_of
 from carom.physics.frame import Frame
 from carom.physics.moments import Moment, Moments
 from carom.physics.momentum import MomentumBaseline
@@ -92,6 +93,8 @@ class Merry:
             integration_error=1e-6 * kinetic * np.sin(3 * time),
             scale=2 * kinetic,
         )
+        orientation, spin = self.orientation(time), None if self.spin is None else self.spin.copy()
+        parts = (position, velocity, orientation, spin)
         level = "WARN" if step % 40 == 30 else "INFO"
         events = (Event(step, time, level, f"something at step {step}"),) if step % 10 == 0 else ()
         return Frame(
@@ -101,8 +104,8 @@ class Merry:
             dt_limit="start" if step == 0 else ("velocity" if step % 50 < 30 else "acceleration"),
             position=position,
             velocity=velocity,
-            orientation=self.orientation(time),
-            angular_velocity=None if self.spin is None else self.spin.copy(),
+            orientation=orientation,
+            angular_velocity=spin,
             torque=torque,
             angular_acceleration=None if torque is None else torque / self.header.inertia[:, None],
             contacts=contacts,
@@ -112,7 +115,7 @@ class Merry:
             sweeps=3 if len(contacts.pairs) else 0,
             phase="colliding" if len(contacts.pairs) else "free",
             events=events,
-            fingerprint=(0x9E3779B97F4A7C15 * (step + 1)) % 2**64,
+            fingerprint=fingerprint_of(time, [np.ascontiguousarray(part) for part in parts if part is not None]),
             acceleration=-position,
             previous_dt=dt,
             memory=None,

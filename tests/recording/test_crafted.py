@@ -93,3 +93,39 @@ def test_chunks_that_unpack_to_far_more_than_the_file_do_not_stay_in_memory(run_
     with pytest.raises(RecordingError, match="order of their steps"):
         Recording.open(run_file).energy("total")
     assert pa.total_allocated_bytes() < held + 10_000_000
+
+
+ALTERED = ("position", "velocity", "acceleration", "orientation", "angular_velocity", "previous_dt", "energy_scale")
+
+
+@pytest.mark.parametrize("component", [*ALTERED, "ledger_friction", "time"])
+def test_a_checkpoint_with_one_number_changed_is_refused(component: str, run_file: Path) -> None:
+    changed(
+        run_file, run_file, "state/checkpoint", mapped(component, lambda row: [np.nextafter(row[0], 1e9), *row[1:]])
+    )
+    with pytest.raises(RecordingError, match="it is not what its digest was made of"):
+        Recording.open(run_file).checkpoint(0)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (mapped("books", lambda row: ["[" * 100_000]), "damaged"),
+        (mapped("books", lambda row: ['{"energy": 3}']), "books do not add up"),
+        (mapped("position", lambda row: [1e308, *row[1:]]), "cannot be squared"),
+        (mapped("velocity", lambda row: row[:-1]), "179 values instead of 180"),
+        (retyped("acceleration", several(["x"])), "damaged"),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_computed_with_is_refused(change: Change, said: str, run_file: Path) -> None:
+    changed(run_file, run_file, "state/checkpoint", change)
+    with pytest.raises(RecordingError, match=f"checkpoint at step 0 is damaged: .*{said}|{said}"):
+        Recording.open(run_file).checkpoint(0)
+
+
+def test_a_checkpoint_of_before_digests_must_have_the_fingerprint_of_its_frame(run_file: Path) -> None:
+    changed(run_file, run_file, "state/checkpoint", lambda batch: without_column(batch, "digest"))
+    assert Recording.open(run_file).checkpoint(0).step == 0
+    changed(run_file, run_file, "state/checkpoint", mapped("velocity", lambda row: [0.5, *row[1:]]))
+    with pytest.raises(RecordingError, match="the checkpoint at step 0 has not the fingerprint of its frame"):
+        Recording.open(run_file).checkpoint(0)

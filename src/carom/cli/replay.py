@@ -98,6 +98,8 @@ def _print(result: Replay) -> None:
     )
     if result.difference:
         typer.echo(f"The first difference is at {result.difference}.")
+    if result.not_compared:
+        typer.echo(f"Not compared: {'; '.join(result.not_compared)}.")
     if result.ended:
         typer.echo(f"It ended early: {result.ended}.")
     if not result.same or result.recorded_with != result.replayed_with:

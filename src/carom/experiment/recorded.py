@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.recording import Recording
@@ -39,10 +40,18 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     return scene
 
 
-def space_of(recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None) -> Space:
+def space_of(
+    recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None, restored: bool = True
+) -> Space:
     """Build a space that stands at a checkpoint of a recording.
 
     Bodies are those recorded, not placed anew: random numbers may differ between libraries.
+
+    Parameters
+    ----------
+    restored
+        Whether to restore what the checkpoint has besides positions and velocities. At the start of a run a space has
+        all that by itself, and the contacts of frame 0, too.
 
     Raises
     ------
@@ -51,11 +60,15 @@ def space_of(recording: Recording, scene: Scene, checkpoint: Checkpoint, threads
     RecordingError
         If the bodies in it cannot be simulated.
     """
-    space = Space(scene, threads, _start(recording, scene, checkpoint))
-    needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
-    if (needs.spin.modelled, needs.orientation.modelled) != kept:
-        raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
-    space.restore(checkpoint)
+    try:
+        space = Space(scene, threads, _start(recording, scene, checkpoint))
+        needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
+        if (needs.spin.modelled, needs.orientation.modelled) != kept:
+            raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
+        if restored:
+            space.restore(checkpoint)
+    except PhysicsError as error:
+        raise RecordingError(f"{recording.path} cannot go on from step {checkpoint.step}: {error}") from None
     return space
 
 
@@ -76,10 +89,6 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
 
 def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
     bodies, n = recording.bodies, scene.count
-    for name in ("mass", "radius", "inertia"):
-        values = getattr(bodies, name)
-        if values.shape != (n,) or not (np.isfinite(values).all() and (values > 0.0).all()):
-            raise RecordingError(f"{recording.path}: {name} of its bodies must be {n} positive numbers")
     fixed = np.zeros(n, dtype=bool)
     fixed[: len(scene.body)] = [body.fixed for body in scene.body]
     spin = checkpoint.angular_velocity

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from carom.experiment.environment import versions
+from carom.experiment.frame_check import FrameCheck, Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.recorded import checkpoint_before, recorded_scene, space_of
 from carom.experiment.run import header_of
@@ -18,6 +19,7 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
+from carom.recording.header import Header
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 
@@ -35,20 +37,21 @@ class Difference:
     time: float  # s, recorded
     quantity: str
     body: int | None  # None where it belongs to no one body
-    recorded: float
-    replayed: float
+    recorded: Value
+    replayed: Value
 
     @property
-    def by(self) -> float:
-        """How much it is off."""
+    def by(self) -> float | None:
+        """How much it is off; None where that is no number."""
+        if isinstance(self.recorded, str) or isinstance(self.replayed, str):
+            return None
         return self.replayed - self.recorded
 
     def __str__(self) -> str:
         what = self.quantity + ("" if self.body is None else f" of body {self.body}")
-        return (
-            f"step {self.step}, t = {self.time:.9g} s: {what}, recorded {self.recorded!r}, replayed {self.replayed!r}, "
-            f"off by {self.by:.3g}"
-        )
+        off = "" if self.by is None else f", off by {self.by:.3g}"
+        values = f"recorded {self.recorded!r}, replayed {self.replayed!r}"
+        return f"step {self.step}, t = {self.time:.9g} s: {what}, {values}{off}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +67,11 @@ class Replay:
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)
     dense: Path | None = None  # the recording of every step
+    not_compared: list[str] = field(default_factory=list)  # what was recorded, or should have been
 
     @property
     def same(self) -> bool:
-        """Whether every frame was compared, and had the same bits."""
+        """Whether every frame was compared, and all that was recorded of it had the same bits."""
         return self.difference is None and self.compared == self.frames
 
 
@@ -112,8 +116,8 @@ def replay(
             raise RecordingError(f"{dense}: is the recording itself; name another file with -o")
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
-    run = _Comparison(recording, checkpoint.step, end)
-    space = space_of(recording, scene, checkpoint, threads)
+    space = space_of(recording, scene, checkpoint, threads, restored=checkpoint.step > 0)
+    run = _Comparison(recording, header_of(space), checkpoint.step, end, dense is None)
     began = clock.perf_counter()
     with ExitStack() as stack:
         recorder = None
@@ -144,18 +148,19 @@ def replay(
         begin=checkpoint.step,
         frames=len(run.fingerprints),
         compared=run.compared,
-        difference=run.difference or (None if ended else run.missing(space)),
+        difference=run.difference or run.rest() or (None if ended else run.stray() or run.missing(space)),
         ended=ended,
         seconds=clock.perf_counter() - began,
         recorded_with=recording.versions,
         dense=dense,
+        not_compared=list(run.check.skipped),
     )
 
 
 class _Comparison:
     """Holds frames against the recorded ones."""
 
-    def __init__(self, recording: Recording, begin: int, end: float) -> None:
+    def __init__(self, recording: Recording, header: Header, begin: int, end: float, only_recorded: bool) -> None:
         table = recording.fingerprints()
         rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
         inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
@@ -165,6 +170,8 @@ class _Comparison:
         self.compared = 0
         self.difference: Difference | None = None
         self._recording = recording
+        steps = np.array(list(self.fingerprints), dtype=np.int64)
+        self.check = FrameCheck(recording, header, steps, begin, only_recorded and begin in self.fingerprints)
 
     def see(self, frame: Frame) -> None:
         """Compare a frame, if it was recorded."""
@@ -172,8 +179,26 @@ class _Comparison:
         if bits is None:
             return
         self.compared += 1
-        if bits != frame.fingerprint:
+        differs = bits != frame.fingerprint
+        found = self.check.finish() if differs else self.check.see(frame)
+        if found:
+            self.difference = self._other(found)
+        elif differs:
             self.difference = _difference(self._recording, frame, self._times[frame.step])
+
+    def rest(self) -> Difference | None:
+        """Compare the frames that wait to be compared."""
+        found = self.check.finish()
+        return None if found is None else self._other(found)
+
+    def stray(self) -> Difference | None:
+        """Tell of rows that belong to no frame."""
+        found = self.check.strays()
+        return None if found is None else self._other(found)
+
+    def _other(self, found: Mismatch) -> Difference:
+        time = self._times.get(found.step, np.nan)
+        return Difference(found.step, time, found.quantity, found.body, found.recorded, found.replayed)
 
     def left(self, step: int) -> int:
         """How many steps are still to be done."""
@@ -201,9 +226,10 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
             name = f"{'xyz'[axis]} (m, as drawn)"
             return Difference(frame.step, time, name, body, float(recorded[body, axis]), float(shown[body, axis]))
     energy = recording.energy()
-    row = int(np.flatnonzero(energy["step"].to_numpy() == frame.step)[0])
+    rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
+    row = int(rows[0]) if len(rows) else 0
     for name in ("translational", "rotational", "gravitational", "field"):
-        if name in energy.column_names and energy[name][row].as_py() != getattr(frame.energy, name):
+        if len(rows) and name in energy.column_names and energy[name][row].as_py() != getattr(frame.energy, name):
             value = float(energy[name][row].as_py())
             return Difference(frame.step, time, f"{name} energy (J)", None, value, getattr(frame.energy, name))
     return Difference(frame.step, time, "bits that no drawn digit and no energy shows", None, 0.0, 0.0)

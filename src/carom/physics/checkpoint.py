@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.energy import Energy, EnergyBaseline
+from carom.physics.fingerprint import fingerprint_of
 from carom.physics.moments import Moments
 from carom.physics.momentum import MomentumBaseline
 from carom.physics.watch import WatchTally
@@ -44,3 +45,9 @@ class Checkpoint:
     energy: Energy  # J
     contacts: ContactMemory | None  # None where no contact lasts
     books: Books
+
+    @property
+    def fingerprint(self) -> int:
+        """The fingerprint of the state, as the frame of the same step has it."""
+        parts = (self.position, self.velocity, self.orientation, self.angular_velocity)
+        return fingerprint_of(self.time, [np.ascontiguousarray(part) for part in parts if part is not None])

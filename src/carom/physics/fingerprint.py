@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import xxhash
+from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 
 
 def fingerprint(bodies: Bodies, time: float) -> int:
     """Return the fingerprint of time, positions, velocities, orientations and angular velocities, in this order."""
+    return fingerprint_of(time, (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity))
+
+
+def fingerprint_of(time: float, arrays: Iterable[NDArray[np.float64]]) -> int:
+    """Return the fingerprint of a time in s and of arrays, which lie in one piece each."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
-    for array in (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity):
+    for array in arrays:
         digest.update(array.data)
     return digest.intdigest()

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import xxhash
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
@@ -17,11 +18,15 @@ from carom.physics.energy import Energy, Ledger
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
 from carom.recording.header import Header
+from carom.recording.timelines import STEP
 
 Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
 
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
+_DIGEST = "digest"
+_NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
+_LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
@@ -46,7 +51,22 @@ def _size(bodies: int, spins: bool, contacts: int) -> int:
 
 
 def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
-    """Flatten checkpoints into one column per component, row after row."""
+    """Flatten checkpoints into one column per component, row after row; each row has a digest of the others."""
+    digests = [_digest({name: values for name, (values, _) in _encoded([one]).items()}) for one in checkpoints]
+    return _encoded(checkpoints) | {_DIGEST: (np.array(digests, dtype=np.uint64), [1] * len(digests))}
+
+
+def _digest(row: Mapping[str, NDArray[Any] | list[Any]]) -> int:
+    """Return 64 bits of all components of a row, by the order of their names."""
+    digest = xxhash.xxh64()
+    for name in sorted(row):
+        values = row[name]
+        digest.update(name.encode())
+        digest.update("".join(values).encode() if isinstance(values, list) else np.ascontiguousarray(values).tobytes())
+    return digest.intdigest()
+
+
+def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
     columns = {
         "position": _flat([c.position for c in checkpoints]),
         "velocity": _flat([c.velocity for c in checkpoints]),
@@ -69,7 +89,7 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
     # mostly the impulses are those of the step's own contacts: their pairs are written once
-    own = [memory.held_pairs is memory.pairs for memory in memories]
+    own = [np.array_equal(memory.held_pairs, memory.pairs) for memory in memories]
     nobody = np.empty((0, 2), dtype=np.int64)
     return {
         "contact_pairs": _flat([memory.pairs.astype(np.uint32) for memory in memories]),
@@ -97,11 +117,12 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     Raises
     ------
     RecordingError
-        If the row is not whole, not of so many bodies, or not finite: a file from a stranger may hold anything.
+        If the row is not whole, not of so many bodies, not finite, or not what its digest was made of: a file from a
+        stranger may hold anything. Recordings of before there were digests are taken as they are.
     """
     try:
         row = _Row(stored, bodies)
-        return Checkpoint(
+        checkpoint = Checkpoint(
             step=step,
             time=row.number("time"),
             previous_dt=row.number("previous_dt"),
@@ -117,7 +138,12 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             contacts=row.contacts() if "contact_pairs" in stored else None,
             books=_BOOKS.validate_python(json.loads(row.text("books"))),
         )
-    except (KeyError, IndexError, TypeError, ValueError, ValidationError) as error:
+        if _DIGEST in stored:
+            digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
+            if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
+                raise ValueError("it is not what its digest was made of")
+        return checkpoint
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, ValidationError) as error:
         reason = "its books do not add up" if isinstance(error, ValidationError) else str(error)
         raise RecordingError(f"the checkpoint at step {step} is damaged: {reason}") from error
 
@@ -138,7 +164,10 @@ class _Row:
         return str(self._stored[name][0])
 
     def vectors(self, name: str, width: int) -> NDArray[np.float64]:
-        return self._finite(name, width * self._bodies).reshape(self._bodies, width)
+        values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
+        if np.any(np.abs(values) > _LARGEST):
+            raise ValueError(f"{name} has numbers that cannot be squared")
+        return values
 
     def contacts(self) -> ContactMemory:
         pairs = self._pairs("contact_pairs")
@@ -157,8 +186,13 @@ class _Row:
         )
 
     def _pairs(self, name: str) -> NDArray[np.int64]:
-        pairs = np.asarray(self._stored[name], dtype=np.int64)
-        return np.ascontiguousarray(pairs.reshape(-1, 2))
+        pairs = np.ascontiguousarray(np.asarray(self._stored[name], dtype=np.int64).reshape(-1, 2))
+        keys = (pairs[:, 0] << 32) + pairs[:, 1]
+        if np.any((pairs[:, 0] >= self._bodies) | (pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] < 0)):
+            raise ValueError(f"{name} has contacts of bodies that are not there")
+        if np.any(np.diff(keys) <= 0):
+            raise ValueError(f"{name} is not in order")
+        return pairs
 
     def _finite(self, name: str, count: int | None = None) -> NDArray[np.float64]:
         values = np.array(self._stored[name], dtype=np.float64)

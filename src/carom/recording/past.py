@@ -15,7 +15,7 @@ from carom.recording.container import Chunk
 from carom.recording.recording import Recording
 from carom.recording.timelines import STEP
 
-_CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
+CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
 
 
 class Past:
@@ -51,7 +51,7 @@ class Past:
             kept = pc.less_equal(batch[STEP], self.step)
             if chunk.entity_path == paths.EVENTS:
                 texts = pc.list_element(batch["TextLog:text"], 0)
-                kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, _CLOSING)))
+                kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, CLOSING)))
             if pc.all(kept).as_py():
                 yield chunk
             elif pc.any(kept).as_py():

@@ -277,19 +277,26 @@ class Recording:
         Raises
         ------
         RecordingError
-            If there is none at this step, or it is damaged.
+            If there is none at this step, or it is damaged: not finite, not what its digest was made of, or not of its
+            frame's fingerprint.
         """
         from carom.recording.checkpoint import decode  # noqa: PLC0415 - loads Numba, which looking at a file does not need
 
-        bodies = len(self.bodies.mass)
+        found = decode(step, self._checkpoint_row(step), len(self.bodies.mass))
+        own = np.flatnonzero(self._fingerprints[STEP].to_numpy() == step)
+        if len(own) and self._fingerprints["fingerprint"][int(own[0])].as_py() != found.fingerprint:
+            raise RecordingError(
+                f"{self.path}: the checkpoint at step {step} has not the fingerprint of its frame; one is damaged"
+            )
+        return found
+
+    def _checkpoint_row(self, step: int) -> dict[str, NDArray[Any] | list[str]]:
         for chunk in self._chunks_at(step, paths.CHECKPOINT):
-            batch = chunk.batch
-            rows = np.flatnonzero(batch[STEP].to_numpy() == step)
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             if len(rows):
-                row = int(rows[-1])
-                return decode(step, {name: _values(batch[name][row]) for name in chunk.components}, bodies)
+                return {name: _values(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
         if self._start and int(self._start[STEP][0]) == step:
-            return decode(step, self._start, bodies)
+            return self._start
         raise RecordingError(f"{self.path} has no checkpoint at step {step}")
 
     def checkpoints(self) -> Iterator[Checkpoint]:

@@ -1,0 +1,268 @@
+"""Holding a replayed frame against all that was recorded of it, row by row and bit for bit."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from carom.experiment.environment import versions
+from carom.physics.frame import Frame
+from carom.recording import paths
+from carom.recording.clock import Clock
+from carom.recording.container import Chunk
+from carom.recording.entities import BatchEncoder
+from carom.recording.header import Header
+from carom.recording.past import CLOSING
+from carom.recording.recording import Recording
+from carom.recording.rows import RecordedRows, checkpoints_of, rows_of
+from carom.recording.selection import Selection
+from carom.recording.timelines import SIM_TIME, STEP
+
+Value = float | str
+
+_MOST_FRAMES, _MOST_BODIES = (
+    128,
+    20_000,
+)  # compared at once: what is encoded alone costs as much as a batch of a hundred
+
+_LED = "what led to the first frame (contacts, torques, dt, events)"
+_LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"
+
+# what led to the state of a checkpoint is not in it
+_BEFORE = {
+    *(paths.CONTACTS, paths.STEP_CONTACTS, paths.COLOURS, paths.SWEEPS, paths.OVERLAP, paths.RELATIVE_OVERLAP),
+    *(paths.DT, paths.TORQUE, paths.ANGULAR_ACCELERATION),
+}
+# relative to the largest so far of the frames whose energy was taken: which those are must be known
+_RELATIVE = {
+    paths.RELATIVE_ERROR: None,
+    paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
+    paths.CHECKPOINT: ("books", "energy_scale", "digest"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """Something recorded that a replayed frame has otherwise."""
+
+    step: int
+    quantity: str
+    recorded: Value
+    replayed: Value
+    body: int | None = None
+
+
+class FrameCheck:
+    """Compares the rows of frames, from the one that a replay begins with.
+
+    Parameters
+    ----------
+    recording
+        What was recorded.
+    header
+        Of the replayed space: which entities there should be.
+    steps
+        Those of the recorded frames that will be compared, rising.
+    begin
+        The step of the checkpoint that the replay begins with.
+    all_frames
+        Whether the replay looks at the same frames as the run did from ``begin`` on, at these and at no others.
+    """
+
+    def __init__(
+        self, recording: Recording, header: Header, steps: NDArray[np.int64], begin: int, all_frames: bool
+    ) -> None:
+        self.skipped: dict[str, None] = {}  # what could not be compared, in the order in which it was met
+        self._rows = RecordedRows(recording)
+        self._clock = Clock(float(recording.info["time_scale"]))
+        references = {name: float(value) for name, value in recording.arrow_references.items()}
+        self._encoder = BatchEncoder(header, recording.origin, references)
+        self._arrows = references.keys()
+        self._steps, self._begin, self._all_frames = steps, begin, all_frames
+        self._shown, self._n = recording.shown, header.bodies
+        self._box = header.box
+        self._states = {
+            paths.PHASE: _States.of(recording.phases()),
+            paths.DT_LIMIT: _States.of(recording.dt_limits()),
+        }
+        events = recording.events().to_pylist()
+        self._events = [(row[STEP], row["level"], row["text"]) for row in events if not re.search(CLOSING, row["text"])]
+        self._same_words = recording.versions == versions()
+        self._colours_bodies = header.body_colouring
+        self._checkpoints = set(recording.checkpoint_steps)
+        self._waiting: list[Frame] = []
+        self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
+
+    def strays(self) -> Mismatch | None:
+        """Find a row of a step that no frame was recorded of, which the viewer would show all the same."""
+        last = int(self._steps[-1]) if len(self._steps) else self._begin
+        for path in self._rows.entities:
+            for steps in self._rows.steps(path):
+                inside = steps[(steps >= self._begin) & (steps <= last)]
+                stray = inside[~np.isin(inside, self._steps)]
+                if len(stray):
+                    return Mismatch(int(stray[0]), f"rows of /{path}, where there is no frame,", len(stray), 0)
+        return None
+
+    def see(self, frame: Frame) -> Mismatch | None:
+        """Take a frame; compare it and those before it once there are enough of them."""
+        self._waiting.append(frame)
+        full = len(self._waiting) >= self._room or frame.step == self._begin
+        return self.finish() if full else None
+
+    def finish(self) -> Mismatch | None:
+        """Compare the frames that wait; name the first thing that differs."""
+        frames, self._waiting = self._waiting, []
+        if not frames:
+            return None
+        first = frames[0].step == self._begin and self._begin > 0
+        few = None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box)
+        found: list[Mismatch] = []
+        seen = {paths.CHECKPOINT}
+        for replayed in rows_of(frames, self._encoder, self._clock):
+            path = replayed.entity_path
+            seen.add(path)
+            chunk = replayed if few is None else few.of(replayed)
+            if first and path in _BEFORE:
+                self.skipped[_LED] = None
+            elif path in (paths.TORQUE, paths.ANGULAR_ACCELERATION) and path not in self._arrows and self._begin > 0:
+                self.skipped[f"/{path}"] = None
+            else:
+                found += self._rows_differ(chunk, first)
+        exact = [frame for frame in frames if frame.step in self._checkpoints]
+        if exact:
+            found += self._rows_differ(checkpoints_of(exact, self._encoder, self._clock), first)
+        for path in self._rows.entities:
+            if path not in seen:
+                self.skipped[f"/{path}"] = None
+        for frame in frames:
+            found += self._state(frame, first) + self._logged(frame, first)
+        return min(found, key=lambda mismatch: mismatch.step, default=None)
+
+    def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
+        """Compare an entity's rows at once; where they are not the same, one by one, up to the first that differs."""
+        path, steps = replayed.entity_path, np.array(replayed.batch[STEP].to_numpy())
+        compared = [name for name in replayed.components if not self._skips(path, name, first)]
+        block = self._rows.block(path, steps)
+        if block is not None and all(name in block.components for name in compared):
+            columns = [SIM_TIME, *compared]
+            if all(_same(block.batch[name], replayed.batch[name]) for name in columns):
+                return []
+        for k, step in enumerate(steps):
+            if found := self._row(path, int(step), replayed.batch.slice(k, 1), compared):
+                return [found]
+        return []
+
+    def _skips(self, path: str, name: str, first: bool) -> bool:
+        """Tell whether a component cannot be compared, and remember that it was not."""
+        if path in _RELATIVE and not self._all_frames and name in (_RELATIVE[path] or (name,)):
+            self.skipped[_LARGEST] = None
+            return True
+        if first and self._colours_bodies and path == paths.BODIES and name.endswith("colors"):
+            self.skipped[_LED] = None
+            return True
+        return False
+
+    def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
+        found = self._rows.at(path, step)
+        if not found:
+            self.skipped[f"/{path}, rows of which are missing"] = None
+            return None
+        if len(found) > 1:
+            return Mismatch(step, f"rows of /{path}", len(found), 1)
+        (recorded,) = found
+        times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
+        if times[0] != times[1]:
+            return Mismatch(step, f"sim_time of /{path} (ns)", *times)
+        for name in compared:
+            if name not in recorded.components:
+                self.skipped[f"{name} of /{path}, which is not there"] = None
+            elif different := _different(step, path, name, recorded.batch[name], replayed[name]):
+                return different
+        return None
+
+    def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
+        for path, state in ((paths.PHASE, frame.phase), (paths.DT_LIMIT, frame.dt_limit)):
+            recorded = self._states[path].at(frame.step)
+            if recorded is None or (first and path == paths.DT_LIMIT):
+                self.skipped[_LED] = None
+            elif recorded != state:
+                return [Mismatch(frame.step, f"/{path}", recorded, state)]
+        return []
+
+    def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
+        """Compare what was logged since the frame before: word for word if it is the same version that says it."""
+        if first or not self._all_frames:
+            self.skipped[_LED if first else _LARGEST] = None
+            return []
+        before = self._steps[np.searchsorted(self._steps, frame.step) - 1] if frame.step > self._steps[0] else -1
+        recorded = sorted(event for event in self._events if before < event[0] <= frame.step)
+        replayed = sorted((event.step, event.level, event.text) for event in frame.events)
+        words = 3 if self._same_words else 2
+        if [event[:words] for event in recorded] != [event[:words] for event in replayed]:
+            return [Mismatch(frame.step, "/events", _told(recorded, replayed), _told(replayed, recorded))]
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class _States:
+    """A state that has a row only where it changes."""
+
+    step: NDArray[np.int64]
+    name: list[str]
+
+    @classmethod
+    def of(cls, table: pa.Table) -> _States:
+        return cls(table[STEP].to_numpy(), table["state"].to_pylist())
+
+    def at(self, step: int) -> str | None:
+        place = int(np.searchsorted(self.step, step, side="right")) - 1
+        return self.name[place] if place >= 0 else None
+
+
+def _same(recorded: pa.Array, replayed: pa.Array) -> bool:
+    """Tell whether two columns have the same bits in rows of the same lengths."""
+    if pa.types.is_list(recorded.type):
+        lengths = [pc.list_value_length(column) for column in (recorded, replayed)]
+        if not lengths[0].equals(lengths[1]):
+            return False
+    one, other = _flat(recorded), _flat(replayed)
+    return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+
+
+def _different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.Array) -> Mismatch | None:
+    """Compare the values of a row; name the first that differs."""
+    one, other = _flat(recorded), _flat(replayed)
+    quantity = f"/{path}" if name == "Scalars:scalars" else f"{name} of /{path}"
+    if len(one) != len(other):
+        return Mismatch(step, f"how many values {quantity} has", len(one), len(other))
+    if one.dtype.kind != other.dtype.kind or (one.dtype.kind != "S" and one.dtype != other.dtype):
+        return Mismatch(step, f"type of {quantity}", str(one.dtype), str(other.dtype))
+    if one.tobytes() == other.tobytes():
+        return None
+    if one.dtype.kind == "S":
+        return Mismatch(step, quantity, bytes(one[0]).decode(), bytes(other[0]).decode())
+    k = int(np.flatnonzero(one.view(np.uint8) != other.view(np.uint8))[0]) // one.itemsize
+    body = k // 3 if name in paths.CENTRES else None
+    return Mismatch(step, quantity, one[k].item(), other[k].item(), body)
+
+
+def _flat(row: pa.Array) -> NDArray[np.generic]:
+    """Return the numbers of a row, or its text as one value of bytes."""
+    values = row
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    if pa.types.is_string(values.type):
+        return np.array(["\0".join(values.to_pylist()).encode()])
+    return np.ascontiguousarray(values.to_numpy(zero_copy_only=False))
+
+
+def _told(events: list[tuple[int, str, str]], others: list[tuple[int, str, str]]) -> str:
+    """Say which event the others do not have."""
+    only = [event for event in events if event not in others]
+    return f"{only[0][1]} at step {only[0][0]}: {only[0][2]}" if only else "nothing else"

@@ -1,0 +1,144 @@
+"""A recording in which anything was altered does not replay."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import carom
+from carom.experiment.replay import replay
+from carom.experiment.resume import continuation
+from carom.recording.clip import clip
+from carom.recording.errors import RecordingError
+from carom.recording.framing import CHUNK
+from carom.recording.recording import Recording
+from crafted import assembled, changed, is_of, mapped, messages_of, without_column
+from examples import cloud
+
+WHERE_IT_CHANGES = ("phase", "step/limit")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of 12 bodies, of 60 steps or so with impacts and friction."""
+    path = tmp_path_factory.mktemp("altered") / "cloud.rrd"
+    carom.run(cloud(12, time={"duration": 1.0, "max_dt": 0.02}), path)
+    return path
+
+
+def nudged(row: list[Any]) -> list[Any]:
+    """Change the first number of a row by as little as can be, or a text."""
+    if not row:
+        return row
+    if isinstance(row[0], list):
+        return [nudged(row[0]), *row[1:]]
+    if isinstance(row[0], str):
+        return [f"{row[0]}!", *row[1:]]
+    if isinstance(row[0], float):
+        return [float(np.nextafter(np.float32(row[0]), np.float32(math.inf))), *row[1:]]
+    return [row[0] ^ 1, *row[1:]]
+
+
+RECORDED = [
+    *((f"energy/{name}", "Scalars:scalars") for name in ("total", "translational", "rotational", "gravitational")),
+    *((f"energy/ledger/{name}", "Scalars:scalars") for name in ("restitution", "friction", "stabilisation")),
+    *((f"energy/{name}", "Scalars:scalars") for name in ("integration_error", "relative_error")),
+    *((f"step/{name}", "Scalars:scalars") for name in ("dt", "contacts", "colours", "sweeps", "overlap")),
+    ("step/relative_overlap", "Scalars:scalars"),
+    ("world/bodies", "Ellipsoids3D:centers"),
+    ("world/bodies", "Ellipsoids3D:quaternions"),
+    ("world/torque", "Arrows3D:vectors"),
+    ("world/angular_acceleration", "Arrows3D:origins"),
+    ("world/torque", "body"),
+    ("world/contacts", "LineStrips3D:strips"),
+    ("world/contacts", "LineStrips3D:colors"),
+    *(
+        ("state/momentum", name)
+        for name in ("momentum", "momentum_error", "angular_momentum", "angular_momentum_error")
+    ),
+    ("phase", "StateChange:state"),
+    ("step/limit", "StateChange:state"),
+    ("events", "TextLog:text"),
+]
+
+
+@pytest.mark.parametrize(("entity", "component"), RECORDED, ids=[" ".join(pair) for pair in RECORDED])
+def test_one_altered_value_is_found_and_named(entity: str, component: str, whole: Path, tmp_path: Path) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", entity, mapped(component, nudged))
+    result = replay(Recording.open(altered))
+    assert not result.same and result.difference is not None
+    assert f"/{entity}" in result.difference.quantity, result.difference
+
+
+@pytest.mark.parametrize(
+    ("entity", "component", "said"),
+    [
+        ("state/fingerprint", "fingerprint", "the checkpoint at step 0 has not the fingerprint of its frame"),
+        ("state/checkpoint", "velocity", "the checkpoint at step 0 is damaged"),
+        ("state/checkpoint", "previous_dt", "the checkpoint at step 0 is damaged"),
+    ],
+)
+def test_an_altered_checkpoint_is_not_begun_with(
+    entity: str, component: str, said: str, whole: Path, tmp_path: Path
+) -> None:
+    altered = Recording.open(changed(whole, tmp_path / "altered.rrd", entity, mapped(component, nudged)))
+    with pytest.raises(RecordingError, match=said):
+        replay(altered)
+    with pytest.raises(RecordingError, match=said.partition(" at ")[0]):
+        continuation(altered, 2.0)
+
+
+def test_a_later_checkpoint_that_was_altered_with_its_digest_is_found(whole: Path, tmp_path: Path) -> None:
+    step = Recording.open(whole).checkpoint_steps[-1]
+
+    def last_row(batch: pa.RecordBatch) -> pa.RecordBatch:
+        place = batch["step"].to_pylist().index(step) if step in batch["step"].to_pylist() else None
+        rows = iter(range(batch.num_rows))
+        return mapped("acceleration", lambda row: nudged(row) if next(rows) == place else row)(batch)
+
+    changed(whole, tmp_path / "altered.rrd", "state/checkpoint", last_row)
+    result = replay(Recording.open(tmp_path / "altered.rrd"))
+    assert result.difference is not None and result.difference.step == step
+    assert result.difference.quantity == "acceleration of /state/checkpoint"
+
+
+def test_rows_that_were_added_are_found(whole: Path, tmp_path: Path) -> None:
+    # Rerun shows the last row of a time: a second one hides the first.
+    parts = messages_of(whole)
+    chunks = [body for kind, body in parts if kind == CHUNK]
+    twice = next(body for body in chunks if is_of(body, "step/dt"))
+    assembled(whole, tmp_path / "altered.rrd", [*parts, (CHUNK, twice)], footer=False)
+    result = replay(Recording.open(tmp_path / "altered.rrd"))
+    assert result.difference is not None and not result.same
+
+
+def test_a_row_where_there_was_no_frame_is_found(whole: Path, tmp_path: Path) -> None:
+    def thinned(batch: pa.RecordBatch) -> pa.RecordBatch:
+        return batch.filter(pa.array(batch["step"].to_numpy() % 2 == 0))
+
+    changed(whole, tmp_path / "altered.rrd", "state/fingerprint", thinned)
+    result = replay(Recording.open(tmp_path / "altered.rrd"))
+    assert result.difference is not None and "where there is no frame" in result.difference.quantity
+
+
+def test_a_recording_without_digests_replays_and_says_what_it_lacks(whole: Path, tmp_path: Path) -> None:
+    old = changed(whole, tmp_path / "old.rrd", "state/checkpoint", lambda batch: without_column(batch, "digest"))
+    result = replay(Recording.open(old))
+    assert result.same and result.not_compared == ["digest of /state/checkpoint, which is not there"]
+
+
+def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: Path, tmp_path: Path) -> None:
+    assert replay(Recording.open(whole)).not_compared == []
+    steps = Recording.open(whole).checkpoint_times
+    later = sorted(steps.values())[len(steps) // 2]
+    window = replay(Recording.open(whole), later)
+    assert window.same and [said[:9] for said in window.not_compared] == ["what led "]
+    for bodies in (None, [1, 5, 7]):
+        clip(whole, tmp_path / "clip.rrd", later + 0.05, 1.0, bodies)
+        part = replay(Recording.open(tmp_path / "clip.rrd"))
+        assert part.same and part.compared == part.frames > 2
