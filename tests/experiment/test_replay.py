@@ -24,6 +24,7 @@ from carom.recording.recording import Recording
 from carom.scene.bundled import bundled_scenes
 from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
+from crafted import changed, mapped
 from examples import cloud
 
 SHORT = {"kepler-orbits": 0.1, "planet-with-gravel": 0.2, "rubble-collision": 0.3}  # parts of their durations
@@ -152,12 +153,12 @@ def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
         replay(recording)
 
 
-def test_a_state_that_is_not_finite_is_not_gone_on_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_state_that_is_not_finite_is_not_gone_on_from(tmp_path: Path) -> None:
     recording = carom.run(cloud(12), tmp_path / "cloud.rrd")
-    values = "carom.recording.recording._values"
-    monkeypatch.setattr(values, lambda row: np.full(len(row.values), np.nan))
+    nowhere = mapped("position", lambda row: [np.nan] * len(row))
+    changed(recording.path, recording.path, "state/checkpoint", nowhere)
     with pytest.raises(RecordingError, match=r"checkpoint at step 0 is damaged: .* is not finite"):
-        replay(recording)
+        replay(Recording.open(recording.path))
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds
+from carom.cli.text import say
 
 Seconds = float | None
 
@@ -46,15 +47,15 @@ def clip(
     refuse_output(path, force)
     made = cut(file, path, *interval, bodies=_numbers(bodies))
     if as_json:
-        typer.echo(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
+        say(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
         return
     shown = "" if made.bodies is None else f", bodies {' '.join(map(str, made.bodies))}"
-    typer.echo(
+    say(
         f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
         f"{made.start:.6g} to {made.end:.6g} s{shown}, {bytes_text(made.size)}."
     )
     if made.replays_from is None:
-        typer.echo(f"{file} has no exact state before that: the clip cannot be replayed.", err=True)
+        say(f"{file} has no exact state before that: the clip cannot be replayed.", err=True)
 
 
 def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) -> tuple[float, float]:

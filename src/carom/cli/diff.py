@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import ForceOption, JsonOption
+from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ def diff(
     if output is not None:
         overlay(*recordings, found, output)
     if as_json:
-        typer.echo(json.dumps(_document(found), indent=2, ensure_ascii=False))
+        say(json.dumps(_document(found), indent=2, ensure_ascii=False))
     else:
         _print(found, output)
     if not found.same:
@@ -94,21 +95,20 @@ def _document(found: Diff) -> dict[str, Any]:
 
 
 def _print(found: Diff, output: Path | None) -> None:
-    from rich.console import Console
+    from carom.cli.terminal import Terminal
 
-    console = Console(soft_wrap=True, highlight=False)
+    console = Terminal(soft_wrap=True)
     console.print(_overview(found))
     if not found.same:
         console.print()
         console.print(_curve(found))
     console.print()
-    console.print(f"[bold]{found.verdict.text[0].upper()}{found.verdict.text[1:]}.[/bold]")
+    console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
     if output is not None:
         console.print(f"{output} written: both, one over the other; {command('view', output)}")
 
 
 def _overview(found: Diff) -> Table:
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
@@ -118,7 +118,7 @@ def _overview(found: Diff) -> Table:
         if not differing:
             table.add_row(name, "the same")
         for k, (key, (one, other)) in enumerate(differing.items()):
-            table.add_row("" if k else name, escape(f"{key}: {_short(one)} in A, {_short(other)} in B"))
+            table.add_row("" if k else name, f"{key}: {_short(one)} in A, {_short(other)} in B")
     table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
     return table
 

@@ -42,10 +42,11 @@ def explain(
         document = {"title": loaded.title, "bodies": loaded.count, **asdict(found)}
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
-    from rich.console import Console
+    from carom.cli.terminal import Terminal
 
-    console, cost = Console(highlight=False), found.cost
-    console.print(f"[bold]{loaded.title}[/bold]: {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
+    console, cost = Terminal(), found.cost
+    console.print(loaded.title, style="bold", end="")
+    console.print(f": {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
     console.print(_parts(found.parts))
     console.print()
     console.print(_entities(found.entities))

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from carom.cli.options import JsonOption, RecordingArgument
+from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -37,17 +36,17 @@ def inspect(
     with opened(file) as path:
         summary = Recording.open(path).summary()
     if as_json:
-        typer.echo(json.dumps(summary, indent=2, ensure_ascii=False))
+        say(json.dumps(summary, indent=2, ensure_ascii=False))
         return
-    from rich.console import Console
+    from carom.cli.terminal import Terminal
 
-    console = Console(soft_wrap=True, highlight=False)
+    console = Terminal(soft_wrap=True)
     console.print(_overview(summary))
     console.print()
     for line in _warnings(summary):
-        console.print(line, markup=False)
+        console.print(line)
     for line in _moments(summary, file):
-        console.print(line, markup=False)
+        console.print(line)
     console.print()
     console.print(_profile(summary))
 

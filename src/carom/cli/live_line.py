@@ -7,9 +7,10 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from rich.console import Console
 from rich.live import Live
 from rich.text import Text
+
+from carom.cli.terminal import Terminal
 
 LINE_EVERY = 5.0  # s between lines where the output is not a terminal
 BAR = 24  # characters
@@ -19,7 +20,7 @@ class LiveLine:
     """A line that is rewritten on a terminal, and a plain line now and then elsewhere; all on stderr."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self._console = Console(stderr=True, quiet=quiet)
+        self._console = Terminal(stderr=True, quiet=quiet)
         self._live: Live | None = None
         self._began = self._last_line = time.perf_counter()
 
@@ -38,7 +39,7 @@ class LiveLine:
 
     def say(self, text: str) -> None:
         """Print a line that stays."""
-        self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+        self._console.print(text, soft_wrap=True)
 
     def _restart(self) -> None:
         """Count time from now on."""

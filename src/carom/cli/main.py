@@ -85,11 +85,12 @@ def main() -> None:
     try:
         app()
     except Exception as error:
+        from carom.cli.text import say
         from carom.experiment.error import ExperimentError
         from carom.recording.errors import RecordingError
         from carom.scene.error import SceneError
 
         if not isinstance(error, (SceneError, RecordingError, ExperimentError)):
             raise
-        typer.echo(f"carom: {error}", err=True)
+        say(f"carom: {error}", err=True)
         sys.exit(2)

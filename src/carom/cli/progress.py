@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 from typing import Self
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from carom.cli.live_line import LiveLine, bar
+from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text
@@ -51,7 +51,7 @@ class Progress(LiveLine):
         """Say how the run ended, what it measured, and what to do with the file."""
         moments = outcome.moments
         table = Table.grid(padding=(0, 2))
-        table.add_row("outcome", "[green]completed[/green]" if outcome.ok else f"[red]{outcome.status}[/red]")
+        table.add_row("outcome", Text(outcome.status, style="green" if outcome.ok else "red"))
         table.add_row(
             "run",
             f"{outcome.steps} steps, {outcome.sim_time:.6g} s simulated in {duration_text(outcome.wall_time)}",
@@ -70,13 +70,13 @@ class Progress(LiveLine):
             deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
             table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
         for line in warning_lines(outcome.warnings):
-            table.add_row("[yellow]warning[/yellow]", Text(line))
+            table.add_row(Text("warning", style="yellow"), Text(line))
         for verdict in outcome.verdicts:
-            kept = "expected" if verdict.judged else "not judged"
-            table.add_row(kept if verdict.met else "[red]missed[/red]", str(verdict))
+            kept = Text("expected" if verdict.judged else "not judged")
+            table.add_row(kept if verdict.met else Text("missed", style="red"), str(verdict))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
         table.add_row(
             "next",
             "  ·  ".join(command(name, outcome.path) for name in ("view", "inspect", "picture")),
         )
-        Console(file=sys.stdout, soft_wrap=True).print(table)
+        Terminal(file=sys.stdout, soft_wrap=True).print(table)

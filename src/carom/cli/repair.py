@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
+from carom.cli.text import say
 
 
 def repair(
@@ -39,14 +40,14 @@ def repair(
             path.replace(file)
             path = file
     if as_json:
-        typer.echo(json.dumps(asdict(done) | {"path": None if done.path is None else str(path)}, indent=2))
+        say(json.dumps(asdict(done) | {"path": None if done.path is None else str(path)}, indent=2))
     elif done.path is None:
-        typer.echo(f"{file}: nothing to repair.")
+        say(f"{file}: nothing to repair.")
     else:
         reach = "no frame" if done.end is None else f"{done.frames} frames, to t = {done.end:.6g} s"
-        typer.echo(f"{path} written: {reach}; new: {', '.join(done.added)}.")
+        say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
         for piece in done.lost:
-            typer.echo(f"lost: {piece}")
+            say(f"lost: {piece}")
 
 
 def _path(file: Path, output: Path | None, in_place: bool) -> Path:

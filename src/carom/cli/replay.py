@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds
+from carom.cli.text import say
 from carom.cli.units import duration_text
 
 if TYPE_CHECKING:
@@ -70,10 +71,10 @@ def replay(
                 consent=lambda seconds: yes or _agreed(seconds),
             )
     except PhysicsError as error:
-        typer.echo(f"carom: the replay failed: {error}", err=True)
+        say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
-        typer.echo(json.dumps(_document(result), indent=2))
+        say(json.dumps(_document(result), indent=2))
     else:
         _print(result)
     if not result.same:
@@ -86,27 +87,25 @@ def _agreed(seconds: float) -> bool:
         return True
     text = f"The rest will take about {duration_text(seconds)}"
     if not sys.stdin.isatty():
-        typer.echo(f"carom: {text}: give --yes to go on, or --to for a shorter window", err=True)
+        say(f"carom: {text}: give --yes to go on, or --to for a shorter window", err=True)
         return False
     return typer.confirm(f"{text}. Go on?", err=True)
 
 
 def _print(result: Replay) -> None:
     frames = f"{result.compared} of {result.frames} frames"
-    typer.echo(
-        f"{frames}{', same bits' if result.same else ''}, from step {result.begin} on, in {result.seconds:.3g} s"
-    )
+    say(f"{frames}{', same bits' if result.same else ''}, from step {result.begin} on, in {result.seconds:.3g} s")
     if result.difference:
-        typer.echo(f"The first difference is at {result.difference}.")
+        say(f"The first difference is at {result.difference}.")
     if result.not_compared:
-        typer.echo(f"Not compared: {'; '.join(result.not_compared)}.")
+        say(f"Not compared: {'; '.join(result.not_compared)}.")
     if result.ended:
-        typer.echo(f"It ended early: {result.ended}.")
+        say(f"It ended early: {result.ended}.")
     if not result.same or result.recorded_with != result.replayed_with:
         for when, packages in (("recorded", result.recorded_with), ("replayed", result.replayed_with)):
-            typer.echo(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
+            say(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")
     if result.dense:
-        typer.echo(f"Every step: {result.dense}")
+        say(f"Every step: {result.dense}")
 
 
 def _document(result: Replay) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.text import say
 
 
 def report(
@@ -38,11 +39,11 @@ def report(
     announce_compilation()
     made = make(recording, path, at)
     if as_json:
-        typer.echo(json.dumps({**asdict(made), "path": str(path)}, indent=2))
+        say(json.dumps({**asdict(made), "path": str(path)}, indent=2))
         return
-    typer.echo(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {made.time:.9g} s,")
-    typer.echo(f"{made.why.splitlines()[0]}.")
-    typer.echo(made.replayed.replace("**", ""))
+    say(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {made.time:.9g} s,")
+    say(f"{made.why.splitlines()[0]}.")
+    say(made.replayed.replace("**", ""))
     if made.picture:
-        typer.echo(f"Without a picture: {made.picture}", err=True)
-    typer.echo("Its README.md can be pasted into an issue; `carom replay` takes the zip as it is.")
+        say(f"Without a picture: {made.picture}", err=True)
+    say("Its README.md can be pasted into an issue; `carom replay` takes the zip as it is.")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, LiveOption, SceneArgument, SetOption, ThreadsOption
+from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def telling_of(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        typer.echo(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
+        say(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
         raise
 
 
@@ -74,11 +75,11 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     import json
 
     if as_json:
-        typer.echo(json.dumps(_document(outcome), indent=2))
+        say(json.dumps(_document(outcome), indent=2))
     else:
         progress.summarise(outcome)
     if not outcome.ok:
-        typer.echo(f"carom: {outcome.status}: {outcome.reason}", err=True)
+        say(f"carom: {outcome.status}: {outcome.reason}", err=True)
         raise typer.Exit(1)
 
 

@@ -32,13 +32,14 @@ def scenes(
         ]
         typer.echo(json.dumps(rows, indent=2, ensure_ascii=False))
         return
-    from rich.console import Console
     from rich.table import Table
+
+    from carom.cli.terminal import Terminal
 
     table = Table("scene", "what it is", "bodies", box=None, pad_edge=False)
     for name, (_, scene) in found.items():
         table.add_row(name, scene.title, str(scene.count))
-    Console().print(table)
+    Terminal().print(table)
     typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
     typer.echo(f"The numerical extremes, which `carom stress` runs: {', '.join(extreme_scenes())}.")
 

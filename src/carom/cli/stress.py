@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.options import SetOption
+from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def stress(
     except KeyboardInterrupt:  # between two runs; within one, the run itself ends and says so
         pass
     if as_json:
-        typer.echo(json.dumps(_document(trials, len(scenes)), indent=2, ensure_ascii=False))
+        say(json.dumps(_document(trials, len(scenes)), indent=2, ensure_ascii=False))
     else:
         _show(trials, len(scenes))
     if sum(trial.met for trial in trials) < len(scenes):
@@ -59,10 +60,11 @@ def stress(
 
 def _show(trials: list[Trial], asked: int) -> None:
     """Print the table, then each miss with its worst moments."""
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False)
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
     console.print(_table(trials))

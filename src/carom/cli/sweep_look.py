@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from carom.cli.extras import needing
+from carom.cli.text import say
 
 if TYPE_CHECKING:
     from carom.experiment.sweep.table import Row
@@ -19,10 +20,10 @@ SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_ove
 def show(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
     """Print the table of a sweep."""
     from rich import box
-    from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
+    from carom.cli.terminal import Terminal
     from carom.experiment.sweep.table import chosen, known
 
     rows, varied, title = _rows(folder)
@@ -35,7 +36,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
         table.add_column(key, justify="right" if _is_numeric(rows, key) else "left", overflow="fold")
     for row in found:
         table.add_row(*(escape(_cell(row, key)) for key in keys), style=None if row["status"] == "done" else "red")
-    console = Console(highlight=False)
+    console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
     console.print(escape(title))
@@ -52,7 +53,7 @@ def print_json(folder: Path, conditions: list[str], sort: str | None) -> None:
 
     rows, varied, title = _rows(folder)
     document = {"title": title, "varied": varied, "rows": chosen(rows, conditions, sort)}
-    typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+    say(json.dumps(document, indent=2, ensure_ascii=False))
 
 
 def refuse_plot(plot: tuple[str, str]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -71,12 +72,12 @@ def tradeoff(
     wanted = default_settings(study.scene) if settings is None else settings
     finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
     if as_json:
-        typer.echo(json.dumps(study.document(), indent=2, ensure_ascii=False))
+        say(json.dumps(study.document(), indent=2, ensure_ascii=False))
     else:
         _show(study)
     _draw(study, quiet=as_json)
     if not finished:
-        typer.echo(STOPPED, err=True)
+        say(STOPPED, err=True)
         raise typer.Exit(1)
 
 
@@ -102,14 +103,14 @@ def opened(
 
 def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
     """Measure, saying what is measured; tell whether it was not stopped before the end."""
-    from rich.console import Console
     from rich.markup import escape
 
     from carom.cli.compiling import announce_compilation
+    from carom.cli.terminal import Terminal
 
     if not quiet:
         announce_compilation()
-    console = Console(stderr=True, quiet=quiet, highlight=False)
+    console = Terminal(stderr=True, quiet=quiet, markup=True)
     try:
         if console.is_terminal:
             with console.status("") as status:
@@ -138,14 +139,15 @@ def _draw(study: Study, quiet: bool) -> None:
         said.append(f"no figure: {error}")
     record(study, recording)
     if not quiet:
-        typer.echo("  ".join([*said, command("view", recording)]))
+        say("  ".join([*said, command("view", recording)]))
 
 
 def _show(study: Study) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console(highlight=False)
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
     console.print(table_of(study))

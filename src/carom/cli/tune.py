@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, RepeatsOption, opened, ran, table_of
 
 if TYPE_CHECKING:
@@ -70,26 +71,26 @@ def tune(
     if not as_json:
         _show(study)
     if not finished:
-        typer.echo(STOPPED, err=True)
+        say(STOPPED, err=True)
         raise typer.Exit(1)
     (tuning,) = found
     if tuning.best is not None:
         write(tuning, path)
     if as_json:
         document = tuning.document() | {"file": str(path) if tuning.best else None}
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        say(json.dumps(document, indent=2, ensure_ascii=False))
     elif tuning.best is not None:
-        typer.echo("\n".join([*_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
+        say("\n".join([*_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
     if tuning.best is None:
         said = f"none of the {len(tuning.tried)} settings tried keeps {', '.join(error)}: {tuning.why_none()}"
-        typer.echo(f"carom: {said}", err=True)
+        say(f"carom: {said}", err=True)
         raise typer.Exit(1)
 
 
 def _show(study: Study) -> None:
-    from rich.console import Console
+    from carom.cli.terminal import Terminal
 
-    console = Console(highlight=False)
+    console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
     console.print(table_of(study))
