@@ -323,6 +323,29 @@ def test_phases_tell_free_colliding_and_settled_apart() -> None:
     assert changes[-1] == "settled"
 
 
+FLOOR: dict[str, Any] = {"plane": [{}], "gravity": {"constant": 0.0, "uniform": [0, 0, -9.81]}}
+FALLING: dict[str, Any] = {"gravity": {"constant": 1e-3, "uniform": [0, 0, -9.81]}}
+WALL: dict[str, Any] = {**FLOOR, "plane": [{"normal": [1, 0, 0]}]}
+
+
+@pytest.mark.parametrize(
+    ("moving", "bodies", "sections"),
+    [
+        (True, [{"position": [1, 0, 0]}], WALL),  # falls along a wall
+        (True, [{"position": [0, 0, 0]}, {"position": [2, 0, 0]}], FALLING),  # fall together
+        (True, [{"position": [-x, 0, 1], "velocity": [-x, 0, 0]} for x in (-1.0, 1.0)], FLOOR),  # roll away
+        (False, [{"position": [-1, 0, 1]}, {"position": [1, 0, 1]}], FLOOR),
+        (False, [{"position": [-1, 0, 0], "velocity": [5, 0, 0]}, {"position": [1, 0, 0], "velocity": [5, 0, 0]}], {}),
+    ],
+)
+def test_what_falls_or_rolls_away_has_not_settled(
+    moving: bool, bodies: list[dict[str, Any]], sections: dict[str, Any]
+) -> None:
+    sections = {"gravity": {"constant": 1e-3}, **sections, "time": {"duration": 0.5, "max_dt": 0.01}}
+    frame = last(Space(scene_of(bodies, **sections)))
+    assert len(frame.contacts) > 0 and (frame.phase == "settled") is not moving
+
+
 def test_a_state_that_is_not_finite_stops_the_run_and_names_the_body() -> None:
     space = Space(pair(time={"fixed_dt": 0.01, "duration": 1.0}))
     frames = space.run()

@@ -2,37 +2,51 @@
 
 from __future__ import annotations
 
+from carom.physics.energy import Energy
+
 MEMORY = 50  # steps over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
+STILL_BELOW = 1e-4  # of the energy scale; what moves with more kinetic energy rolls, slides or falls
 
 
 class Phase:
     """Follows the contacts of n bodies from step to step.
 
-    ``name`` is "warm-up" before the first step, then "free", "colliding", or "settled": most bodies touch, and the
-    impacts of late were slight.
+    ``name`` is "warm-up" before the first step, then "free", "colliding", or "settled": most bodies touch, the impacts
+    of late were slight and, where motion counts from rest, little moves.
+
+    Parameters
+    ----------
+    bodies
+        How many there are.
+    from_rest
+        Whether there is a uniform field or something fixed, so that a pile at rest has no kinetic energy. Elsewhere it
+        may drift and turn as a whole.
     """
 
-    def __init__(self, bodies: int) -> None:
+    def __init__(self, bodies: int, from_rest: bool) -> None:
         self.name = "warm-up"
-        self._bodies = bodies
         self.activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self._bodies = bodies
+        self._from_rest = from_rest
+        self._contacts: int | None = None  # of the last step; None before the first, and where a run goes on
 
-    def see(self, contacts: int, struck: float, scale: float) -> None:
-        """Take note of a step.
+    def reopen(self, name: str, activity: float) -> None:
+        """Go on with the phase of an earlier run."""
+        self.name, self.activity, self._contacts = name, activity, None
 
-        Parameters
-        ----------
-        contacts
-            How many there were.
-        struck
-            J, Σ ½ μ v_n² of those that were impacts.
-        scale
-            J, the energy scale of the run.
-        """
+    def see(self, contacts: int, struck: float) -> None:
+        """Take note of a step: the number of its contacts, and Σ ½ μ v_n² of those that were impacts, in J."""
         self.activity += struck - self.activity / MEMORY
-        if contacts == 0:
+        self._contacts = contacts
+
+    def judge(self, energy: Energy) -> None:
+        """Name the phase after the last step, given the energy at its end."""
+        if self._contacts is None:
+            return
+        if self._contacts == 0:
             self.name = "free"
-        else:
-            quiet = self.activity <= SETTLED_BELOW * scale
-            self.name = "settled" if quiet and 2 * contacts >= self._bodies else "colliding"
+            return
+        quiet = self.activity <= SETTLED_BELOW * energy.scale
+        still = not self._from_rest or energy.translational + energy.rotational <= STILL_BELOW * energy.scale
+        self.name = "settled" if quiet and still and 2 * self._contacts >= self._bodies else "colliding"

@@ -109,7 +109,7 @@ class Space:
         self._called = Names(self.names, self.planes.name)
         self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies())
         self._events: list[Event] = []
-        self._phase = Phase(len(self.state))
+        self._phase = Phase(len(self.state), scene.anchored or bool(self._field.any()))
         self._stopping = False
         self._stepping = threading.RLock()  # held through each step
         self._readers = threading.Lock()  # held by a thread that waits for the end of the step under way
@@ -232,7 +232,7 @@ class Space:
             self._contact.warned = set(books.limits)
         self._accounts.reopen(books, checkpoint.energy.ledger)
         self.moments = replace(books.moments)
-        self._phase.name, self._phase.activity = books.phase, books.activity
+        self._phase.reopen(books.phase, books.activity)
         self._events = []
         self._take_stock(self._potential(), checked=False)
         self._publish()
@@ -287,6 +287,7 @@ class Space:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
             self._take_stock(self._potential(), checked=True)
+        self._phase.judge(self._accounts.energy)
         state, needs, momentum = self.state, self.requirements, self._accounts.momentum
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
@@ -389,7 +390,7 @@ class Space:
             if checked:
                 self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
         else:
-            self._phase.see(0, 0.0, 0.0)
+            self._phase.see(0, 0.0)
         if checked:
             self._take_stock(potential, checked)
         return due
@@ -489,7 +490,7 @@ class Space:
             self._see_contacts(contact, self.moments)
             for text in contact.limits_reached():
                 self._log(Event(self.step, self.time, "WARN", text, "limit"))
-        self._phase.see(contact.tally.contacts, contact.tally.struck, self._accounts.energy.scale)
+        self._phase.see(contact.tally.contacts, contact.tally.struck)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
             contact.turn(self.dt)
