@@ -15,7 +15,7 @@ from carom.physics.team import Team
 from carom.physics.timestep import BLOCK, SOME, Timestep
 from carom.scene.requirements import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
-from examples import random_bodies
+from examples import kinetic_energy_of, random_bodies
 
 NO_FIELD = np.zeros(3)
 
@@ -227,3 +227,54 @@ def test_where_nothing_can_touch_and_nothing_pulls_the_cap_sets_the_step() -> No
     bodies = [{"velocity": [float(k), 0.0, 0.0], "position": [0.0, 3.0 * k, 0.0]} for k in range(2)]
     document = {"body": bodies, "contact": {"enabled": False}, "gravity": {"constant": 0.0}}
     assert pull_step(Scene.from_dict(document)) == (1.0, "cap")
+
+
+def huddle(*far: dict[str, Any]) -> Scene:
+    """Let three touching spheres rest on each other, G = 1, and others fly far from them."""
+    triangle = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, math.sqrt(3.0), 0.0]]
+    bodies = [{"position": x, "mass": 1.0, "radius": 1.0} for x in triangle]
+    time = {"duration": 1000.0, "max_dt": 100.0}
+    return Scene.from_dict({"body": [*bodies, *far], "gravity": {"constant": 1.0}, "time": time})
+
+
+def after(scene: Scene, steps: int) -> Space:
+    space = Space(scene)
+    for step in range(1, steps + 1):
+        space.compute_dynamics(step)
+    return space
+
+
+def test_what_rests_on_each_other_gets_the_step_of_many_bodies_whatever_their_number() -> None:
+    # Each is pulled by √3/4 and held. Three bodies in flight get 0.003 of a fall: 33 times as many steps.
+    space = after(huddle(), 60)
+    pull = math.sqrt(3.0) / 4.0
+    assert Space(huddle())._timestep.target(space.state)[0] == pytest.approx(0.003 * math.sqrt(2.0 / pull), rel=1e-6)
+    assert space.first_dt == pytest.approx(0.1 * math.sqrt(2.0 / pull), rel=1e-6)
+    assert space.dt > 0.9 * space.first_dt and space.dt_limit in ("held", "growth")
+    assert kinetic_energy_of(space.state) < 1e-15, "and stays at rest"
+
+
+def test_a_body_in_flight_keeps_its_own_step_beside_a_pile_at_rest() -> None:
+    space = after(huddle({"position": [30.0, 0.0, 0.0], "velocity": [0.0, 0.3, 0.0], "mass": 1e-6, "radius": 1.0}), 60)
+    fall = np.linalg.norm(space.state.acceleration[3])
+    dt, limit = space._timestep.target(space.state, space._borne())
+    assert limit == "acceleration" and dt == pytest.approx(0.004 * math.sqrt(2.0 / fall), rel=1e-12)
+
+
+def test_two_that_roll_about_each_other_turn_in_some_six_hundred_steps() -> None:
+    # At half the angular speed of an orbit: three quarters of the pull are borne.
+    ends = [{"position": [s, 0.0, 0.0], "velocity": [0.0, 0.25 * s, 0.0], "angular_velocity": [0.0, 0.0, 0.25]}
+            for s in (-1.0, 1.0)]  # fmt: skip
+    bodies = [{**end, "mass": 1.0, "radius": 1.0} for end in ends]
+    scene = Scene.from_dict({"body": bodies, "gravity": {"constant": 1.0}, "time": {"duration": 100.0}})
+    space = after(scene, 100)
+    assert len(space.contacts) == 1
+    assert space.first_dt == pytest.approx(0.01 / 0.25, rel=1e-3)
+
+
+def test_what_holds_a_body_is_in_the_checkpoint() -> None:
+    space = after(huddle(), 60)
+    again = Space(huddle())
+    again.restore(space.frame().checkpoint)
+    assert again.first_dt == space.first_dt
+    assert np.array_equal(again._borne(), space._borne()) and len(space._borne()) == 3

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.contact.bearing import NOTHING_BORNE
 from carom.physics.contact.flight import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
@@ -36,16 +37,9 @@ from carom.physics.timestep import Timestep
 from carom.scene.halfspace import half_spaces
 from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import (
-    cfl,
-    frame_interval,
-    integrator,
-    pull_fraction,
-    require,
-    smoothing,
-    target_dx,
-)
+from carom.scene.requirements import frame_interval, integrator, require
 from carom.scene.schema import Scene
+from carom.scene.step_limits import StepLimits, step_limits, wider_limits
 
 FloatArray = NDArray[np.float64]
 
@@ -66,6 +60,9 @@ class Space:
         Threads for the kernels, by default one a core. The bits do not depend on it.
     start
         Where the bodies are, by default where the scene places them.
+    stride
+        Up to so many times the steps that the scene asks for, as far as the method bears: for a coarse look ahead,
+        which counts in `foreseen` the steps that the scene would take.
 
     Raises
     ------
@@ -73,7 +70,9 @@ class Space:
         If the scene cannot run on this machine or in this version, or its bodies cannot be placed.
     """
 
-    def __init__(self, scene: Scene, threads: int | None = None, start: Start | None = None) -> None:
+    def __init__(
+        self, scene: Scene, threads: int | None = None, start: Start | None = None, stride: float = 1.0
+    ) -> None:
         refuse_impossible(scene)
         self.scene = scene
         self.requirements = require(scene)
@@ -105,7 +104,11 @@ class Space:
         self.ends_with_forces = uses_forces_at_end(self._substeps)
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
-        self._timestep = self._make_timestep()
+        self._timestep = self._make_timestep(step_limits(scene))
+        self._asked: Timestep | None = None  # what the scene asks for, where longer steps are taken
+        if stride > 1.0:
+            self._asked, self._timestep = self._timestep, self._make_timestep(wider_limits(scene, stride))
+        self.foreseen: dict[str, float] = {}  # steps that the scene would have taken so far, by what sets them
         self._called = Names(self.names, self.planes.name)
         self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies())
         self._events: list[Event] = []
@@ -144,7 +147,7 @@ class Space:
     @property
     def first_dt(self) -> float:
         """The step in seconds that the limits allow in the present state."""
-        return self.scene.time.fixed_dt or self._timestep.target(self.state)[0]
+        return self.scene.time.fixed_dt or self._timestep.target(self.state, self._borne())[0]
 
     @property
     def ledger(self) -> Ledger:
@@ -341,18 +344,24 @@ class Space:
     def _seen_contacts(self) -> CollisionGraph:
         return self._contact.seen.graph if self._contact else empty_graph()
 
-    def _make_timestep(self) -> Timestep:
-        scene, fraction = self.scene, pull_fraction(self.scene)
+    def _make_timestep(self, limits: StepLimits) -> Timestep:
+        scene, fraction = self.scene, limits.pull_fraction
         return Timestep(
-            scene.time,
-            cfl(scene),
-            target_dx(scene),
+            scene.time.model_copy(update={"max_dt": limits.max_dt}),
+            limits.cfl,
+            limits.target_dx,
             self._falling,
             scene.anchored,
             self._team,
             pull=None if fraction is None else PullTime(scene.gravity, fraction, self.state),
-            smoothing=smoothing(scene),
+            smoothing=limits.smoothing,
+            held_dx=limits.held_dx,
+            held_part=limits.held_part,
         )
+
+    def _borne(self) -> FloatArray:
+        """Return what lasting contacts bear of each acceleration, (n + p,) m/s²; empty where no step depends on it."""
+        return self._contact.borne if self._contact and self._timestep.spares_held else NOTHING_BORNE
 
     def _make_contact(self) -> ContactStage | None:
         if not self.requirements.contact.modelled:
@@ -374,10 +383,13 @@ class Space:
     def _step(self, end: float, checked: bool, schedule: Schedule) -> bool:
         self.profile.start()
         state, contact = self.state, self._contact
-        self.dt, self.dt_limit = self._timestep.choose(state, end - self.time)
+        self.dt, self.dt_limit = self._timestep.choose(state, end - self.time, self._borne())
         before, self.time = self.time, end if self.dt_limit == "end" else self.time + self.dt
         if not self.time > before:
             raise PhysicsError(self._stuck(before))
+        if self._asked:
+            asked, limit = self._asked.target(state, self._borne())
+            self.foreseen[limit] = self.foreseen.get(limit, 0.0) + (self.dt / asked if asked > 0.0 else np.inf)
         due = schedule(self.step + 1, before, self.time) or self.dt_limit == "end"  # a schedule sees every step
         checked = checked or due
         if checked and contact:
@@ -548,6 +560,7 @@ class Space:
         remedy = {
             "pull": "bodies fall into each other's centres: set gravity.softening, or let them touch, contact.enabled",
             "acceleration": "raise time.target_dx, or set time.fixed_dt",
+            "held": "raise time.target_dx, or set time.fixed_dt",
             "velocity": "raise time.cfl, or set time.fixed_dt",
         }.get(self.dt_limit, "raise time.target_dx or time.cfl, or set time.fixed_dt")
         return (

@@ -5,6 +5,8 @@
     dt_p = pull_fraction · τ                             τ of the pull that acts fastest, see `pull_time`
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
+    dt_h = min(√(2 held_dx / |a|max), 0.01 min r_i/u_i)  in place of dt_a, if longer, for bodies that contacts hold
+
 By default the first two hold where bodies can touch, and the third where they cannot: radii then have no say.
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
@@ -23,17 +25,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.bearing import NOTHING_BORNE
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.momentum import centre_velocity
 from carom.physics.pull_time import PullTime
 from carom.physics.team import SOLO, Team
 from carom.scene.schema import Time
+from carom.scene.step_limits import HELD_PART
 
 FloatArray = NDArray[np.float64]
-Limits = tuple[float, float, float]  # |a|max, m/s², and dt_v, s, by the seed's rule and by ours; infinite at rest
+# |a|max, m/s²; dt_v, s, by the seed's rule and by ours, infinite at rest; |a|max of what contacts do not hold, m/s²;
+# the shortest time in which what they hold moves by its radius, s
+Limits = tuple[float, float, float, float, float]
 
 BLOCK = 1000  # bodies, some 10 µs
 SOME = 10  # blocks that are worth being shared out
+BORNE = 0.5  # of its acceleration; a body of which contacts bear less is as good as free, and a bounce bears none
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 
 
@@ -48,6 +55,10 @@ class Timestep:
         What limits the step besides ``max_dt``; ``target_dx`` in m; None for no limit.
     smoothing
         Weight of the new step in the average.
+    held_dx
+        m, in place of ``target_dx`` for what lasting contacts hold; None if it is the same.
+    held_part
+        Of its own radius that such a body may move in a step.
     field
         (3,) m/s², as far as it pulls all alike.
     anchored
@@ -67,72 +78,93 @@ class Timestep:
         *,
         pull: PullTime | None = None,
         smoothing: float = 1.0,
+        held_dx: float | None = None,
+        held_part: float = HELD_PART,
     ) -> None:
         self._time = time
         self._cfl = cfl
         self._target_dx = target_dx
         self._pull = pull
         self._smoothing = smoothing
+        self._held_dx = held_dx
+        self._held_part = held_part
         self._field = field
         self._anchored = anchored
         self._team = team
         self.previous = 0.0  # s, the average; 0 until there is one
 
-    def choose(self, bodies: Bodies, remaining: float) -> tuple[float, str]:
+    @property
+    def spares_held(self) -> bool:
+        """Whether it wants to know what contacts bear."""
+        return self._held_dx is not None
+
+    def choose(self, bodies: Bodies, remaining: float, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
         """Choose the next step.
 
         Parameters
         ----------
         remaining
             s, until the run ends; the last step is cut to end there.
+        borne
+            (n + p,) m/s², what lasting contacts bear of each body's acceleration; empty if nothing.
 
         Returns
         -------
         dt, limit
-            s, and what set it: "acceleration", "velocity", "pull", "cap", "growth" (the average), "fixed" or "end".
+            s, and what set it: "acceleration", "held" (what contacts hold), "velocity", "pull", "cap", "growth" (the
+            average), "fixed" or "end".
         """
         if self._time.fixed_dt is not None:
             dt, limit = self._time.fixed_dt, "fixed"
         else:
-            dt, limit = self._adaptive(bodies)
+            dt, limit = self._adaptive(bodies, borne)
         if remaining <= dt * (1.0 + END_TOLERANCE):
             return remaining, "end"
         return dt, limit
 
-    def _adaptive(self, bodies: Bodies) -> tuple[float, str]:
-        target, limit = self.target(bodies)
+    def _adaptive(self, bodies: Bodies, borne: FloatArray) -> tuple[float, str]:
+        target, limit = self.target(bodies, borne)
         if 0.0 < self.previous < target:
             smoothed = self.previous + self._smoothing * (target - self.previous)
             target, limit = smoothed, limit if self._smoothing == 1.0 else "growth"
         self.previous = target
         return target, limit
 
-    def target(self, bodies: Bodies) -> tuple[float, str]:
+    def target(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         dt, limit = self._time.max_dt, "cap"
         if self._target_dx is None and self._cfl is None and (self._pull is None or self._pull.of_pairs):
-            a_max, fastest, every = 0.0, math.inf, math.inf
+            a_max, fastest, every, a_free, turn = 0.0, math.inf, math.inf, 0.0, math.inf
         else:
-            a_max, fastest, every = self._limits(bodies)
+            a_max, fastest, every, a_free, turn = self._limits(bodies, borne)
         if self._cfl is not None:
             dt_v = fastest if self._time.velocity_limit == "fastest-body" else every
             dt, limit = (dt_v, "velocity") if dt_v < dt else (dt, limit)
         if self._target_dx is not None and a_max > 0.0:
-            dt_a = math.sqrt(2.0 * self._target_dx / a_max)
-            dt, limit = (dt_a, "acceleration") if dt_a < dt else (dt, limit)
+            dt_a, why = self._of_acceleration(self._target_dx, a_max, a_free, turn)
+            dt, limit = (dt_a, why) if dt_a < dt else (dt, limit)
         if self._pull is not None:
             dt_p = self._pull.step(bodies, a_max)
             dt, limit = (dt_p, "pull") if dt_p < dt else (dt, limit)
         return dt, limit
 
-    def _limits(self, bodies: Bodies) -> Limits:
+    def _of_acceleration(self, dx: float, a_max: float, a_free: float, turn: float) -> tuple[float, str]:
+        """Return the step that the largest acceleration allows, and the limit that it is."""
+        dt_a = math.sqrt(2.0 * dx / a_max)
+        if self._held_dx is None or a_free == a_max:
+            return dt_a, "acceleration"
+        dt_free = math.sqrt(2.0 * dx / a_free) if a_free > 0.0 else math.inf
+        dt_held = max(dt_a, min(math.sqrt(2.0 * self._held_dx / a_max), self._held_part * turn))
+        return (dt_free, "acceleration") if dt_free < dt_held else (dt_held, "held")
+
+    def _limits(self, bodies: Bodies, borne: FloatArray) -> Limits:
         """Find the limits that all bodies set."""
         blocks, velocity, anchored = -(-len(bodies) // BLOCK), bodies.velocity, self._anchored
-        state = velocity, bodies.acceleration, bodies.radius, self._field, self._cfl or 1.0
+        state = velocity, bodies.acceleration, bodies.radius, borne, self._field, self._cfl or 1.0
         if self._team.size == 1 or blocks < SOME:
             return _limits(*state, bodies.mass, anchored)
         V = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, bodies.mass)
-        found = np.empty((blocks, 4))
+        found = np.empty((blocks, 6))
         self._team.divide(blocks, 1, _look, *state, *V, found)
         return _strictest(found)
 
@@ -142,6 +174,7 @@ def _limits(
     velocity: FloatArray,
     acceleration: FloatArray,
     radius: FloatArray,
+    borne: FloatArray,
     field: FloatArray,
     cfl: float,
     mass: FloatArray,
@@ -149,8 +182,8 @@ def _limits(
 ) -> Limits:
     """Find the limits that all bodies set, in one call: a step of a few bodies consists of calls."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
-    found = np.empty((-(-len(mass) // BLOCK), 4))
-    _look(0, len(found), velocity, acceleration, radius, field, cfl, Vx, Vy, Vz, found)
+    found = np.empty((-(-len(mass) // BLOCK), 6))
+    _look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
     return _strictest(found)
 
 
@@ -161,6 +194,7 @@ def _look(
     velocity: FloatArray,
     acceleration: FloatArray,
     radius: FloatArray,
+    borne: FloatArray,
     field: FloatArray,
     cfl: float,
     Vx: float,
@@ -170,7 +204,7 @@ def _look(
 ) -> None:
     """Write the limits that the bodies of the blocks from lo to hi set."""
     for block in range(lo, hi):
-        a_max, v2_max, fastest, every = 0.0, 0.0, np.inf, np.inf
+        a_max, v2_max, fastest, every, a_free, turn = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
         for i in range(block * BLOCK, min((block + 1) * BLOCK, len(radius))):
             ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
             a = np.sqrt(ax * ax + ay * ay + az * az)
@@ -178,20 +212,26 @@ def _look(
             vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
             ux, uy, uz = vx - Vx, vy - Vy, vz - Vz
             u = np.sqrt(ux * ux + uy * uy + uz * uz)
+            if len(borne) > 0 and borne[i] >= BORNE * a:
+                turn = min(turn, radius[i] / u) if u > 0.0 else turn
+            else:
+                a_free = max(a_free, a)
             s = cfl * radius[i]
             every = min(every, 2.0 * s / (u + np.sqrt(u * u + 2.0 * a * s)))
             v2 = vx * vx + vy * vy + vz * vz
             if v2 > v2_max:
                 v2_max, fastest = v2, s / np.sqrt(v2)
         found[block, 0], found[block, 1], found[block, 2], found[block, 3] = a_max, every, v2_max, fastest
+        found[block, 4], found[block, 5] = a_free, turn
 
 
 @kernel
 def _strictest(found: FloatArray) -> Limits:
     """Return the strictest limits of all blocks: each is that of one body, so that the blocks do not change it."""
-    a_max, every, v2_max, fastest = 0.0, np.inf, 0.0, np.inf
+    a_max, every, v2_max, fastest, a_free, turn = 0.0, np.inf, 0.0, np.inf, 0.0, np.inf
     for block in range(len(found)):
         a_max, every = max(a_max, found[block, 0]), min(every, found[block, 1])
+        a_free, turn = max(a_free, found[block, 4]), min(turn, found[block, 5])
         if found[block, 2] > v2_max:
             v2_max, fastest = found[block, 2], found[block, 3]
-    return a_max, fastest, every
+    return a_max, fastest, every, a_free, turn

@@ -27,6 +27,7 @@ PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN
 DT_LIMITS = {
     "start": GREY,
     "acceleration": PURPLE,
+    "held": WHITE,
     "velocity": ORANGE,
     "pull": VERMILION,
     "cap": SKY,

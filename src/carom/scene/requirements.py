@@ -22,6 +22,7 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from rest through the smallest radius
 STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
+# for their flights: what rests gets the step of many (docs/physics.md, 3)
 
 SMOOTH_UP_TO = 8  # bodies without contacts: of more, a step that does not follow the pulls misses encounters, and
 # there order four gains less than it costs
@@ -333,8 +334,21 @@ def target_dx(scene: Scene) -> float | None:
         return scene.time.target_dx
     if not contacts.contact(scene).modelled:
         return None
-    radii = [body.radius for body in scene.body] + [group.radius.min for group in scene.group]
-    return _auto_step(scene) ** 2 * min(radii)
+    return _auto_step(scene) ** 2 * smallest_radius(scene)
+
+
+def held_dx(scene: Scene) -> float | None:
+    """Return ``target_dx`` in metres for bodies that lasting contacts hold; None where it is the same as for others.
+
+    A short step makes the flights between bounces exact. What rests does not fly: the pull on it is balanced, and a
+    step of a tenth of a fall, as many bodies get, holds it.
+    """
+    if scene.time.target_dx != "auto" or scene.count >= MANY or scene.contact.solver != "lasting":
+        return None
+    contact = contacts.contact(scene)
+    if not contacts.resting(scene, contact).modelled:
+        return None
+    return (STEP_PER_BODY * MANY) ** 2 * smallest_radius(scene)
 
 
 def cfl(scene: Scene) -> float | None:
@@ -370,6 +384,11 @@ def smoothing(scene: Scene) -> float:
         return scene.time.smoothing
     by_pull_alone = cfl(scene) is None and target_dx(scene) is None and pull_fraction(scene) is not None
     return 1.0 if by_pull_alone else SMOOTHING
+
+
+def smallest_radius(scene: Scene) -> float:
+    """Return the smallest radius of a body in metres."""
+    return min([body.radius for body in scene.body] + [group.radius.min for group in scene.group])
 
 
 def _auto_step(scene: Scene) -> float:

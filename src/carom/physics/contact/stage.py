@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.bearing import borne
 from carom.physics.contact.flight import NO_IMPACTS, Flight, Impacts
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.impact import MOST
@@ -124,6 +125,11 @@ class ContactStage:
             impulse=hold.impulse,
             kick=hold.kick,
         )
+
+    @property
+    def borne(self) -> FloatArray:
+        """(n + p,) m/s², what lasting contacts bore of each body's acceleration in the last kick; empty if nothing."""
+        return borne(self._hold, self._bodies.ends.inverse_mass)
 
     def recall(self, memory: ContactMemory | None) -> None:
         """Go on after the step that left a memory, the bodies being where they were then."""

@@ -1,0 +1,70 @@
+"""What limits the adaptive step of a scene, and by how much a coarse look ahead may pass over that."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from carom.scene.requirements import (
+    FREE_CFL,
+    MANY,
+    STEP_PER_BODY,
+    cfl,
+    held_dx,
+    pull_fraction,
+    smallest_radius,
+    smoothing,
+    target_dx,
+)
+from carom.scene.schema import Scene
+
+HELD_PART = 0.01  # of its own radius that a held body may move in a step: two that roll about each other turn in 600
+WIDEST_HELD_PART = 0.1
+WIDEST_HELD = 3.0  # times the step of what is held
+WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
+
+
+@dataclass(frozen=True, slots=True)
+class StepLimits:
+    """The limits by their keys; None where one does not hold."""
+
+    max_dt: float  # s
+    cfl: float | None
+    target_dx: float | None  # m
+    held_dx: float | None  # m, in place of ``target_dx`` for what lasting contacts hold; None if that holds for all
+    held_part: float  # of its own radius that such a body may move in a step
+    pull_fraction: float | None
+    smoothing: float
+
+
+def step_limits(scene: Scene) -> StepLimits:
+    """Return the limits that a scene asks for."""
+    return StepLimits(
+        max_dt=scene.time.max_dt,
+        cfl=cfl(scene),
+        target_dx=target_dx(scene),
+        held_dx=held_dx(scene),
+        held_part=HELD_PART,
+        pull_fraction=pull_fraction(scene),
+        smoothing=smoothing(scene),
+    )
+
+
+def wider_limits(scene: Scene, stride: float) -> StepLimits:
+    """Return limits that allow up to so many times longer steps, as far as contacts are found and orbits kept."""
+
+    def wider(limit: float | None, widest: float) -> float | None:
+        return None if limit is None else min(stride * limit, max(limit, widest))
+
+    reach, fall = target_dx(scene), STEP_PER_BODY * MANY * math.sqrt(smallest_radius(scene))
+    rest = held_dx(scene)
+    root = wider(None if reach is None else math.sqrt(reach), fall)
+    return StepLimits(
+        max_dt=stride * scene.time.max_dt,
+        cfl=wider(cfl(scene), FREE_CFL),
+        target_dx=None if root is None else root * root,
+        held_dx=None if rest is None else min(stride, WIDEST_HELD) ** 2 * rest,
+        held_part=min(stride * HELD_PART, WIDEST_HELD_PART),
+        pull_fraction=wider(pull_fraction(scene), WIDEST_PULL),
+        smoothing=1.0,
+    )
