@@ -9,6 +9,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 from carom.experiment.estimate import MARKS, Estimate, estimate
+from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, run
 from carom.physics.space import Space
 from carom.recording.contents import contents
@@ -102,3 +103,59 @@ def test_a_bundled_scene_that_is_forced_says_so() -> None:
     costs = {part.name: part for part in estimate(scene).parts}
     assert costs["friction"].why == "forced; otherwise not: both coefficients are 0"
     assert costs["spin"].modelled and costs["torque"].share is not None
+
+
+RESTING = {
+    "three that come to rest on each other": scene_of(
+        [
+            {"position": [0.3, 0.9, 0.0], "mass": 3.0, "radius": 0.05},
+            {"position": [-0.6, -0.3, 0.0], "mass": 4.0, "radius": 0.05},
+            {"position": [0.3, -0.3, 0.0], "mass": 5.0, "radius": 0.05},
+        ],
+        gravity={"constant": 1.0},
+        time={"duration": 2.5},
+        record={"every": "auto"},
+    ),
+    "a planet and its moon": scene_of(
+        [
+            {"density": 3000.0, "radius": 50.0},
+            {"position": [200.0, 0.0, 0.0], "velocity": [0.0, 0.012, 0.0], "density": 3000.0, "radius": 10.0},
+        ],
+        time={"duration": 30_000.0, "max_dt": 100.0},
+        record={"every": "auto"},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RESTING)
+def test_the_steps_of_bodies_that_come_to_rest_are_foreseen_to_a_factor_of_two(name: str) -> None:
+    scene = RESTING[name]
+    space = Space(scene)
+    for _ in space.run():
+        pass
+    found = estimate(scene).cost
+    assert found.fewest_steps <= space.step <= found.most_steps
+    if found.looked_until == scene.time.duration:  # on a machine that is busy the look may not reach the end
+        assert 0.5 < found.steps / space.step < 2.0
+        assert "held" in found.limits and "acceleration" in found.limits
+
+
+@pytest.mark.parametrize("name", ["two-spheres", "newtons-cradle", "rack-break", "figure-eight", "kepler-orbits"])
+def test_the_steps_of_a_bundled_scene_are_foreseen_to_a_factor_of_two(name: str) -> None:
+    scene = Scene.load(name)
+    space = Space(scene)
+    for _ in space.run():
+        pass
+    found = look_ahead(scene, 1e-5)
+    assert found.fewest <= space.step <= found.most
+    assert 0.5 < found.steps / space.step < 2.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "steps"),  # as counted in whole runs
+    [("rubble-collision", 1239), ("planet-with-gravel", 1955), ("marbles-in-a-box", 4039), ("cloud-collapse", 2125)],
+)
+def test_the_steps_of_a_large_bundled_scene_are_foreseen_to_a_factor_of_two(name: str, steps: int) -> None:
+    found = look_ahead(Scene.load(name), 1e-2)
+    assert 0.5 < found.steps / steps < 2.0

@@ -11,7 +11,7 @@ from carom.cli.options import JsonOption, SceneArgument, SetOption
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.estimate import EntityCost, PartCost
+    from carom.experiment.estimate import Cost, EntityCost, PartCost
     from carom.scene.schema import Scene
 
 
@@ -50,13 +50,33 @@ def explain(
     console.print(_parts(found.parts))
     console.print()
     console.print(_entities(found.entities))
+    seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"
     console.print(
-        f"\nAt the pace of the first steps (a collapse takes more of them later):\n"
-        f"  about {cost.steps} steps in {duration_text(cost.seconds)}\n"
+        f"\nBy a coarse look at {seen}:\n"
+        f"{_steps(cost, loaded.time.duration)}\n"
         f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
         f"  about {bytes_text(cost.size)} of recording: {cost.frames} frames, each of which takes "
         f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
     )
+
+
+def _steps(cost: Cost, duration: float) -> str:
+    """Say how many steps there will be, what sets them, and what would make them longer."""
+    from carom.cli.units import duration_text
+    from carom.experiment.outlook import REMEDY
+
+    seconds = cost.seconds / cost.steps
+    if cost.looked_until >= duration:
+        count = f"  about {cost.steps} steps in {duration_text(cost.seconds)}"
+    else:
+        count = (
+            f"  {cost.fewest_steps} to {cost.most_steps} steps, by the latest pace {cost.steps}, in "
+            f"{duration_text(cost.fewest_steps * seconds)} to {duration_text(cost.most_steps * seconds)} "
+            f"(seen up to t = {cost.looked_until:.4g} s)"
+        )
+    shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
+    remedy = REMEDY[next(iter(cost.limits))]
+    return f"{count}\n  set by: {shares}; for fewer steps raise {remedy}"
 
 
 def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:

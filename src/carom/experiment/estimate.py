@@ -1,4 +1,4 @@
-"""What a run will cost, part by part and entity by entity, from a few of its steps and a few of its frames."""
+"""What a run will cost, part by part and entity by entity: a few of its steps and frames, and a coarse look ahead."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of
 from carom.physics.frame import Frame
 from carom.physics.gravity.method import gravity_of
@@ -74,9 +75,13 @@ class EntityCost:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Cost of a run, at the pace of its first steps: a collapse takes more steps later on."""
+    """Cost of a run, by a coarse look at the whole of it."""
 
     steps: int
+    fewest_steps: int  # a range in which the number of steps is
+    most_steps: int
+    limits: dict[str, float]  # share of the steps that each limit sets, the largest first
+    looked_until: float  # s; the end of the run, unless the look took too long
     seconds: float
     memory: int  # bytes, without the interpreter
     frames: int
@@ -94,7 +99,7 @@ class Estimate:
 
 
 def estimate(scene: Scene) -> Estimate:
-    """Run the first steps of a scene for about a second, record a few frames, and extrapolate.
+    """Run the first steps of a scene for about a second, record a few frames, and look ahead.
 
     Raises
     ------
@@ -105,7 +110,8 @@ def estimate(scene: Scene) -> Estimate:
     began = time.perf_counter()
     few = _first_frames(space)
     spent = time.perf_counter() - began
-    steps = max(space.step, round(space.step * scene.time.duration / space.time))
+    outlook = look_ahead(scene, spent / space.step)
+    steps = outlook.steps
     interval = frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
     header = header_of(space)
@@ -118,7 +124,11 @@ def estimate(scene: Scene) -> Estimate:
         entities=[_with_share(entity, size) for entity in entities],
         cost=Cost(
             steps=steps,
-            seconds=spent / space.step * steps,
+            fewest_steps=outlook.fewest,
+            most_steps=outlook.most,
+            limits=outlook.limits,
+            looked_until=outlook.seen * scene.time.duration,
+            seconds=outlook.seconds,
             memory=memory_estimate(scene),
             frames=frames,
             frame_seconds=sum(each.seconds for each in taken.values()),

@@ -1,0 +1,100 @@
+"""How many steps a run will take: a coarse look at the whole of it."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass
+
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+STRIDES = 8.0, 64.0  # times the steps of the scene; the longer ones where the shorter would take too long
+LOOK_SECONDS = 3.0  # for a look
+MANY_STEPS = 100  # from which on the look tells better than the first steps what one takes
+LIKELY = 2.0  # a whole look is right to this factor: the bundled scenes and extremes are (test_estimate.py)
+REMEDY = {  # what makes the steps of a limit longer
+    "acceleration": "time.target_dx",
+    "held": "time.target_dx",
+    "velocity": "time.cfl",
+    "pull": "time.pull_fraction",
+    "cap": "time.max_dt",
+    "fixed": "time.fixed_dt",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """The steps of a whole run, as far as they can be foreseen."""
+
+    steps: int
+    fewest: int
+    most: int
+    seconds: float
+    seen: float  # of the duration; 1 where the look reached the end
+    limits: dict[str, float]  # share of the steps that each limit sets, the largest first
+
+
+def look_ahead(scene: Scene, step_seconds: float) -> Outlook:
+    """Foresee the steps of a run.
+
+    Parameters
+    ----------
+    step_seconds
+        What a step took at the start.
+
+    Raises
+    ------
+    SceneError, PhysicsError
+        If the scene cannot run.
+    """
+    fixed = scene.time.fixed_dt
+    if fixed is not None:
+        steps = max(1, round(scene.time.duration / fixed))
+        return Outlook(steps, steps, steps, steps * step_seconds, 1.0, {"fixed": 1.0})
+    best: Outlook | None = None
+    for stride in STRIDES:
+        if best is None or best.seen < 1.0:
+            found = _look(scene, stride, step_seconds)
+            best = found if best is None or found.seen > best.seen else best
+    assert best is not None
+    return best
+
+
+def _look(scene: Scene, stride: float, step_seconds: float) -> Outlook:
+    """Run the whole scene with longer steps, and count those that it would have taken."""
+    space, duration = Space(scene, stride=stride), scene.time.duration
+    last = time.perf_counter()
+    deadline = last + LOOK_SECONDS
+    rates: list[float] = []  # 1/s, steps of the scene in a second of its time
+    before, total, counted, seconds = 0.0, 0.0, 0.0, 0.0
+    while before < duration and last < deadline:
+        try:
+            space.compute_dynamics(space.step + 1)
+        except PhysicsError:
+            if not rates:
+                raise
+            break  # too long a step for this scene: what has been seen counts
+        now, foreseen = time.perf_counter(), sum(space.foreseen.values())
+        rates.append((foreseen - total) / space.dt)
+        within = rates[-1] * (min(space.time, duration) - before)
+        counted, seconds = counted + within, seconds + (now - last) * within
+        last, total, before = now, foreseen, space.time
+    rest = max(0.0, duration - before)
+    half, lately = rates[len(rates) // 2 :], rates[-max(1, len(rates) // 4) :]
+    steps = counted + rest * sum(lately) / len(lately)
+    fewest, most = (counted + rest * min(half)) / LIKELY, (counted + rest * max(half)) * LIKELY
+    shares = {limit: count / total for limit, count in space.foreseen.items()}
+    return Outlook(
+        steps=_whole(steps),
+        fewest=_whole(fewest),
+        most=_whole(most),
+        seconds=steps * (seconds / counted if counted > MANY_STEPS else step_seconds),
+        seen=1.0 - rest / duration,
+        limits=dict(sorted(shares.items(), key=lambda item: -item[1])),
+    )
+
+
+def _whole(steps: float) -> int:
+    return max(1, round(min(steps, sys.float_info.max)))
