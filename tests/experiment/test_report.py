@@ -155,3 +155,16 @@ def test_bundles_with_flipped_bytes_are_read_or_refused(rubble: Recording, tmp_p
                 assert inside.exists()
         except RecordingError:
             pass
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA, 9, 99])
+def test_a_bundle_packed_by_another_method_is_refused(method: int, tmp_path: Path) -> None:
+    path = tmp_path / "odd.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(bundle.CLIP, b"x" * 1000)
+    content = path.read_bytes()
+    for place in (content.index(b"PK\x03\x04") + 8, content.index(b"PK\x01\x02") + 10):
+        content = content[:place] + method.to_bytes(2, "little") + content[place + 2 :]
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match=f"packed by method {method}, not by deflate"), bundle.opened(path):
+        pass

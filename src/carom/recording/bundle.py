@@ -7,6 +7,7 @@ it says it has.
 from __future__ import annotations
 
 import shutil
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -24,7 +25,11 @@ MOST_TIMES = 1000  # what deflate can do with anything but a bomb
 MOST_MEMBERS = 100
 _PIECE = 1 << 20
 
-_SURPRISES = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError)
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_SURPRISES = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, LookupError, NotImplementedError, RuntimeError, ValueError, OSError),
+)
 
 
 def is_bundle(path: Path) -> bool:
@@ -95,6 +100,8 @@ def _unpack(path: Path, out: Path) -> None:
         if len(found) != 1:
             raise ValueError(f"there must be one {CLIP} in it, not {len(found)}")
         info = found[0]
+        if info.compress_type not in _METHODS:
+            raise ValueError(f"{CLIP} in it is packed by method {info.compress_type}, not by deflate")
         if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
             raise ValueError(f"{CLIP} in it says that it unpacks to {info.file_size} bytes")
         if shutil.disk_usage(out.parent).free < info.file_size:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import errno
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.manifest import DONE, Manifest, read, stored_runs
 from carom.experiment.sweep.plan import plan
+from carom.experiment.sweep.table import rows_of
+from seeds import fresh_seed
 from sweeps import write_scene
 
 
@@ -111,3 +116,52 @@ def test_clearing_a_folder_leaves_what_others_put_there(tmp_path: Path) -> None:
     (manifest.folder.root / "notes.txt").write_text("mine", encoding="utf-8")
     manifest.folder.clear()
     assert [path.name for path in manifest.folder.root.iterdir()] == ["notes.txt"]
+
+
+def mutants(document: Any, random: np.random.Generator) -> Iterator[Any]:
+    """Yield a document with one value after the other exchanged for one of another kind, or taken away."""
+    values: list[Any] = [None, 3, -1.5, "text", "\x1b[31m[/red]", [], {}, [[]], {"a": {}}, True, 10**400, float("nan")]
+    values.append(json.loads("[" * 200 + "]" * 200))
+    for path in places(document):
+        for value in [values[k] for k in random.integers(len(values), size=2)] + [...]:
+            copy = json.loads(json.dumps(document))
+            node = copy
+            for key in path[:-1]:
+                node = node[key]
+            if value is ...:
+                del node[path[-1]]
+            else:
+                node[path[-1]] = value
+            yield copy
+
+
+def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    inner = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in inner:
+        yield (*path, key)
+        yield from places(value, (*path, key))
+
+
+def test_a_damaged_manifest_is_read_or_refused_in_one_sentence(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    finish(manifest, "seed=6")
+    manifest.save()
+    whole = json.loads(manifest.folder.manifest.read_text())
+    seed = fresh_seed()
+    for mutant in mutants(whole, np.random.default_rng(seed)):
+        manifest.folder.manifest.write_text(json.dumps(mutant))
+        try:
+            rows_of(stored_runs(manifest.folder))
+            _ = begin(tmp_path).todo
+        except ExperimentError as error:
+            assert "\n" not in str(error), f"seed {seed}"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[" * 100_000, '{"runs": ' * 5000, "3", "null", '{"schema": 1}', "\ud800", "1" * 5000]
+)
+def test_a_file_that_is_no_manifest_is_refused(text: str, tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    manifest.folder.manifest.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(ExperimentError, match=r"manifest\.json: not a manifest of carom's"):
+        read(manifest.folder)

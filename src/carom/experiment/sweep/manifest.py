@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Self
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, Field, ValidationError
 
 from carom.experiment.environment import versions
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.folder import NO_ROOM, Folder, put
 from carom.experiment.sweep.plan import Plan, Point
 from carom.recording.reserve import Reserve
+from carom.scene.nesting import DEEPEST, is_too_deep
 
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
@@ -40,6 +43,16 @@ class Run:
     def ok(self) -> bool:
         """Whether it went to its end and kept its promises."""
         return self.outcome == COMPLETED
+
+
+class _Stored(BaseModel):
+    """What a manifest has in it; keys that this version does not know are left alone."""
+
+    title: str
+    scene: str
+    varied: list[str]
+    versions: dict[str, str]
+    runs: Annotated[list[Run], Field(min_length=1)]
 
 
 class Manifest:
@@ -148,13 +161,30 @@ def read(folder: Folder) -> dict[str, Any]:
     if not path.is_file():
         raise ExperimentError(f"{folder.root}: no sweep here (there is no {path.name})")
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored["schema"] != SCHEMA:
-            raise ExperimentError(f"{path}: of another version of carom (schema {stored['schema']})")
-        _runs(stored)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        text = path.read_text(encoding="utf-8")
+        stored = json.loads(text, parse_int=_int64)
+        if not isinstance(stored, dict) or is_too_deep(stored):
+            raise ValueError(f"expected an object, of at most {DEEPEST} levels")
+        if stored.get("schema") != SCHEMA:
+            raise ExperimentError(f"{path}: of another version of carom (schema {str(stored.get('schema'))[:20]})")
+        checked = _Stored.model_validate_json(text, strict=True)
+    except OSError as error:
+        raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {first['msg']}") from None
+    except (ValueError, RecursionError) as error:
         raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
-    return dict(stored)
+    return stored | {"runs": [asdict(run) for run in checked.runs]}
+
+
+def _int64(digits: str) -> int:
+    """Read a whole number that a table can hold."""
+    value = int(digits)
+    if not -(2**63) <= value < 2**63:
+        raise ValueError(f"{digits[:20]}…: a whole number of more than 64 bits")
+    return value
 
 
 def stored_runs(folder: Folder) -> list[Run]:
@@ -179,6 +209,6 @@ def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
     if tuple(stored["varied"]) != plan.varied:
         keys = ", ".join(stored["varied"])
         raise ExperimentError(f"{folder.root}: is of a sweep that varies {keys}, in this order; {remedy}")
-    theirs, ours = stored["versions"]["carom"], versions()["carom"]
+    theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
     if theirs != ours:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
