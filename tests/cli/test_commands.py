@@ -178,8 +178,9 @@ def test_ctrl_c_ends_cleanly_with_a_readable_file(tmp_path: Path) -> None:
     while (not path.exists() or path.stat().st_size < 100_000) and time.monotonic() < deadline:
         time.sleep(0.1)
     run.send_signal(signal.SIGINT)
-    _, stderr = run.communicate(timeout=60)
+    stdout, stderr = run.communicate(timeout=60)
     assert run.returncode == 1
+    assert f"carom resume {path}" in " ".join(stdout.split())
     assert "interrupted: stopped by the user" in stderr and "Traceback" not in stderr
     recording = Recording.open(path)
     assert recording.outcome.startswith("interrupted") and recording.frames > 0

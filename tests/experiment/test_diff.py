@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.cli.diff import _short
 from carom.experiment.diff import Diff, diff, differing, overlay
 from carom.experiment.run import run
 from carom.recording.clip import clip
@@ -179,3 +180,19 @@ def test_a_gas_of_spheres_is_chaotic(gas: Diff) -> None:
     assert gas.growth is not None and gas.growth.is_exponential
     assert gas.growth.factor > 1e6
     assert "e^(λt)" in gas.verdict.text
+
+
+def test_a_key_that_one_scene_does_not_write_differs_from_what_holds_there(tmp_path: Path) -> None:
+    body = '[[body]]\nname = "x"\n'
+    plain = record(tmp_path / "a.rrd", scene_toml=body, frames=2)
+    written = "seed = 3\n[time]\nmax_dt = 1.0\n[expect]\nmax_overlap = 0.1\n"
+    other = record(tmp_path / "b.rrd", scene_toml=f"{written}{body}radius = 2.0\n[[body]]\nradius = 3.0\n", frames=2)
+    found = diff(plain, other)
+    assert found.scene == {
+        "seed": (None, 3),
+        "expect.max_overlap": (None, 0.1),
+        "body.0.radius": (None, 2.0),
+        "body.1.radius": (None, 3.0),
+    }, "max_dt is what holds in the other scene, too"
+    assert found.defaults == {"seed": 0, "time.max_dt": 1.0, "body.0.radius": 1.0}
+    assert _short(None, found.defaults["seed"]) == "0 by default" and _short(None) == "nothing"

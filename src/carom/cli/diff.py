@@ -71,6 +71,7 @@ def _document(found: Diff) -> dict[str, Any]:
         "same_bits": found.same,
         "verdict": {"kind": verdict.kind, "text": verdict.text, "jump": verdict.jump, "allowed": verdict.allowed},
         "scene": {key: list(values) for key, values in found.scene.items()},
+        "defaults": {key: found.defaults[key] for key in found.scene if key in found.defaults},
         "environment": {key: list(values) for key, values in found.environment.items()},
         "frames": {
             "a": found.frames[0],
@@ -118,7 +119,9 @@ def _overview(found: Diff) -> Table:
         if not differing:
             table.add_row(name, "the same")
         for k, (key, (one, other)) in enumerate(differing.items()):
-            table.add_row("" if k else name, f"{key}: {_short(one)} in A, {_short(other)} in B")
+            default = found.defaults.get(key) if name == "scene" else None
+            in_a, in_b = _short(one, default), _short(other, default)
+            table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
     table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
     return table
 
@@ -140,6 +143,8 @@ def _curve(found: Diff) -> Table:
     return table
 
 
-def _short(value: Any) -> str:
-    text = "nothing" if value is None else str(value)
+def _short(value: Any, default: Any = None) -> str:
+    text = str(value)
+    if value is None:
+        text = "nothing" if default is None else f"{default} by default"
     return text if len(text) <= 60 else text[:57] + "…"

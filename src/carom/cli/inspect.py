@@ -59,6 +59,7 @@ def _grid() -> Table:
 
 def _overview(summary: dict[str, Any]) -> Table:
     from carom.experiment.contact_counts import counts_text
+    from carom.experiment.ending import in_words
 
     energy, contacts = summary["energy"], summary["contacts"]
     angular = summary["angular_momentum"]["max_error"]
@@ -68,7 +69,7 @@ def _overview(summary: dict[str, Any]) -> Table:
     if clip:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", bodies {' '.join(map(str, clip['bodies']))}"
         table.add_row("clip of", f"{clip['source']}, {clip['from']:.6g} to {clip['to']:.6g} s{few}")
-    table.add_row("outcome", summary["outcome"] + (" (the whole run)" if clip else ""))
+    table.add_row("outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else ""))
     steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else f"{summary['steps']} steps"
     length = summary["sim_time"] - (clip["from"] if clip else 0.0)
     table.add_row("length", f"{summary['frames']} frames, {steps}, {length:.6g} s simulated")

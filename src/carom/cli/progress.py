@@ -13,6 +13,7 @@ from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text
+from carom.experiment.ending import in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.command import command
@@ -51,7 +52,7 @@ class Progress(LiveLine):
         """Say how the run ended, what it measured, and what to do with the file."""
         moments = outcome.moments
         table = Table.grid(padding=(0, 2))
-        table.add_row("outcome", Text(outcome.status, style="green" if outcome.ok else "red"))
+        table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
         table.add_row(
             "run",
             f"{outcome.steps} steps, {outcome.sim_time:.6g} s simulated in {duration_text(outcome.wall_time)}",
@@ -75,8 +76,7 @@ class Progress(LiveLine):
             kept = Text("expected" if verdict.judged else "not judged")
             table.add_row(kept if verdict.met else Text("missed", style="red"), str(verdict))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
-        table.add_row(
-            "next",
-            "  ·  ".join(command(name, outcome.path) for name in ("view", "inspect", "picture")),
-        )
+        resumed = ("resume",) if outcome.status == "interrupted" else ()
+        commands = (command(name, outcome.path) for name in (*resumed, "view", "inspect", "picture"))
+        table.add_row("next", "  ·  ".join(commands))
         Terminal(file=sys.stdout, soft_wrap=True).print(table)

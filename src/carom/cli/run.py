@@ -74,12 +74,14 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     """Say how a run ended; exit with 1 if it did not end well."""
     import json
 
+    from carom.experiment.ending import in_words
+
     if as_json:
         say(json.dumps(_document(outcome), indent=2))
     else:
         progress.summarise(outcome)
     if not outcome.ok:
-        say(f"carom: {outcome.status}: {outcome.reason}", err=True)
+        say(f"carom: {in_words(outcome.status)}: {outcome.reason}", err=True)
         raise typer.Exit(1)
 
 

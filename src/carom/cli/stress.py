@@ -9,6 +9,7 @@ import typer
 
 from carom.cli.options import SetOption
 from carom.cli.text import say
+from carom.experiment.ending import in_words
 from carom.scene.command import command
 
 if TYPE_CHECKING:
@@ -70,7 +71,9 @@ def _show(trials: list[Trial], asked: int) -> None:
     console.print(_table(trials))
     for trial in trials:
         if not trial.met:
-            console.print(f"\n[red]{trial.name}[/red]: {trial.status}: {escape(trial.reason)}", soft_wrap=True)
+            console.print(
+                f"\n[red]{trial.name}[/red]: {in_words(trial.status)}: {escape(trial.reason)}", soft_wrap=True
+            )
             console.print(_worst(trial), soft_wrap=True)
     met = sum(trial.met for trial in trials)
     console.print(f"\n{met} of {asked} extremes met their criteria{_not_run(len(trials), asked)}.")
@@ -101,7 +104,7 @@ def _table(trials: list[Trial]) -> Table:
             "\n".join(f"{verdict.measured:.2g}" for verdict in verdicts),
             "\n".join(_met(verdict) for verdict in verdicts)
             if trial.met or trial.status == "expectation missed"
-            else f"[red]{trial.status}[/red]",
+            else f"[red]{in_words(trial.status)}[/red]",
             duration_text(outcome.wall_time) if outcome else "",
         )
     return table

@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from carom.experiment.growth import Curve, Growth, Verdict, growth, verdict
 from carom.experiment.matched import Matched
 from carom.recording.errors import RecordingError
 from carom.recording.overlay import Pair, write_overlay
 from carom.recording.recording import Recording
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +26,8 @@ class Diff:
     """Two recordings compared."""
 
     paths: tuple[Path, Path]
-    scene: dict[str, tuple[Any, Any]]  # keys that differ
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
+    defaults: dict[str, Any]  # the values of those that are not written
     environment: dict[str, tuple[Any, Any]]  # what differs of versions, machine, command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
@@ -50,9 +55,12 @@ def diff(a: Recording, b: Recording) -> Diff:
     matched = Matched(a, b)
     curve = matched.curve()
     grown = growth(curve)
+    scene = differing(_scene(a), _scene(b))
+    defaults = _defaults(a, b, scene)
     return Diff(
         paths=(a.path, b.path),
-        scene=differing(_scene(a), _scene(b)),
+        scene={key: values for key, values in scene.items() if key not in defaults or defaults[key] not in values},
+        defaults=defaults,
         environment=differing(a.properties, b.properties),
         frames=(a.frames, b.frames),
         matched_by=matched.by,
@@ -85,6 +93,37 @@ def _scene(recording: Recording) -> dict[str, Any]:
         return _flat(tomllib.loads(recording.scene_toml))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RecordingError(f"the scene in {recording.path} cannot be read: {error}") from error
+
+
+def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
+    """Return what holds in one of two scenes for the keys that it does not write, where that is anything."""
+    defaults: dict[str, Any] = {}
+    for recording, own in ((a, 0), (b, 1)):
+        missing = [key for key, values in differing.items() if values[own] is None]
+        if missing:
+            scene = _validated(recording)
+            defaults |= {key: value for key in missing if (value := _value(scene, key)) is not None}
+    return defaults
+
+
+def _validated(recording: Recording) -> Scene | None:
+    try:
+        return scene_from_text(recording.scene_toml, f"the scene in {recording.path}")
+    except SceneError:  # of another version
+        return None
+
+
+def _value(scene: Scene | None, key: str) -> Any:
+    """Return the value of a dotted key, as TOML would have it; None where there is none."""
+    node: Any = scene
+    for name in key.split("."):
+        if isinstance(node, tuple):
+            node = node[int(name)] if name.isdigit() and int(name) < len(node) else None
+        else:
+            node = getattr(node, name, None) if name in getattr(type(node), "model_fields", {}) else None
+    if isinstance(node, BaseModel):
+        return None
+    return list(node) if isinstance(node, tuple) else node
 
 
 def _flat(document: Any, before: str = "") -> dict[str, Any]:

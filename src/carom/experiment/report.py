@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from carom.experiment.contact_counts import counts_text
+from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
@@ -97,7 +98,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     moments: dict[str, Any] = recording.summary()["moments"]
     last = float(recording.fingerprints()["time"][-1].as_py())
     if recording.outcome.startswith(("failed", "disk")):
-        return last, recording.outcome
+        return last, in_words(recording.outcome)
     warnings = _warnings(recording)
     if warnings:
         return warnings[0]
@@ -174,7 +175,7 @@ def _summary(
         "| | |",
         "|---|---|",
         f"| command | `{recording.properties.get('command', '')}` |",
-        f"| outcome | {whole['outcome']} |",
+        f"| outcome | {in_words(whole['outcome'])} |",
         f"| run | {whole['bodies']} bodies, {whole['steps']} steps, {whole['sim_time']:.6g} s simulated |",
         f"| energy | {energy['initial']:.6g} J at first, {energy['final']:.6g} J at last; "
         f"integration error at most {energy['max_error']:.3g} of the scale |",

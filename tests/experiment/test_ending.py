@@ -1,0 +1,18 @@
+"""How the end of a run is told to people."""
+
+import pytest
+
+from carom.experiment.ending import in_words
+
+
+@pytest.mark.parametrize(
+    ("outcome", "said"),
+    [
+        ("disk", "recording failed"),
+        ("disk: no space left at t = 2 s", "recording failed: no space left at t = 2 s"),
+        ("completed", "completed"),
+        ("failed: disk", "failed: disk"),
+    ],
+)
+def test_a_recording_that_could_not_be_written_is_called_so(outcome: str, said: str) -> None:
+    assert in_words(outcome) == said
