@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -127,6 +128,14 @@ def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Pa
         continuation(recording)
     with pytest.raises(RecordingError, match="`carom clip` makes it shorter"):
         continuation(recording, until=0.2)
+
+
+def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repaired(tmp_path: Path) -> None:
+    path = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd").path
+    outcome = next(e for e in Recording.open(path).store.entries if e.entity_path == "__properties/outcome")
+    os.truncate(path, outcome.offset - 16)  # the header of a message has 16 bytes
+    with pytest.raises(RecordingError, match=r"has all its frames and lacks its end only; `carom repair .*` writes it"):
+        continuation(Recording.open(path))
 
 
 def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from carom.recording import paths
+from carom.recording.clock import Clock
 from carom.recording.container import Container
 from carom.recording.errors import RecordingError
 from carom.recording.framing import END, MESSAGE_HEADER, messages
@@ -13,6 +16,7 @@ from carom.recording.new_layout import new_layout
 from carom.recording.recorder import Recorder
 from carom.recording.recording import Recording
 from carom.recording.repair import repair
+from carom.recording.stream import Stream
 from merry import Merry
 
 
@@ -132,6 +136,26 @@ def test_a_repaired_file_needs_no_repair(run_file: Path, tmp_path: Path) -> None
     without_footer(run_file)
     repair(run_file, tmp_path / "fixed.rrd")
     assert repair(tmp_path / "fixed.rrd", tmp_path / "again.rrd").path is None
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_run_killed_before_its_first_frame_is_refused_or_repaired_into_what_can_be_inspected(
+    begun: bool, tmp_path: Path
+) -> None:
+    torn, fixed = tmp_path / "torn.rrd", tmp_path / "fixed.rrd"
+    stream = Stream(tmp_path / "run.rrd", Merry(5).header, batch_bytes=1000, live=None)
+    if begun:
+        stream.send_statics(Clock(), np.zeros(3), 1.0)
+    stream.flush()
+    shutil.copy(tmp_path / "run.rrd", torn)
+    stream.close()
+    if begun:
+        assert repair(torn, fixed).frames == 0
+        assert Recording.open(fixed).summary()["outcome"].endswith("repaired, without a frame")
+    else:
+        with pytest.raises(RecordingError, match=r"torn\.rrd has nothing to save: its run ended before"):
+            repair(torn, fixed)
+        assert not fixed.exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 1000, b"RRF2" + bytes(500), os.urandom(100_000)])

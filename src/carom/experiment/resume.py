@@ -57,6 +57,8 @@ def continuation(recording: Recording, until: float | None = None) -> Continuati
     if recording.frames == 0 or recording.fingerprints()["step"][0].as_py() != 0:
         raise RecordingError(f"{path} does not begin at step 0: go on with the recording that it was cut from")
     done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
+    if end == done and not recording.closing:
+        raise RecordingError(f"{path} has all its frames and lacks its end only; `carom repair {path}` writes it")
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")

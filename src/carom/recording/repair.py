@@ -41,15 +41,16 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         If there is no such file, it is not carom's, nothing of it can be read, or the new one cannot be written.
     """
     source, out = Path(source), Path(out)
-    if not source.is_file():
-        raise RecordingError(f"there is no recording at {source}")
     with reading(source):
+        if not source.is_file():
+            raise RecordingError(f"there is no recording at {source}")
         found = salvage(source)
         store = _recording(source, found)
         if found.finished:
             return Repaired(None)
-        container = Container(source, [store, *_layouts(found, store)], finished=False)
-        return _rewrite(Recording(container, store), out, found)
+        recording = Recording(Container(source, [store, *_layouts(found, store)], finished=False), store)
+        _refuse_unbegun(recording)
+        return _rewrite(recording, out, found)
 
 
 def _recording(source: Path, found: Salvage) -> Store:
@@ -61,6 +62,16 @@ def _recording(source: Path, found: Salvage) -> Store:
     if schema_version(store.application_id) is None:
         raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
     return store
+
+
+def _refuse_unbegun(recording: Recording) -> None:
+    """Refuse what ends before a run has said who it is: nobody could read the repaired file."""
+    try:
+        known = bool(recording.info)
+    except RecordingError:
+        known = False
+    if not known:
+        raise RecordingError(f"{recording.path} has nothing to save: its run ended before its first frame was written")
 
 
 def _layouts(found: Salvage, store: Store) -> list[Store]:
