@@ -174,6 +174,24 @@ def test_a_figure_is_drawn_of_one_column_over_another(swept: Path) -> None:
     assert str(path.relative_to(swept)) in drawn.stdout and path.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
+    first: tuple[Path, subprocess.CompletedProcess[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(first[0])
+    monkeypatch.setattr("sys.argv", ["carom", "sweep", "spheres.toml", *VARY, "-o", "out"])
+    in_the_way = first[0] / "out" / ".table.parquet.new"
+    in_the_way.mkdir()
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        in_the_way.rmdir()
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert ended.value.code == 1 and "table.parquet: cannot be written: Is a directory" in said
+
+
 @pytest.mark.parametrize(
     ("package", "arguments", "said"),
     [

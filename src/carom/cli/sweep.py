@@ -119,24 +119,24 @@ def _run(
     force: bool,
     quiet: bool,
 ) -> Ending:
-    import sys
-
     from carom.cli.extras import needing
     from carom.cli.sweep_progress import SweepProgress
+    from carom.experiment.environment import command_line
     from carom.experiment.sweep.plan import plan
 
     with needing("cluster", "carom sweep", "distributed", "dask"):
         from carom.experiment.sweep.sweep import sweep as make
     planned = plan(scene, overrides, vary, seeds, zipped)
-    typed = command(*sys.argv[1:])
     with SweepProgress(planned.title, len(planned.points), quiet) as progress:
-        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=typed)
+        return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())
 
 
 def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> None:
     """Say how a sweep ended."""
     import json
 
+    if ending.untabled:
+        typer.echo(f"carom: {ending.untabled}", err=True)
     if as_json:
         typer.echo(json.dumps(_document(ending, figure), indent=2, ensure_ascii=False))
         return

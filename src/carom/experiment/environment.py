@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+import re
 import shlex
 import sys
 from functools import cache
@@ -12,6 +13,7 @@ from pathlib import Path
 from carom.experiment.revision import git_revision
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
+_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key with one
 
 
 def versions() -> dict[str, str]:
@@ -22,12 +24,19 @@ def versions() -> dict[str, str]:
 def environment(threads: int) -> dict[str, str | int]:
     """Return the properties that a recording carries about where it came from."""
     stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
-    stamped["command"] = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    stamped["command"] = command_line()
     stamped["git"] = _revision()
     stamped["platform"] = platform.platform()
     stamped["cpu"] = _cpu()
     stamped["threads"] = threads
     return stamped
+
+
+def command_line() -> str:
+    """Return what was typed, without the folders of absolute paths: recordings are given to others."""
+    program = Path(sys.argv[0])
+    name = "carom" if program.name == "__main__.py" and program.parent.name == "carom" else program.name
+    return shlex.join([name, *(_ABSOLUTE.sub(r"\1", word) for word in sys.argv[1:])])
 
 
 @cache

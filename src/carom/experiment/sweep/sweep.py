@@ -23,6 +23,7 @@ class Ending:
     manifest: Manifest
     found: int  # runs that were there before
     stopped: str  # why it ended early; empty if it did not
+    untabled: str = ""  # why the table could not be written
 
     @property
     def failed(self) -> list[Run]:
@@ -41,8 +42,8 @@ class Ending:
 
     @property
     def ok(self) -> bool:
-        """Whether every run went to its end and kept its promises."""
-        return all(run.ok for run in self.manifest.asked)
+        """Whether every run went to its end and kept its promises, and the table was written."""
+        return not self.untabled and all(run.ok for run in self.manifest.asked)
 
 
 def sweep(
@@ -97,8 +98,12 @@ def sweep(
         stopped = _make(manifest, todo, watch, address, workers) if todo else ""
         folder.clear_partial()
         manifest.save()
-        table.write(folder, list(manifest.runs.values()))
-    return Ending(manifest, found, stopped)
+        untabled = ""
+        try:
+            table.write(folder, list(manifest.runs.values()))
+        except OSError as error:
+            untabled = f"{folder.table}: cannot be written: {error.strerror}; the same command writes it again"
+    return Ending(manifest, found, stopped, untabled)
 
 
 def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | None, workers: int | None) -> str:
