@@ -80,17 +80,29 @@ app.command("warmup", cls=Command)(warmup.warmup)
 
 
 def main() -> None:
-    """Run the command; a person's mistake is one message and exit code 2, without a traceback."""
+    """Run the command.
+
+    A person's mistake is one message and exit code 2, a system that fails one message and exit code 1; neither has a
+    traceback.
+    """
     keep_freed_memory()
     try:
         app()
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"carom: {where}{error.strerror or error}", err=True)
+        sys.exit(1)
     except Exception as error:
         from carom.cli.text import say
         from carom.experiment.error import ExperimentError
+        from carom.physics.error import PhysicsError
         from carom.recording.errors import RecordingError
         from carom.scene.error import SceneError
 
-        if not isinstance(error, (SceneError, RecordingError, ExperimentError)):
+        if isinstance(error, MemoryError) or "can't start new thread" in str(error):
+            typer.echo("carom: out of memory; take fewer bodies, or allow more memory (`ulimit -v`)", err=True)
+            sys.exit(1)
+        if not isinstance(error, (SceneError, RecordingError, ExperimentError, PhysicsError)):
             raise
         say(f"carom: {error}", err=True)
         sys.exit(2)

@@ -86,15 +86,22 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
 
 
 def _default_path(scene: str) -> Path:
-    RECORDINGS.mkdir(exist_ok=True)
+    from carom.experiment.output import output_folder
+
+    output_folder(RECORDINGS)
     return RECORDINGS / f"{Path(scene).stem}.rrd"
 
 
-def live_viewer() -> str:
-    """Start a viewer that listens; return its address."""
+def live_viewer() -> str | None:
+    """Start a viewer that listens and return its address; say why there is none, where there can be none."""
+    from carom.recording.errors import RecordingError
     from carom.recording.viewer import start_live_viewer
 
-    return start_live_viewer()
+    try:
+        return start_live_viewer()
+    except RecordingError as error:
+        typer.echo(f"carom: nothing can be shown live, and the run is recorded all the same: {error}", err=True)
+        return None
 
 
 def _document(outcome: Outcome) -> dict[str, Any]:

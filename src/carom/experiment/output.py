@@ -56,6 +56,8 @@ def output_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise RecordingError(f"{path}: is no folder, and carom needs one of that name; move it away") from None
     except OSError as error:
         raise RecordingError(f"{path}: cannot be made a folder: {error.strerror}") from None
 

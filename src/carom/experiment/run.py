@@ -165,8 +165,13 @@ def _simulate(
         header = replace(header, member=member, properties={**header.properties, "command": member.command})
     recorder = Recorder(path, header, live=live, past=past)
     physics = _Physics(space, recorder, past)
-    _wait(physics, watch, interrupts)
-    status, reason = physics.ending(interrupts)
+    try:
+        _wait(physics, watch, interrupts)
+        status, reason = physics.ending(interrupts)
+    except Exception as error:
+        with contextlib.suppress(RecordingError):
+            recorder.finish(f"failed: {type(error).__name__}: {error}")
+        raise
     moments = space.named_moments()
     verdicts = judge(space.scene, moments, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
@@ -223,6 +228,8 @@ class _Physics:
                 return "disk", f"{self._error} {at}"
             case PhysicsError():
                 return "failed", str(self._error)
+            case MemoryError():
+                return "failed", f"out of memory {at}"
         raise self._error
 
     def _run(self) -> None:

@@ -71,6 +71,14 @@ class Outlet:
         except OSError:
             self._use_reserve()
 
+    @property
+    def gone(self) -> bool:
+        """Whether the file no longer has its name: it was removed, renamed or replaced."""
+        try:
+            return not os.path.samestat(os.fstat(self._file), self.path.stat())
+        except FileNotFoundError:
+            return True
+
     def settle(self) -> None:
         """Wait until all that was flushed into the pipe is in the file."""
         while self._thread.is_alive():

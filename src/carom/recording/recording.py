@@ -72,9 +72,9 @@ class Recording:
     def open(cls, path: str | Path) -> Self:
         """Open a file. RecordingError if it is not there, not a recording of carom's, or of a newer schema."""
         path = Path(path)
-        if not path.is_file():
-            raise RecordingError(f"there is no recording at {path}")
         with reading(path):
+            if not path.is_file():
+                raise RecordingError(f"there is no recording at {path}")
             container = Container.open(path)
         store = next((store for store in container.stores if store.kind == RECORDING), None)
         if store is None:

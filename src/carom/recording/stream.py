@@ -111,6 +111,8 @@ class Stream:
             self._live.flush()
         if self._outlet.error is not None:
             raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
+        if self._outlet.gone:
+            raise RecordingError(f"{self.path} was removed or renamed while it was written")
         if self._outlet.full:
             raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
 

@@ -137,6 +137,13 @@ class _Places:
 
 
 def _find(source: str | Path) -> Path:
+    try:
+        return _found(source)
+    except OSError as error:  # a name of 300 characters
+        raise SceneError(f"{str(source)[:100]}: cannot be read: {error.strerror}") from None
+
+
+def _found(source: str | Path) -> Path:
     path = Path(source)
     if path.is_dir():
         raise SceneError(f"{path}: a folder, not a scene; name the .toml file in it")
@@ -279,6 +286,8 @@ def _wrong(detail: Any) -> str:
             return f"must be more than {context['gt']:g}"
         case "greater_than_equal":
             return f"must be at least {context['ge']:g}"
+        case "less_than":
+            return f"must be less than {context['lt']}"
         case "less_than_equal":
             return f"must be at most {context['le']:g}"
         case "finite_number":

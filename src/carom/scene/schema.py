@@ -403,7 +403,9 @@ class Scene(Section):
 
     title: str = Field("Untitled scene", description="one line, shown everywhere")
     description: str = Field("", description="what to look for, shown in the recording")
-    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="of the random start; 0 or more")
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
+        0, description="of the random start; 0 or more, below 2**63"
+    )
     time: Time = Field(Time(), description="how long, and how the step is chosen")
     gravity: Gravity = Field(Gravity(), description="what pulls")
     contact: Contact = Field(Contact(), description="what happens where spheres touch")
