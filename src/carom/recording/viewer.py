@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 import socket
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -29,6 +31,8 @@ _LOAD = 120.0  # s
 _POLL = 0.1  # s
 _DYING = 2.0  # s a viewer may take to end after it stopped answering
 _GRACE = 5.0  # s between asking the process to end and ending it
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+_NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _VULKAN = (
     "it needs a Vulkan driver; without a graphics card: "
     "apt-get install mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
@@ -93,6 +97,12 @@ class Viewer:
         """Wait until the person closes the window."""
         self._process.wait()
 
+    def outlast(self, seconds: float) -> None:
+        """Wait; RecordingError if the process ends meanwhile: it listens before it has a window."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+        self._fail_if_ended()
+
     def _listens(self) -> bool:
         with socket.socket() as probe:
             return probe.connect_ex((_HOST, self._port)) == 0
@@ -134,8 +144,18 @@ class Viewer:
 
 
 def start_live_viewer() -> str:
-    """Open a window that waits for a run, and outlives it; return the address to record to."""
-    return Viewer("--expect-data-soon").address
+    """Open a window that waits for a run, and outlives it; return the address to record to.
+
+    Raises
+    ------
+    RecordingError
+        If there is no screen, or the viewer cannot use it.
+    """
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+        raise RecordingError(_NO_SCREEN)
+    viewer = Viewer("--expect-data-soon")
+    viewer.outlast(_DYING)
+    return viewer.address
 
 
 def open_viewer(path: str | Path, at: float | None = None) -> None:
@@ -155,7 +175,7 @@ def _reason(said: str) -> str:
     if "wgpu" in lowered or "vulkan" in lowered or "graphics" in lowered or "adapter" in lowered:
         return _VULKAN
     if "display" in lowered or "winit" in lowered or "wayland" in lowered:
-        return "there is no screen to open a window on; `carom picture` renders without one"
+        return _NO_SCREEN
     return said.strip().splitlines()[-1] if said.strip() else "it ended without a word"
 
 
