@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -179,8 +179,8 @@ def _legend(noise: float) -> str:
     )
 
 
-def table_of(study: Study) -> Table:
-    """Make the table of a study, cheapest first."""
+def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
+    """Make the table of a study, cheapest first, with a column for each of some errors."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -188,7 +188,9 @@ def table_of(study: Study) -> Table:
     from carom.experiment.comparison import NAMES
 
     done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
-    shown = [e for e in NAMES if e in COLUMNS and any(not math.isnan(getattr(r.errors, e)) for r in done)]
+    shown = [
+        e for e in NAMES if e in COLUMNS and e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)
+    ]
     marks = {error: study.marks(error) for error in shown}
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("setting", "cost / s", "±", "steps", *(COLUMNS[error] for error in shown)):

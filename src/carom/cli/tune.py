@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -69,7 +70,7 @@ def tune(
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:
-        _show(study)
+        _show(study, asked)
     if not finished:
         say(STOPPED, err=True)
         raise typer.Exit(1)
@@ -87,13 +88,13 @@ def tune(
         raise typer.Exit(1)
 
 
-def _show(study: Study) -> None:
+def _show(study: Study, limits: Collection[str]) -> None:
     from carom.cli.terminal import Terminal
 
     console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
-    console.print(table_of(study))
+    console.print(table_of(study, limits))
 
 
 def _lines(tuning: Tuning) -> list[str]:
