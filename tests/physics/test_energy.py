@@ -184,6 +184,7 @@ def watched(tolerance: float, *found: Energy, contact_gain: float = 0.0) -> list
 def test_a_slow_rise_is_warned_of_however_often_it_is_checked() -> None:
     slow = watched(1e-3, *energies(*np.linspace(1.0, 1.01, 101)))  # 10⁻⁴ a check
     assert kinds(slow) == ["energy-rise"] * 9  # at every eleventh check 1.1 × 10⁻³ above the warning before
+    assert "J from the integrator. Mostly the integrator." in slow[0].text and "stabilisation" not in slow[0].text
     assert "since t = 0 s" in slow[0].text and "since t = 5.5 s" in slow[1].text
 
 

@@ -134,7 +134,7 @@ def _rise(energy: Energy, lowest: Energy, since: float) -> str:
         "the integrator": energy.integration_error - lowest.integration_error,
         "impulses of contacts": then.restitution + then.friction - now.restitution - now.friction,
     }
-    shares = ", ".join(f"{joules:+.4g} J from {part}" for part, joules in parts.items())
+    shares = ", ".join(f"{joules:+.4g} J from {part}" for part, joules in parts.items() if joules)
     rise = energy.total - lowest.total
     return (
         f"Energy rose by {rise:.4g} J ({energy.relative(rise):.2g} of the scale) since t = {since:.6g} s: "
