@@ -13,6 +13,8 @@ from carom.cli import streams
 from carom.cli.main import main as command
 from carom.experiment.interrupts import raise_signals, received
 
+_INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command dealt with
+
 
 def main() -> NoReturn:
     """Run the command and exit.
@@ -27,7 +29,7 @@ def main() -> NoReturn:
         command()
     except SystemExit as ending:
         code = ending.code
-        if received():
+        if received() and code == _INTERRUPTED:
             _leave()
     except BaseException:  # an interrupted import may raise anything
         if received():
