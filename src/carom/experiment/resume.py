@@ -18,6 +18,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.header import Scalar
 from carom.recording.past import Past
 from carom.recording.recording import Recording
+from carom.scene.command import command
 from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
 
@@ -58,7 +59,7 @@ def continuation(recording: Recording, until: float | None = None) -> Continuati
         raise RecordingError(f"{path} does not begin at step 0: go on with the recording that it was cut from")
     done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
     if end == done and not recording.closing:
-        raise RecordingError(f"{path} has all its frames and lacks its end only; `carom repair {path}` writes it")
+        raise RecordingError(f"{path} has all its frames and lacks its end only; `{command('repair', path)}` writes it")
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")
