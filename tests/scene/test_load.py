@@ -144,6 +144,32 @@ MISTAKES = {
         "[[group]]\nvelocity = { dispersion = 1.0 }\n",
         ["contact.timing", "drifts twice", "leapfrog"],
     ),
+    "a radius whose cube is no number": ("[[body]]\nradius = 1e200\n", [":2:", "body.0.radius", "choose other units"]),
+    "a mass too small to divide by": (
+        "[[body]]\nmass = 1e-200\n",
+        [":2:", "body.0.mass", "choose other units"],
+    ),
+    "a whole number of 400 digits": ("[[body]]\nradius = 1" + "0" * 400 + "\n", [":2:", "body.0.radius"]),
+    "radii whose power is no number": (
+        "[[group]]\nradius = { min = 1e-9, max = 1, distribution = 'power-law', exponent = -50 }\n",
+        [":2:", "group.0.radius", "exponent = -50 is too steep"],
+    ),
+    "a moment of inertia that is too small": (
+        "[[body]]\nradius = 1e-90\n",
+        ['the moment of inertia of "body 0" is too large or too small'],
+    ),
+    "a group far from the origin": (
+        "[[group]]\ncount = 30_000\nregion = { radius = 100, centre = [1e20, 0, 0] }\n",
+        ["group.0", "positions are 1.64e+04 m apart", "enlarge the radius"],
+    ),
+    "a body far from the origin": (
+        ONE_BODY + "position = [0, 1e20, 0]\n",
+        ["body.0", "positions are 1.64e+04 m apart", "contact.enabled = false"],
+    ),
+    "a group larger than its periodic box": (
+        "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n[[group]]\ncount = 100_000\n",
+        ["domain.size", "would fill 575 of the periodic box"],
+    ),
     "lists within lists": ("title = " + "[" * 40 + "]" * 40, ["scene.toml", "more than 32 levels deep"]),
     "a thousand lists within lists": ("title = " + "[" * 5000 + "]" * 5000, ["scene.toml", "more than 32 levels deep"]),
     "tables within tables": ("title = " + "{ a = " * 1000 + "1" + " }" * 1000, ["more than 32 levels deep"]),

@@ -141,3 +141,18 @@ def test_half_spaces_are_the_planes_and_then_the_walls_with_unit_normals_and_law
     assert np.allclose(solids.normal[0], [0.6, 0.0, 0.8], rtol=0, atol=2e-16)
     assert np.allclose(solids.offset, [0.8, -1, -1, -2, -2, -3, -3], rtol=0, atol=2e-16)
     assert solids.law.tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
+
+
+def test_what_is_written_outside_a_periodic_box_begins_inside_it() -> None:
+    bodies = [{"position": [0.0, 1000.0, -4.5]}, {"position": [3.0, 3.0, 12.0]}]
+    group = {"count": 5, "radius": 0.1, "region": {"radius": 5.0, "centre": [300.0, 0.0, 0.0]}}
+    domain = {"boundary": "periodic", "size": [10.0, 12.0, 14.0]}
+    scene = Scene.from_dict({"gravity": {"constant": 0.0}, "domain": domain, "body": bodies, "group": [group]})
+    position = place(scene).position
+    assert np.allclose(position[:2], [[0.0, 4.0, -4.5], [3.0, 3.0, -2.0]])
+    assert (np.abs(position) <= [5.0, 6.0, 7.0]).all()
+
+
+def test_more_pairs_than_memory_holds_are_counted_and_refused() -> None:
+    with pytest.raises(SceneError, match=r"7.2e\+07 pairs of bodies overlap or nearly do"):
+        overlapping_pairs(np.zeros((12_000, 3)), np.ones(12_000))

@@ -10,7 +10,10 @@ from carom.physics.error import PhysicsError
 from carom.physics.kernel import long_kernel
 from carom.physics.team import SOLO, Team
 
+FloatArray = NDArray[np.float64]
+
 MOST_NAMES = 5
+MOST_TURNS = 1e6
 SOME = 5000  # bodies that are worth a part of their own
 
 
@@ -32,6 +35,22 @@ def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, 
     raise PhysicsError(
         f"the state is no longer finite at step {step}, t = {time:.6g} s: {len(bodies_lost)} bodies, among them {among}"
     )
+
+
+def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float) -> None:
+    """Check how often a body crosses a periodic box in a step of dt in s; its position in it loses a digit for each 10.
+
+    Raises
+    ------
+    PhysicsError
+        If it is more than `MOST_TURNS` times.
+    """
+    turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
+    if turns > MOST_TURNS:
+        raise PhysicsError(
+            f"at step {step}, t = {time:.6g} s, a body would cross its periodic box {turns:.3g} times in one step of "
+            f"{dt:.3g} s; lower time.fixed_dt or time.max_dt, or the speeds"
+        )
 
 
 @long_kernel

@@ -20,7 +20,7 @@ from carom.physics.energy import Energy, Ledger
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint
-from carom.physics.finite import refuse_infinities
+from carom.physics.finite import refuse_infinities, refuse_lost_turns
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, uses_forces_at_end, wrap
@@ -428,6 +428,8 @@ class Space:
                 self.profile.mark("integrate")
                 self._contact.hold(substep.before * dt, dt)
                 self.profile.mark("resting")
+            if self._box[0] > 0.0:
+                refuse_lost_turns(state.velocity, substep.drift * dt, self._box, self.step, self.time)
             if self._contact and self.requirements.impact_time.modelled:
                 refuse_infinities(self.state, self.names, self.step, self.time, self._team)
                 self._contact.drift(substep.before * dt, substep.drift * dt)

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from carom.scene.error import SceneError
+
 FloatArray = NDArray[np.float64]
 PairArray = NDArray[np.int64]
 
+MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
 QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
 
 
@@ -35,6 +38,11 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
     -------
     pairs
         (m, 2) indices with i < j, sorted by (i, j): they do not depend on how the search went.
+
+    Raises
+    ------
+    SceneError
+        If there are more than `MOST_CANDIDATES` pairs to look at.
     """
     candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
     candidates.sort(axis=1)
@@ -76,6 +84,8 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
     classes = size_classes(radius)
     trees = [cKDTree(inside[members], boxsize=box) for members in classes]
     reach = [radius[members].max() for members in classes]
+    if len(radius) * (len(radius) - 1) // 2 > MOST_CANDIDATES:
+        _refuse_crowds(trees, reach)
     found = []
     for k, members in enumerate(classes):
         pairs = trees[k].query_pairs(2 * reach[k] * QUERY_MARGIN, output_type="ndarray")
@@ -86,3 +96,13 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
         )
         found.append(np.column_stack((classes[k][near["i"]], classes[other][near["j"]])))
     return found
+
+
+def _refuse_crowds(trees: list[cKDTree], reach: list[float]) -> None:
+    """Count the candidates before they are listed."""
+    count = 0
+    for k, other in itertools.combinations_with_replacement(range(len(trees)), 2):
+        near = int(trees[k].count_neighbors(trees[other], (reach[k] + reach[other]) * QUERY_MARGIN))
+        count += (near - trees[k].n) // 2 if k == other else near
+    if count > MOST_CANDIDATES:
+        raise SceneError(f"{count:.3g} pairs of bodies overlap or nearly do at the start; place them farther apart")

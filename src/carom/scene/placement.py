@@ -7,7 +7,7 @@ candidate that collides replaced by a new one, until n are clean.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,13 @@ from carom.scene.neighbours import (
     squared_distance,
     wrapped,
 )
-from carom.scene.schema import Body, Group, Region, Scene
+from carom.scene.schema import LARGEST, Body, Group, Region, Scene
 
 FloatArray = NDArray[np.float64]
 
 CANDIDATES_PER_BODY = 1.2
 MOST_ROUNDS = 400  # of generate and filter, for one size class
+MOST_DRAWN = 50_000_000  # candidates, for one size class
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 DEFAULT_PACKING = 0.1  # of a group without a region
 DEFAULT_DENSITY = 1000.0  # kg/m³
@@ -56,16 +57,30 @@ def place(scene: Scene) -> Start:
     SceneError
         If explicit bodies overlap each other or a plane and the scene does not allow it, or a group does not fit.
     """
-    parts = [_explicit(scene.body)] if scene.body else []
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
+    parts = [_explicit(scene.body)] if scene.body else []
+    if parts and scene.contact.enabled:
+        reach = np.abs(parts[0].position).max(axis=1)
+        worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
+        remedy = ", or set contact.enabled = false"
+        _refuse_unresolved(f"body.{worst}", float(reach[worst]), float(parts[0].radius[worst]), remedy)
     solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         _refuse_overlaps(parts[0], box)
         _refuse_immersion(parts[0], solids)
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
+    _refuse_full_box(scene, box)
     for index, group in enumerate(scene.group):
         parts.append(_group(index, group, parts, solids, box, np.random.default_rng(streams[index])))
-    return _join(parts)
+    start = _join(parts)
+    _refuse_overflow(start)
+    return start if box is None else replace(start, position=_inside(start.position, box))
+
+
+def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
+    """Return positions within a periodic box: what is written outside it is an image of what is in it."""
+    turns = np.where(np.abs(position) > 0.5 * box, np.floor(position / box + 0.5), 0.0)
+    return np.asarray(position - box * turns)
 
 
 def packing_fraction(group: Group) -> float:
@@ -90,6 +105,43 @@ def _explicit(bodies: tuple[Body, ...]) -> Start:
         inertia=factor * mass * radius * radius,
         fixed=np.array([body.fixed for body in bodies]),
     )
+
+
+def _refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") -> None:
+    """Refuse bodies that are smaller than the distance between two numbers where they are; both in m."""
+    step = float(np.spacing(reach))
+    if step > radius:
+        raise SceneError(
+            f"{key}: {reach:.3g} m from the origin positions are {step:.3g} m apart, and the radius is {radius:.3g} m; "
+            f"place it nearer to the origin or enlarge the radius{remedy}"
+        )
+
+
+def _refuse_full_box(scene: Scene, box: FloatArray | None) -> None:
+    """Refuse groups that do not fit into a periodic box, however large their regions are."""
+    if box is None or not scene.group:
+        return
+    filled = sum(_mean_volume(group) * group.count for group in scene.group) / float(np.prod(box))
+    if filled > FULLEST:
+        raise SceneError(
+            f"domain.size: the groups would fill {filled:.3g} of the periodic box, and random placement jams at "
+            f"{FULLEST}; enlarge the box or lower count or radius"
+        )
+
+
+def _refuse_overflow(start: Start) -> None:
+    """Refuse bodies whose mass, moment of inertia or motion is no number that can be computed with."""
+    with np.errstate(over="ignore", divide="ignore"):
+        wrong = {
+            "mass": ~(np.isfinite(start.mass) & np.isfinite(1.0 / start.mass)),
+            "moment of inertia": ~(np.isfinite(start.inertia) & np.isfinite(1.0 / start.inertia)),
+            "velocity": ~np.isfinite(start.velocity).all(axis=1),
+            "angular velocity": ~np.isfinite(start.angular_velocity).all(axis=1),
+        }
+    for what, bodies in wrong.items():
+        if bodies.any():
+            name = start.name[int(np.argmax(bodies))]
+            raise SceneError(f'the {what} of "{name}" is too large or too small a number; choose other units')
 
 
 def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
@@ -143,7 +195,9 @@ def _group(
         )
     n = group.count
     radius = _radii(group, rng)
-    region = group.region or Region(radius=_default_region_radius(radius))
+    region = group.region or _default_region(index, radius)
+    room = region.radius if region.radius is not None else 0.5 * max(region.size or ())
+    _refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()))
     position = _positions(index, region, radius, placed, solids, box, rng)
     mass = np.broadcast_to(_mass(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
@@ -163,6 +217,7 @@ def _group(
     )
 
 
+@np.errstate(over="ignore")
 def _mass(matter: Body | Group, radius: FloatArray) -> FloatArray:
     if matter.mass is not None:
         return np.asarray(matter.mass)
@@ -197,8 +252,13 @@ def _region_volume(region: Region) -> float:
     return math.prod(region.size or ())
 
 
-def _default_region_radius(radius: FloatArray) -> float:
-    return float(max(np.cbrt(np.sum(radius**3) / DEFAULT_PACKING), 1.01 * radius.max()))
+def _default_region(index: int, radius: FloatArray) -> Region:
+    """Return a ball that is `DEFAULT_PACKING` full."""
+    with np.errstate(over="ignore"):
+        room = float(max(np.cbrt(np.sum(radius**3) / DEFAULT_PACKING), 1.01 * radius.max()))
+    if room > LARGEST:
+        raise SceneError(f"group.{index}: bodies so large need a region of more than {LARGEST:g} m; lower the radius")
+    return Region(radius=room)
 
 
 def _positions(
@@ -247,7 +307,11 @@ def _place_class(
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
+    drawn = 0
     for _ in range(MOST_ROUNDS):
+        if drawn > MOST_DRAWN:
+            break
+        drawn += math.ceil(CANDIDATES_PER_BODY * n) - len(owner)
         fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
         fresh = _draw(region, radius[fresh_owner], rng)
         clear = _clear_of(fresh, radius[fresh_owner], trees, solids, box)

@@ -6,17 +6,41 @@ group; unknown keys are refused.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    field_validator,
+    model_validator,
+)
 
 from carom.scene.parts import PARTS, unknown
 from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
-Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
-NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+LARGEST = 1e100  # so that cubes and most products are numbers
+SMALLEST = 1e-100
+STEEPEST = 300  # decades that a power of radii may span
+
+
+def _refuse_extremes(value: float) -> float:
+    """Refuse what is so large or so small that powers of it are no numbers; 0 is one."""
+    if value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
+        raise ValueError(f"{value:g} is not between {SMALLEST:g} and {LARGEST:g} in size; choose other units")
+    return value
+
+
+_Sized = AfterValidator(_refuse_extremes)
+_AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
+NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
 
@@ -210,6 +234,10 @@ class RadiusRange(Section):
     def _ordered(self) -> Self:
         if self.min > self.max:
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}; exchange them")
+        if abs(self.exponent + 1.0) * math.log10(self.max / self.min) > STEEPEST:
+            raise ValueError(
+                f"exponent = {self.exponent:g} is too steep for radii so different; lower it or their ratio"
+            )
         return self
 
 
@@ -299,7 +327,9 @@ class Plane(Section):
 
     name: str = Field("", description="shown in warnings")
     point: Vector = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
-    normal: Vector = Field((0.0, 0.0, 1.0), description="direction out of the solid; of any length but 0")
+    normal: tuple[_AnyReal, _AnyReal, _AnyReal] = Field(
+        (0.0, 0.0, 1.0), description="direction out of the solid; of any length but 0"
+    )
     restitution: Real | None = Field(None, ge=0, le=1, description="as in [contact], whose value holds unless given")
     static_friction: NonNegative | None = Field(None, description="as in [contact], whose value holds unless given")
     kinetic_friction: NonNegative | None = Field(

@@ -1,0 +1,66 @@
+"""No scene, however absurd, ends in a traceback, a hang, without memory, or with bodies where none can be."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hostile_scenes
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+HANG = 60.0  # s; the longest that a scene took here beside seven others was 10
+
+
+def judged(seed: int, count: int) -> list[dict[str, Any]]:
+    """Judge scenes in processes that are ended when one scene takes too long, and begun again with the next."""
+    answers: list[dict[str, Any]] = []
+    while len(answers) < count:
+        command = [sys.executable, hostile_scenes.__file__, *map(str, (seed, len(answers), count - len(answers)))]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as judge:
+            assert judge.stdout is not None
+            begun = -1
+            ended = threading.Timer(300, judge.kill)  # what compiles kernels first
+            ended.start()
+            for line in judge.stdout:
+                ended.cancel()
+                answer = json.loads(line)
+                if "begun" in answer:
+                    begun = answer["begun"]
+                    ended = threading.Timer(HANG, judge.kill)
+                    ended.start()
+                else:
+                    answers.append(answer)
+            ended.cancel()
+            if len(answers) == begun:
+                answers.append({"index": begun, "ended": "killed", "faults": ["a hang, or the end of its process"]})
+            assert begun >= 0, judge.stderr.read() if judge.stderr else ""
+    return answers
+
+
+@pytest.mark.parametrize("count", [40, pytest.param(1000, marks=pytest.mark.slow)])
+def test_hostile_scenes_run_or_are_refused_with_a_reason(count: int, seed: int) -> None:
+    answers = judged(seed, count)
+    wrong = [answer for answer in answers if answer["faults"]]
+    again = f"python {Path(hostile_scenes.__file__).name} {seed} INDEX 1"
+    assert not wrong, f"{again}:\n" + "\n".join(map(str, wrong))
+    assert {"ran", "SceneError"} <= {answer["ended"] for answer in answers}
+
+
+def test_a_body_that_crosses_its_periodic_box_too_often_in_a_step_is_reported() -> None:
+    document = {
+        "body": [{"velocity": [1e9, 0.0, 0.0]}, {"position": [0.0, 5.0, 0.0]}],
+        "gravity": {"constant": 0.0},
+        "domain": {"boundary": "periodic", "size": [20.0, 20.0, 20.0]},
+        "time": {"fixed_dt": 0.1},
+    }
+    with pytest.raises(PhysicsError, match=r"cross its periodic box 5e\+06 times .* lower time.fixed_dt"):
+        for _ in Space(Scene.from_dict(document), threads=1).run():
+            pass
