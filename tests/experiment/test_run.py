@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +98,35 @@ def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp
     assert outcome.status == "failed" and "no longer finite" in outcome.reason
     recording = Recording.open(outcome.path)
     assert recording.outcome.startswith("failed") and recording.frames == outcome.frames > 0
+
+
+def failing(error: Exception) -> Space:
+    """Return a space whose physics raises an error after 0.3 s of simulated time."""
+    space = Space(cloud(time={"duration": 1.0}))
+    frames = space.run
+
+    def run_and_fail(**options: Any) -> Any:
+        for frame in frames(**options):
+            if frame.time > 0.3:
+                raise error
+            yield frame
+
+    space.run = run_and_fail  # type: ignore[method-assign, assignment]
+    return space
+
+
+def test_a_run_that_is_out_of_memory_is_closed_and_says_so(tmp_path: Path) -> None:
+    outcome = simulate(failing(MemoryError()), tmp_path / "x.rrd")
+    assert outcome.status == "failed" and outcome.reason.startswith("out of memory at t = 0.3")
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.finished and recording.outcome.startswith("failed: out of memory") and recording.frames > 0
+
+
+def test_a_defect_in_the_physics_is_raised_after_the_recording_is_closed(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        simulate(failing(ZeroDivisionError("of ours")), tmp_path / "x.rrd")
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.finished and recording.outcome == "failed: ZeroDivisionError: of ours"
 
 
 def test_a_quantity_that_is_not_conserved_keeps_no_promise() -> None:
