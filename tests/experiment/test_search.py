@@ -73,6 +73,7 @@ def test_a_scene_that_misses_a_limit_gets_shorter_steps_until_it_is_kept(tmp_pat
     assert not tuning.misses(tuning.best) and tuning.speed < 1.0
 
 
+@pytest.mark.slow
 def test_a_limit_that_no_step_keeps_ends_the_search(tmp_path: Path) -> None:
     tuning = search(eight(fixed_dt=0.1), tmp_path, position=1e-11)
     assert tuning.best is None and len(tuning.tried) < 40
@@ -115,6 +116,7 @@ def point_of(result: Result, scene: Scene) -> Point:
     return Point(float(step), tuple(sorted(keys.items())))
 
 
+@pytest.mark.slow
 def test_an_orbit_that_is_lost_keeps_no_limit_on_the_energy(tmp_path: Path) -> None:
     # e = 0.9999 in steps that jump over the pericentre: an error over the largest energy ever would be 3e-5
     lost = Scene.load("extremes/kepler-09999-lost")
