@@ -12,6 +12,7 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster
+from distributed.security import Security
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.task import unfit
@@ -19,6 +20,10 @@ from carom.experiment.sweep.task import unfit
 _LOOPBACK = "127.0.0.1"
 _CONNECT = 20.0  # s
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
+_LOCAL_SETTINGS: dict[str, list[str]] = {  # whoever is on this machine may ask over HTTP: there is nothing to be had
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
 _PRELOAD = "carom.experiment.sweep.preload"
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
 _SETTINGS = {
@@ -57,6 +62,7 @@ def connected(address: str | None, workers: int | None, runs: int) -> Iterator[C
         logging.getLogger(logger).setLevel(logging.CRITICAL)  # what happens is told by the command itself
     with dask.config.set(_SETTINGS), contextlib.ExitStack() as stack:
         if address is None:
+            stack.enter_context(dask.config.set(_LOCAL_SETTINGS))
             cluster: Any = stack.enter_context(_local_cluster(min(workers or _cores(), runs)))
             yield stack.enter_context(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
         else:
@@ -85,16 +91,28 @@ def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
 
 
 def _local_cluster(workers: int) -> LocalCluster:
+    """Start workers that talk by TLS with a key of this sweep: a port of the loopback is open to all users."""
     return LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
         host=_LOOPBACK,
+        security=_key(),
         scheduler_kwargs={"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0"},  # its port may be another sweep's
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         preload=[_PRELOAD],
     )
+
+
+def _key() -> Security:
+    try:
+        return Security.temporary()  # type: ignore[no-untyped-call, no-any-return]
+    except ImportError:
+        raise ExperimentError(
+            "workers on this machine need cryptography, for the key by which they talk; install it with: pip install "
+            '"carom[cluster]"'
+        ) from None
 
 
 def _client_of(address: str) -> Client:
