@@ -14,14 +14,6 @@ STRIDES = 8.0, 64.0  # times the steps of the scene; the longer ones where the s
 LOOK_SECONDS = 3.0  # for a look
 MANY_STEPS = 100  # from which on the look tells better than the first steps what one takes
 LIKELY = 2.0  # a whole look is right to this factor: the bundled scenes and extremes are (test_estimate.py)
-REMEDY = {  # what makes the steps of a limit longer
-    "acceleration": "time.target_dx",
-    "held": "time.target_dx",
-    "velocity": "time.cfl",
-    "pull": "time.pull_fraction",
-    "cap": "time.max_dt",
-    "fixed": "time.fixed_dt",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from carom.physics.energy import Energy, EnergyBaseline
 from carom.physics.fingerprint import fingerprint_of
 from carom.physics.moments import Moments
 from carom.physics.momentum import MomentumBaseline
+from carom.physics.pace import PaceTally
 from carom.physics.watch import WatchTally
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +29,7 @@ class Books:
     activity: float  # J, of the impacts in the last steps
     phase: str
     limits: tuple[str, ...]  # of the method, reached and told so far
+    pace: PaceTally = field(default_factory=PaceTally)  # recordings of before there was a watch lack it
 
 
 @dataclass(frozen=True, slots=True)

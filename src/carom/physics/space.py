@@ -26,6 +26,7 @@ from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, uses_forces_at_end, wrap
 from carom.physics.moments import Moments
 from carom.physics.names import Names
+from carom.physics.pace import PaceTally, PaceWatch
 from carom.physics.phase import Phase
 from carom.physics.profile import Profile
 from carom.physics.pull_time import PullTime
@@ -116,7 +117,9 @@ class Space:
         self._stopping = False
         self._stepping = threading.RLock()  # held through each step
         self._readers = threading.Lock()  # held by a thread that waits for the end of the step under way
-        self._take_stock(self._warm_up(), checked=True)
+        potential = self._warm_up()
+        self._pace = PaceWatch(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
+        self._take_stock(potential, checked=True)
         self._publish()
         self.profile.clear()
 
@@ -233,6 +236,8 @@ class Space:
         if self._contact:
             self._contact.recall(checkpoint.contacts)
             self._contact.warned = set(books.limits)
+        if self._pace:
+            self._pace.tally = books.pace
         self._accounts.reopen(books, checkpoint.energy.ledger)
         self.moments = replace(books.moments)
         self._phase.reopen(books.phase, books.activity)
@@ -333,6 +338,7 @@ class Space:
             activity=self._phase.activity,
             phase=self._phase.name,
             limits=tuple(sorted(self._contact.warned)) if self._contact else (),
+            pace=self._pace.tally if self._pace else PaceTally(),
         )
 
     def _publish(self) -> None:
@@ -405,6 +411,10 @@ class Space:
             self._phase.see(0, 0.0)
         if checked:
             self._take_stock(potential, checked)
+        if self._pace and self.step % self.scene.record.log_freq == 0:
+            crawls = self._pace.look(self.step, self.time, *self._timestep.target(state, self._borne()))
+            if crawls:
+                self._log(crawls)
         return due
 
     def _integrate(self, dt: float, with_potential: bool) -> float:

@@ -5,7 +5,7 @@
     dt_p = pull_fraction · τ                             τ of the pull that acts fastest, see `pull_time`
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
-    dt_h = min(√(2 held_dx / |a|max), 0.01 min r_i/u_i)  in place of dt_a, if longer, for bodies that contacts hold
+    dt_h = min(√(2 held_dx / b_max), 0.01 min r_i/u_i)  in place of dt_a, if longer, for bodies that contacts hold
 
 By default the first two hold where bodies can touch, and the third where they cannot: radii then have no say.
 
@@ -35,8 +35,8 @@ from carom.scene.step_limits import HELD_PART
 
 FloatArray = NDArray[np.float64]
 # |a|max, m/s²; dt_v, s, by the seed's rule and by ours, infinite at rest; |a|max of what contacts do not hold, m/s²;
-# the shortest time in which what they hold moves by its radius, s
-Limits = tuple[float, float, float, float, float]
+# the shortest time in which what they hold moves by its radius, s; and the most that they bear, m/s²
+Limits = tuple[float, float, float, float, float, float]
 
 BLOCK = 1000  # bodies, some 10 µs
 SOME = 10  # blocks that are worth being shared out
@@ -134,27 +134,27 @@ class Timestep:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         dt, limit = self._time.max_dt, "cap"
         if self._target_dx is None and self._cfl is None and (self._pull is None or self._pull.of_pairs):
-            a_max, fastest, every, a_free, turn = 0.0, math.inf, math.inf, 0.0, math.inf
+            a_max, fastest, every, a_free, turn, b_max = 0.0, math.inf, math.inf, 0.0, math.inf, 0.0
         else:
-            a_max, fastest, every, a_free, turn = self._limits(bodies, borne)
+            a_max, fastest, every, a_free, turn, b_max = self._limits(bodies, borne)
         if self._cfl is not None:
             dt_v = fastest if self._time.velocity_limit == "fastest-body" else every
             dt, limit = (dt_v, "velocity") if dt_v < dt else (dt, limit)
         if self._target_dx is not None and a_max > 0.0:
-            dt_a, why = self._of_acceleration(self._target_dx, a_max, a_free, turn)
+            dt_a, why = self._of_acceleration(self._target_dx, a_max, a_free, turn, b_max)
             dt, limit = (dt_a, why) if dt_a < dt else (dt, limit)
         if self._pull is not None:
             dt_p = self._pull.step(bodies, a_max)
             dt, limit = (dt_p, "pull") if dt_p < dt else (dt, limit)
         return dt, limit
 
-    def _of_acceleration(self, dx: float, a_max: float, a_free: float, turn: float) -> tuple[float, str]:
+    def _of_acceleration(self, dx: float, a_max: float, a_free: float, turn: float, b_max: float) -> tuple[float, str]:
         """Return the step that the largest acceleration allows, and the limit that it is."""
         dt_a = math.sqrt(2.0 * dx / a_max)
         if self._held_dx is None or a_free == a_max:
             return dt_a, "acceleration"
         dt_free = math.sqrt(2.0 * dx / a_free) if a_free > 0.0 else math.inf
-        dt_held = max(dt_a, min(math.sqrt(2.0 * self._held_dx / a_max), self._held_part * turn))
+        dt_held = max(dt_a, min(math.sqrt(2.0 * self._held_dx / max(a_max, b_max)), self._held_part * turn))
         return (dt_free, "acceleration") if dt_free < dt_held else (dt_held, "held")
 
     def _limits(self, bodies: Bodies, borne: FloatArray) -> Limits:
@@ -164,7 +164,7 @@ class Timestep:
         if self._team.size == 1 or blocks < SOME:
             return _limits(*state, bodies.mass, anchored)
         V = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, bodies.mass)
-        found = np.empty((blocks, 6))
+        found = np.empty((blocks, 7))
         self._team.divide(blocks, 1, _look, *state, *V, found)
         return _strictest(found)
 
@@ -182,7 +182,7 @@ def _limits(
 ) -> Limits:
     """Find the limits that all bodies set, in one call: a step of a few bodies consists of calls."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
-    found = np.empty((-(-len(mass) // BLOCK), 6))
+    found = np.empty((-(-len(mass) // BLOCK), 7))
     _look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
     return _strictest(found)
 
@@ -204,7 +204,7 @@ def _look(
 ) -> None:
     """Write the limits that the bodies of the blocks from lo to hi set."""
     for block in range(lo, hi):
-        a_max, v2_max, fastest, every, a_free, turn = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
+        a_max, v2_max, fastest, every, a_free, turn, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
         for i in range(block * BLOCK, min((block + 1) * BLOCK, len(radius))):
             ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
             a = np.sqrt(ax * ax + ay * ay + az * az)
@@ -212,6 +212,8 @@ def _look(
             vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
             ux, uy, uz = vx - Vx, vy - Vy, vz - Vz
             u = np.sqrt(ux * ux + uy * uy + uz * uz)
+            if len(borne) > 0:
+                b_max = max(b_max, borne[i])
             if len(borne) > 0 and borne[i] >= BORNE * a:
                 turn = min(turn, radius[i] / u) if u > 0.0 else turn
             else:
@@ -222,16 +224,17 @@ def _look(
             if v2 > v2_max:
                 v2_max, fastest = v2, s / np.sqrt(v2)
         found[block, 0], found[block, 1], found[block, 2], found[block, 3] = a_max, every, v2_max, fastest
-        found[block, 4], found[block, 5] = a_free, turn
+        found[block, 4], found[block, 5], found[block, 6] = a_free, turn, b_max
 
 
 @kernel
 def _strictest(found: FloatArray) -> Limits:
     """Return the strictest limits of all blocks: each is that of one body, so that the blocks do not change it."""
-    a_max, every, v2_max, fastest, a_free, turn = 0.0, np.inf, 0.0, np.inf, 0.0, np.inf
+    a_max, every, v2_max, fastest, a_free, turn, b_max = 0.0, np.inf, 0.0, np.inf, 0.0, np.inf, 0.0
     for block in range(len(found)):
         a_max, every = max(a_max, found[block, 0]), min(every, found[block, 1])
         a_free, turn = max(a_free, found[block, 4]), min(turn, found[block, 5])
+        b_max = max(b_max, found[block, 6])
         if found[block, 2] > v2_max:
             v2_max, fastest = found[block, 2], found[block, 3]
-    return a_max, fastest, every, a_free, turn
+    return a_max, fastest, every, a_free, turn, b_max

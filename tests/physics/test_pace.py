@@ -1,0 +1,36 @@
+"""A run whose steps become many times as many as its start promised says so, once."""
+
+from __future__ import annotations
+
+from carom.physics.pace import PaceWatch
+
+
+def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:
+    watch = PaceWatch(duration=100.0, first_dt=1e-2)  # promises 10⁴ steps
+    assert watch.look(1000, 10.0, 1e-2, "velocity") is None
+    assert watch.look(1100, 10.1, 1e-4, "held") is None, "few steps so far: it may pass"
+    warning = watch.look(50_000, 15.0, 1e-4, "held")
+    assert warning is not None and (warning.level, warning.kind) == ("WARN", "pace")
+    # Kept up, 50 000 in 15 s make 3.3 × 10⁵; the present step alone would make 9 × 10⁵.
+    for said in (
+        "limit held",
+        "100 times shorter",
+        "since t = 10.1 s",
+        "3.33e+05 steps",
+        "33.3 times",
+        "time.target_dx",
+    ):
+        assert said in warning.text
+    assert watch.look(60_000, 16.0, 1e-4, "held") is None, "once a run"
+
+
+def test_steps_that_were_short_for_a_while_are_no_crawl() -> None:
+    watch = PaceWatch(duration=100.0, first_dt=1e-2)
+    watch.look(60_000, 6.0, 1e-4, "velocity")
+    again = PaceWatch(duration=100.0, first_dt=1e-2)
+    assert again.look(60_000, 6.0, 1e-2, "velocity") is None
+    assert again.tally.slow_since is None
+
+
+def test_a_run_of_few_steps_is_not_worth_a_warning() -> None:
+    assert PaceWatch(duration=1.0, first_dt=1e-2).look(5000, 0.5, 1e-4, "velocity") is None
