@@ -168,7 +168,11 @@ MISTAKES = {
     ),
     "a group larger than its periodic box": (
         "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n[[group]]\ncount = 100_000\n",
-        ["domain.size", "would fill 575 of the periodic box"],
+        ["domain.size", "would fill 575 of the box"],
+    ),
+    "a group larger than the space between walls": (
+        "[domain]\nboundary = 'walls'\nsize = [20, 60, 20]\n[[group]]\ncount = 20_000\nradius = 0.5\n",
+        ["domain.size", "would fill 0.436 of the box"],
     ),
     "lists within lists": ("title = " + "[" * 40 + "]" * 40, ["scene.toml", "more than 32 levels deep"]),
     "a thousand lists within lists": ("title = " + "[" * 5000 + "]" * 5000, ["scene.toml", "more than 32 levels deep"]),

@@ -69,7 +69,7 @@ def place(scene: Scene) -> Start:
         _refuse_overlaps(parts[0], box)
         _refuse_immersion(parts[0], solids)
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
-    _refuse_full_box(scene, box)
+    _refuse_full_box(scene)
     for index, group in enumerate(scene.group):
         parts.append(_group(index, group, parts, solids, box, np.random.default_rng(streams[index])))
     start = _join(parts)
@@ -117,14 +117,14 @@ def _refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") 
         )
 
 
-def _refuse_full_box(scene: Scene, box: FloatArray | None) -> None:
-    """Refuse groups that do not fit into a periodic box, however large their regions are."""
-    if box is None or not scene.group:
+def _refuse_full_box(scene: Scene) -> None:
+    """Refuse groups that do not fit into a periodic box or between walls, however large their regions are."""
+    if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
         return
-    filled = sum(_mean_volume(group) * group.count for group in scene.group) / float(np.prod(box))
+    filled = sum(_mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
     if filled > FULLEST:
         raise SceneError(
-            f"domain.size: the groups would fill {filled:.3g} of the periodic box, and random placement jams at "
+            f"domain.size: the groups would fill {filled:.3g} of the box, and random placement jams at "
             f"{FULLEST}; enlarge the box or lower count or radius"
         )
 
