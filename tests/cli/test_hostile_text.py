@@ -58,3 +58,24 @@ def test_no_text_of_a_recording_breaks_or_steers_a_command(entity: str, componen
     if component == "title":
         assert "[/red] [bold]x[/]" in carom("inspect", odd.name, cwd=folder).stdout
         assert json.loads(carom("inspect", odd.name, "--json", cwd=folder).stdout)["scene"]["title"] == UNSAFE
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (".".join(["a"] * 100_000) + " = 1", "nested more than 32 levels deep"),
+        ("\n".join(f"k{number} = 1" for number in range(20_000)), "more keys"),
+    ],
+    ids=["one long key", "many keys"],
+)
+def test_a_scene_of_any_keys_is_compared_or_refused(text: str, said: str, run_file: Path) -> None:
+    odd = changed(
+        run_file,
+        run_file.with_name("odd.rrd"),
+        "scene/toml",
+        mapped("TextDocument:text", lambda row: [text]),
+        static=True,
+    )
+    done = carom("diff", run_file.name, odd.name, cwd=run_file.parent)
+    assert said in done.stdout + done.stderr and "Traceback" not in done.stderr
+    assert len(done.stdout.splitlines()) < 100

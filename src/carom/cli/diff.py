@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from carom.experiment.diff import Diff
 
 ROWS = 12  # of the table of how the difference grows
+KEYS = 50  # of the scene that are printed; --json has all
 
 FirstArgument = Annotated[Path, typer.Argument(metavar="A", help="A recording (.rrd).")]
 SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.")]
@@ -118,10 +119,12 @@ def _overview(found: Diff) -> Table:
     for name, differing in (("scene", found.scene), ("environment", found.environment)):
         if not differing:
             table.add_row(name, "the same")
-        for k, (key, (one, other)) in enumerate(differing.items()):
+        for k, (key, (one, other)) in enumerate(list(differing.items())[:KEYS]):
             default = found.defaults.get(key) if name == "scene" else None
             in_a, in_b = _short(one, default), _short(other, default)
             table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
+        if len(differing) > KEYS:
+            table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
     return table
 

@@ -18,6 +18,7 @@ from carom.recording.overlay import Pair, write_overlay
 from carom.recording.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
+from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.schema import Scene
 
 
@@ -89,8 +90,11 @@ def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any
 
 def _scene(recording: Recording) -> dict[str, Any]:
     """Read the scene's keys, dotted: ``time.max_dt``, ``body.0.radius``."""
+    text = recording.scene_toml
     try:
-        return _flat(tomllib.loads(recording.scene_toml))
+        if line_of_long_key(text) is not None or is_too_deep(document := tomllib.loads(text)):
+            raise RecordingError(f"the scene in {recording.path} is nested more than {DEEPEST} levels deep")
+        return _flat(document)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RecordingError(f"the scene in {recording.path} cannot be read: {error}") from error
 

@@ -1,0 +1,118 @@
+"""Changes the rows of a recording in one way after the other, and does to each what the commands do: run as a program.
+
+    python mutants.py RECORDING FOLDER SEED COUNT
+
+What bytes that were changed at random hardly ever get to: chunks that can be decoded, and hold something else.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+
+from carom.cli.inspect import _moments, _overview, _profile
+from carom.cli.terminal import Terminal
+from carom.experiment.diff import diff
+from carom.recording.clip import clip
+from carom.recording.container import RECORDING, decode
+from carom.recording.framing import CHUNK
+from carom.recording.recording import Recording
+from crafted import assembled, messages_of, repacked, stream, with_column, without_column
+from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
+
+LONG = 3_000_000  # values of a bomb
+TEXTS = ["", "[/red]", "\x1b[2J", "x" * 100_000, "[" * 100_000, "a." * 50_000, "[[" * 3000, "1,2,", "end: ", "nan"]
+NUMBERS = [0.0, -1.0, np.nan, np.inf, 1e308, 5e-324, -0.0, 2.0**63, 1e18]
+WHOLE = [0, 1, -1, 2**31, 2**62, -(2**63), 255]
+
+Random = np.random.Generator
+
+
+def values(random: Random, rows: int) -> pa.Array:
+    """Make a component of rows of a kind at random."""
+    each = int(random.choice([0, 1, 1, 1, 2, 3, 60]))
+    kinds: list[Callable[[], pa.Array]] = [
+        lambda: pa.array([[str(random.choice(TEXTS))] * min(each, 3)] * rows, pa.list_(pa.string())),
+        lambda: pa.array([[float(random.choice(NUMBERS))] * each] * rows, pa.list_(pa.float64())),
+        lambda: pa.array([[int(random.choice(WHOLE))] * each] * rows, pa.list_(pa.int64())),
+        lambda: pa.array([[bool(random.integers(2))] * each] * rows, pa.list_(pa.bool_())),
+        lambda: pa.array([[None] * each] * rows, pa.list_(pa.float64())),
+        lambda: pa.array([None] * rows, pa.list_(pa.string())),
+        lambda: pa.nulls(rows, pa.list_(pa.null())),
+        lambda: pa.ListArray.from_arrays(pa.array([0] + [LONG] * rows, pa.int32()), pa.array(np.zeros(LONG))),
+    ]
+    return kinds[random.integers(len(kinds))]()
+
+
+def mutated(batch: pa.RecordBatch, random: Random) -> pa.RecordBatch:
+    """Change one column of a chunk, or take it or some rows away."""
+    names = [name for name in batch.schema.names if name != "rerun.controls.RowId"]
+    name = names[random.integers(len(names))]
+    column = batch[name]
+    match random.integers(6):
+        case 0:
+            return without_column(batch, name)
+        case 1:
+            return batch.slice(0, int(random.integers(batch.num_rows + 1)))
+        case 2:
+            return batch.take(pa.array(random.integers(batch.num_rows, size=batch.num_rows)))
+        case 3 if pa.types.is_list(column.type) and pa.types.is_floating(column.type.value_type):
+            flat = column.flatten().to_numpy().copy()
+            flat[random.integers(len(flat), size=2) if len(flat) else []] = random.choice(NUMBERS)
+            return with_column(
+                batch, name, pa.ListArray.from_arrays(column.offsets, pa.array(flat, column.type.value_type))
+            )
+        case 4 if not pa.types.is_list(column.type):
+            odd = np.array(random.choice(WHOLE, size=batch.num_rows), np.int64)
+            return with_column(batch, name, pa.array(odd).cast(column.type))
+    if pa.types.is_list(column.type):
+        return with_column(batch, name, values(random, batch.num_rows))
+    return without_column(batch, name)
+
+
+def shown(path: Path) -> None:
+    """Print what `carom inspect` prints."""
+    summary = Recording.open(path).summary()
+    with Path("/dev/null").open("w") as nowhere:
+        terminal = Terminal(file=nowhere)
+        terminal.print(_overview(summary))
+        for line in _moments(summary, path):
+            terminal.print(line)
+        terminal.print(_profile(summary))
+
+
+def main(source: Path, folder: Path, seed: int, count: int) -> None:
+    """Go through so many changes."""
+    path, out = folder / "mutant.rrd", folder / "out.rrd"
+    parts = messages_of(source)
+    places = [k for k, (kind, body) in enumerate(parts) if kind == CHUNK and decode(body)[0].kind == RECORDING]
+    for k in range(count):
+        random = np.random.default_rng([seed, k])
+        changed, place = list(parts), places[random.integers(len(places))]
+        chunk = decode(parts[place][1])[1]
+        changed[place] = (CHUNK, repacked(parts[place][1], stream(mutated(chunk.batch, random))))
+        tell(k, chunk.entity_path, peak())
+        try:
+            assembled(source, path, changed, footer=bool(random.integers(4)))
+        except Exception as error:  # a chunk that our own reader refuses has no place in an index
+            assembled(source, path, changed, footer=False)
+            tell(k, "without footer:", str(error)[:60])
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        spent = int(used.ru_utime + used.ru_stime)
+        resource.setrlimit(resource.RLIMIT_CPU, (spent + SLOWEST, resource.RLIM_INFINITY))
+        attempt(lambda: read_all(path))
+        attempt(lambda: shown(path))
+        attempt(lambda: clip(path, out, 1.0, 3.0, bodies=[3, 17]))
+        attempt(lambda: diff(Recording.open(source), Recording.open(path)))
+        if k % 5 == 0:
+            attempt(lambda: mended(path, out))
+    tell("end", peak())
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3]), int(sys.argv[4]))
