@@ -139,7 +139,10 @@ class Contact(Section):
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"
     )
-    sweeps: Count = Field(8, le=10_000, description="at most this many passes over the colours in a step; 1 or more")
+    sweeps: Literal["auto"] | Annotated[Count, Field(le=10_000)] = Field(
+        "auto",
+        description="passes over the contacts in a step: as many as they need (`auto`), or at most this many",
+    )
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"
     )

@@ -11,25 +11,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.booking import book
+from carom.physics.contact.conjugate_gradients import descend, measure, project, spread
 from carom.physics.contact.load import (
     AIM,
     ALPHA,
     BEGIN,
+    BETA,
     BOOK,
     CHANGE,
     CLOSING,
+    DESCEND,
     FARTHEST,
     FIRST,
     GO,
+    MEASURE,
+    NEGLIGIBLE,
     PHASE,
     PRESS,
+    PROJECT,
+    PULL_MOST,
     PUSH,
+    PUSH_MOST,
+    REFINES,
     RELAX,
     SPINS,
+    SPREAD,
     STRIKE,
     SWEEP,
+    TOLERANCE,
     Load,
 )
+from carom.physics.contact.overshoot import scale_back
 from carom.physics.contact.solver import CONVERGED, strike
 from carom.physics.contact.stabilisation import push
 from carom.physics.contact.sweep import HELD, aim, begin, go, press, relax
@@ -52,6 +64,11 @@ from carom.physics.team import (
 IntArray = NDArray[np.int64]
 
 PUSHES, IMPACTS, HOLDING, HELP = range(4)  # jobs
+ROUNDS = 20  # of conjugate gradients, at most
+ITERATIONS = 2000  # of them in a round, at most
+BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
+WORTH = 0.5  # of what was missed before; a round that leaves more is the last
+SOLVED = 1e-4
 
 
 @long_kernel
@@ -122,22 +139,94 @@ def _resolve_impacts(board: IntArray, edges: IntArray, independent: int, load: L
 @inline
 def _hold(board: IntArray, edges: IntArray, independent: int, load: Load, most_sweeps: int) -> int:
     """Find the impulses of contacts that last, beginning with those given, and book them."""
-    pieces, blocks = len(load.pieces), len(load.sums)
+    pieces = len(load.pieces)
     _share(board, load, BEGIN, 0, pieces, True)
     largest = _largest(load)
     _share_stages(board, edges, independent, load, PRESS)
-    load.numbers[ALPHA] = 0.0
+    load.numbers[ALPHA], load.numbers[NEGLIGIBLE] = 0.0, HELD * largest
     sweeps, change = 0, np.inf
     while sweeps < most_sweeps and change > HELD * largest:
-        if sweeps > 0:
-            _share(board, load, AIM, 0, blocks, True)
-            load.numbers[ALPHA] = _step(load)
-            _share(board, load, GO, 0, blocks, True)
-        _share_stages(board, edges, independent, load, RELAX)
-        change = _largest(load)
+        change = _sweep(board, edges, independent, load, sweeps > 0)
         sweeps += 1
+    if change > HELD * largest and load.flags[REFINES] != 0:
+        sweeps += _refine(board, edges, independent, load)
+    if change > HELD * largest:
+        ends = (load.velocity, load.spin, load.island, load.work)
+        scale_back(load.pairs, load.hot, load.cold, load.motion, load.who, *ends)
     _share(board, load, BOOK, 0, pieces, True)
     return sweeps
+
+
+@inner
+def _sweep(board: IntArray, edges: IntArray, independent: int, load: Load, again: bool) -> float:
+    """Take each contact to where it neither closes nor pulls; go farther in the direction of the sweep before."""
+    if again:
+        blocks = len(load.sums)
+        _share(board, load, AIM, 0, blocks, True)
+        load.numbers[ALPHA] = _step(load)
+        _share(board, load, GO, 0, blocks, True)
+    _share_stages(board, edges, independent, load, RELAX)
+    return _largest(load)
+
+
+@inner
+def _refine(board: IntArray, edges: IntArray, independent: int, load: Load) -> int:
+    """Solve for the contacts that carry a load, until none misses its condition by more than is tolerated."""
+    pieces, passes, rounds = len(load.pieces), 0, 0
+    load.numbers[TOLERANCE] = BAD_ENOUGH
+    _share(board, load, MEASURE, 0, pieces, True)
+    load.numbers[TOLERANCE] = 1.0
+    before, missed = np.inf, _largest(load)
+    while rounds < ROUNDS and 0.0 < missed < WORTH * before:
+        passes += _descend(board, edges, independent, load)
+        _sweep(board, edges, independent, load, True)
+        _sweep(board, edges, independent, load, True)
+        passes += 2
+        rounds += 1
+        _share(board, load, MEASURE, 0, pieces, True)
+        before, missed = missed, _largest(load)
+    return passes
+
+
+@inner
+def _descend(board: IntArray, edges: IntArray, independent: int, load: Load) -> int:
+    """Find what to change of the impulses that are free, by conjugate gradients; return the number of iterations."""
+    pieces, numbers = len(load.pieces), load.numbers
+    numbers[BETA] = 0.0
+    _forget_changes(board, load)
+    load.flags[SWEEP] = 0
+    _share(board, load, DESCEND, 0, pieces, True)
+    first = rho = _total(load)
+    iterations = 0
+    while rho > SOLVED * first and iterations < ITERATIONS:
+        _share_stages(board, edges, independent, load, SPREAD)
+        _share(board, load, AIM, 0, len(load.sums), True)
+        curvature = 0.0
+        for k in range(len(load.sums)):
+            curvature += load.sums[k, 1]
+        if not curvature > 0.0:
+            break
+        iterations += 1
+        numbers[ALPHA], load.flags[SWEEP] = rho / curvature, iterations
+        _share(board, load, DESCEND, 0, pieces, True)
+        before, rho = rho, _total(load)
+        numbers[BETA] = rho / before
+        push, pull = 0.0, 0.0
+        for k in range(pieces):
+            push, pull = max(push, load.found[k, PUSH_MOST]), max(pull, load.found[k, PULL_MOST])
+        if pull > push:
+            _forget_changes(board, load)
+            break
+        _forget_changes(board, load)
+    _share_stages(board, edges, independent, load, PROJECT)
+    return iterations
+
+
+@inner
+def _forget_changes(board: IntArray, load: Load) -> None:
+    """Begin to sum up anew what changes of the velocities."""
+    load.numbers[ALPHA] = 0.0
+    _share(board, load, GO, 0, len(load.sums), True)
 
 
 @inline
@@ -193,6 +282,14 @@ def _do(load: Load, k: int) -> None:
                 relax(lo, hi, k, pairs, C, V, law, found, flags, numbers, ())
         elif phase == BOOK:
             book(lo, hi, k, pairs, C, cold, load.acceleration, V, found, flags, numbers)
+        elif phase == MEASURE:
+            measure(lo, hi, k, pairs, C, cold, V, law, found, flags, numbers)
+        elif phase == DESCEND:
+            descend(lo, hi, k, pairs, C, load.search, V, law, found, flags, numbers)
+        elif phase == SPREAD:
+            spread(lo, hi, pairs, C, load.search, V, flags, numbers)
+        elif phase == PROJECT:
+            project(lo, hi, k, pairs, C, load.search, V, found, flags)
 
 
 @inner
@@ -201,6 +298,14 @@ def _largest(load: Load) -> float:
     for k in range(len(load.pieces)):
         largest = max(largest, load.found[k, CHANGE])
     return largest
+
+
+@inner
+def _total(load: Load) -> float:
+    total = 0.0
+    for k in range(len(load.pieces)):
+        total += load.found[k, CHANGE]
+    return total
 
 
 @inner

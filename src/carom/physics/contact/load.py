@@ -23,12 +23,21 @@ OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES, PART, APART = 0, 1, 2, 3
 # motion, of a body or plane: v, ω, 1/m, 1/I;   what the last sweep changed of v and ω
 MOTION = 16
 
+# search: s, what conjugate gradients change of λ_n and λ_t; d, the direction; r, the residual;   c, how fast the contact
+#         may close, 1 where λ_n is free to change, 1 where λ_t is
+SEARCH = 16
+STEP, DIRECTION, RESIDUAL, ALLOWED, FREE_NORMAL, FREE_TANGENT = 0, 4, 8, 12, 13, 14
+
 BLOCK = 1024  # bodies of a piece of work
 
-PUSH, STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO = range(8)  # phases: what is done with each piece
-PHASE, FIRST, SWEEP, SPINS, IMPACTS_ONLY = range(5)  # which one, with which piece it began, after how many sweeps
-DT, DRIFT, KICK, BIAS, ALPHA = range(5)
+# phases: what is done with each piece
+PUSH, STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO, MEASURE, DESCEND, SPREAD, PROJECT = range(12)
+# which one, with which piece it began, after how many sweeps; 1 if bodies turn, if only impacts are resolved, and if
+# conjugate gradients follow the sweeps
+PHASE, FIRST, SWEEP, SPINS, IMPACTS_ONLY, REFINES = range(6)
+DT, DRIFT, KICK, BIAS, ALPHA, BETA, NEGLIGIBLE, TOLERANCE = range(8)
 CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts by a sweep
+PUSH_MOST, PULL_MOST = 1, 2  # N s, by conjugate gradients: the largest impulse that pushes, and that pulls
 FASTEST, RESTING = 1, 2  # by the first one over impacts; in the end the sums of the columns of the ledger
 
 
@@ -67,8 +76,10 @@ class Load(NamedTuple):
     pieces: IntArray  # (k, 2) first contact and the one after the last
     hot: FloatArray  # (m, 16)
     cold: FloatArray  # (m, 16)
+    search: FloatArray  # (m, 16)
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s
+    spin: FloatArray  # (n + p, 3) rad/s; no rows where impulses turn nothing
     acceleration: FloatArray  # (n + p, 3) m/s²
     inverse_mass: FloatArray  # (n + p,) 1/kg
     radius: FloatArray  # (n + p,) m
@@ -77,8 +88,10 @@ class Load(NamedTuple):
     offset: FloatArray  # (p,) m
     motion: FloatArray  # (n + p, 16)
     law: FloatArray  # (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane
+    island: IntArray  # (n + p,), a table to write in
+    work: FloatArray  # (n + p, 2), likewise
     who: IntArray  # (b,) bodies and planes that touch anything
     found: FloatArray  # (k, 3), of each piece of contacts
     sums: FloatArray  # (b / BLOCK, 2), of each piece of bodies
-    flags: IntArray  # (5,)
-    numbers: FloatArray  # (5,)
+    flags: IntArray  # (6,)
+    numbers: FloatArray  # (8,)

@@ -1,7 +1,8 @@
 """The geometry of each contact: where two ends meet.
 
 Both bodies share one contact point on the line of centres, d r_i/(r_i + r_j) from i and the rest of d from j. A plane
-is touched at the foot of the perpendicular and has no lever arm.
+is touched with the whole radius and has no lever arm: it takes any angular momentum, so the arm need not add up to the
+distance, and an impact that is found late turns the body as it would have at the surface.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def meet(
             for k in range(3):
                 height += surface[j - n, k] * x[i, k]
                 hot[c, k] = -surface[j - n, k]
-            hot[c, 3], hot[c, 4] = max(0.0, height), 0.0
+            hot[c, 3], hot[c, 4] = radius[i], 0.0
             cold[c, OVERLAP] = radius[i] - height
             continue
         d2 = 0.0

@@ -119,15 +119,15 @@ def pile_speeds(
             d2 += d * d
         near = (radius[i] + radius[j]) * stretch + slack
         if d2 <= near * near:
-            i, j = _root(parent, i), _root(parent, j)
+            i, j = root_of(parent, i), root_of(parent, j)
             parent[max(i, j)] = min(i, j)
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
     for i in range(n):
-        pile = _root(parent, i)
+        pile = root_of(parent, i)
         speeds[pile] = max(speeds[pile], speeds[i])
     for i in range(n):
-        speeds[i] = speeds[_root(parent, i)]
+        speeds[i] = speeds[root_of(parent, i)]
 
 
 @kernel
@@ -150,7 +150,8 @@ def largest_coordinate(position: FloatArray) -> float:
 
 
 @kernel
-def _root(parent: IntArray, i: int) -> int:
+def root_of(parent: IntArray, i: int) -> int:
+    """Return the lowest body of the pile that a body belongs to."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -191,9 +192,9 @@ def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: I
         i, j = pairs[c, 0], pairs[c, 1]
         if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
             continue
-        i, j = _root(parent, i), _root(parent, j)
+        i, j = root_of(parent, i), root_of(parent, j)
         while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
-            i, j = _root(parent, i), _root(parent, j)  # another thread has hung one of them elsewhere
+            i, j = root_of(parent, i), root_of(parent, j)  # another thread has hung one of them elsewhere
 
 
 @long_kernel
@@ -201,7 +202,7 @@ def _load(lo: int, hi: int, who: IntArray, parent: IntArray, largest: IntArray) 
     """Let the lowest of each pile know the largest |a|²; of numbers that are not negative, bits are in their order."""
     for k in range(lo, hi):
         i = who[k]
-        pile = _root(parent, i)
+        pile = root_of(parent, i)
         if largest[i] > atomic_load(largest, pile):
             atomic_max(largest, pile, largest[i])
 
@@ -221,7 +222,7 @@ def _write_speeds(
     presses = False
     for c in range(lo, hi):
         mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
-        cold[c, REST] = 2.0 * np.sqrt(largest[_root(parent, mover)]) * dt
+        cold[c, REST] = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
         presses = presses or cold[c, REST] > 0.0
     if presses:
         found[PRESSES] = True

@@ -39,6 +39,7 @@ IntArray = NDArray[np.int64]
 
 ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
 SOME, MANY = 1000, 10_000  # bodies that are worth a part of their own, when they turn, and when they are copied
+SWEEPS = 8  # that "auto" takes before it looks what is missing
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
 
 
@@ -80,6 +81,7 @@ class ContactStage:
         self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
+        self._most_sweeps = SWEEPS if contact.sweeps == "auto" else contact.sweeps
         self._pushes = contact.stabilisation == "split"
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
@@ -170,7 +172,7 @@ class ContactStage:
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
         if self._pushes and len(pairs):
-            self._bench.part(self._contact.sweeps)
+            self._bench.part(self._most_sweeps)
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
@@ -208,7 +210,7 @@ class ContactStage:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
-                f"Contacts were still closing after contact.sweeps = {self._contact.sweeps} passes; "
+                f"Contacts were still closing after {self.sweeps} sweeps (contact.sweeps = {self._contact.sweeps}); "
                 "what is left is resolved in later steps."
             )
         if self._flight and self._flight.is_exhausted:
@@ -265,15 +267,15 @@ class ContactStage:
             bench.book_pushes()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
-        self.sweeps = bench.resolve_impacts(bias_rate, contact.sweeps, impacts_only=lasting)
+        self.sweeps = bench.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
         profile.mark("response")
-        if lasting and bench.any_rests:
+        if lasting and (bench.any_rests or self.sweeps == self._most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate)
             self.sweeps = max(self.sweeps, held)
             profile.mark("resting")
         else:
             self._hold = Hold.empty()
-        if self.sweeps == contact.sweeps:
+        if self.sweeps >= self._most_sweeps:
             self._too_few_sweeps = bench.is_closing()
         profile.mark("response")
 
@@ -288,7 +290,7 @@ class ContactStage:
         self._hold.carry_to(pairs, place, kick, bench.hot, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
             self._hold = Hold(pairs, place, bench.hot, kick)
-        return bench.hold(dt, kick, drift, bias_rate, self._contact.sweeps)
+        return bench.hold(dt, kick, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
 
     @property
     def seen(self) -> Sighting:

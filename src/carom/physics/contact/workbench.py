@@ -26,8 +26,10 @@ from carom.physics.contact.load import (
     LEDGER,
     MOTION,
     OVERLAP,
+    REFINES,
     REST,
     RESTING,
+    SEARCH,
     SPINS,
     Load,
     Room,
@@ -81,15 +83,18 @@ class Workbench:
         self._team = team
         self._hot = Room(HOT), Room(HOT)
         self._cold = Room(COLD)
+        self._search = Room(SEARCH)
         self._normals = Room(3)
         self._piles = Piles(len(bodies.ends.velocity), team)
         self.stages = stages_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._who = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
         self._fastest = 0.0  # m/s, at which a contact closed before the impulses
         self._motion = rows(len(bodies.ends.velocity), MOTION)
-        self._flags = np.zeros(5, dtype=np.int64)
+        self._island = np.empty(len(self._motion), dtype=np.int64)
+        self._work_of_islands = np.empty((len(self._motion), 2))
+        self._flags = np.zeros(6, dtype=np.int64)
         self._flags[SPINS] = friction
-        self._numbers = np.zeros(5)
+        self._numbers = np.zeros(8)
 
     def lay(self, stages: Stages, keep: FloatArray | None = None, rounding: float = 0.0) -> None:
         """Lay out contacts, with nothing done to them yet, and find where they meet.
@@ -112,8 +117,10 @@ class Workbench:
             pieces=stages.pieces,
             hot=hot,
             cold=cold,
+            search=self._search.take(m),
             position=bodies.position,
             velocity=ends.velocity,
+            spin=self._spin,
             acceleration=ends.acceleration,
             inverse_mass=ends.inverse_mass,
             radius=ends.radius,
@@ -122,6 +129,8 @@ class Workbench:
             offset=planes.offset,
             motion=self._motion,
             law=self._law,
+            island=self._island,
+            work=self._work_of_islands,
             who=self._who,
             found=np.empty((len(stages.pieces), 3)),
             sums=np.empty((-(-len(self._who) // BLOCK), 2)),
@@ -238,7 +247,7 @@ class Workbench:
         self._fastest, self.any_rests = float(found[:, FASTEST].max(initial=0.0)), bool(found[:, RESTING].any())
         return sweeps
 
-    def hold(self, dt: float, kick: float, drift: float, bias_rate: float, most_sweeps: int) -> int:
+    def hold(self, dt: float, kick: float, drift: float, bias_rate: float, most_sweeps: int, as_needed: bool) -> int:
         """Find the impulses of contacts at rest after a kick, beginning with those in ``hot``; return the sweeps.
 
         Parameters
@@ -249,9 +258,12 @@ class Workbench:
             s; the drift to come, 0 after the last kick.
         bias_rate
             1/s.
+        as_needed
+            Whether conjugate gradients follow where the sweeps leave too much.
         """
         numbers = self._numbers
         numbers[DT], numbers[KICK], numbers[DRIFT], numbers[BIAS] = dt, kick, drift, bias_rate
+        self._flags[REFINES] = as_needed
         return self._lead(HOLDING, most_sweeps)
 
     def is_closing(self) -> bool:
