@@ -28,6 +28,7 @@ from carom.physics.contact.load import (
     DRIFT,
     DT,
     FARTHEST,
+    FOUND,
     FREE_NORMAL,
     FREE_TANGENT,
     NEGLIGIBLE,
@@ -48,7 +49,9 @@ IntArray = NDArray[np.int64]
 
 
 CLOSING_STILL = 0.03  # of the speed at which an impact closed
-SINKING = 1e-4  # of the smaller radius in a step
+SINKING = 3e-5  # of the smaller radius in a step
+CLOSING_WHEN_SUNK = 1e-2
+SUNK = 5e-3
 CLOSING_AT_REST = 0.3  # of the speed at which a contact at rest closes without an impulse
 
 @kernel
@@ -85,6 +88,8 @@ def measure(
             missed = abs(missed)
         small = min(C[c, 3], C[c, 4]) if C[c, 4] > 0.0 else C[c, 3]
         slow = max(CLOSING_AT_REST * cold[c, REST], CLOSING_STILL * cold[c, APPROACH])
+        if cold[c, APPROACH] <= cold[c, REST] and cold[c, FOUND] > SUNK * small:
+            slow = CLOSING_WHEN_SUNK * cold[c, REST]
         excess = max(excess, missed - (tolerance * min(slow, SINKING * small / numbers[DT]) + negligible))
     found[piece, CHANGE] = excess
 
