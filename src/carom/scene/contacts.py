@@ -70,7 +70,12 @@ def load(scene: Scene) -> str:
     """Say what presses contacts together; empty if nothing does, and every contact is an impact."""
     if gravity(scene).modelled:
         return "gravity"
-    return "the field" if scene.anchored and field(scene).modelled else ""
+    return "the field" if field_presses(scene) else ""
+
+
+def field_presses(scene: Scene) -> bool:
+    """Tell whether the uniform field presses bodies on something that stands still."""
+    return scene.anchored and field(scene).modelled
 
 
 def resting(scene: Scene, contact: Part) -> Part:
