@@ -157,19 +157,19 @@ AUTO, NOW = {"timing": "auto"}, {"timing": "time-of-impact"}
 @pytest.mark.parametrize(
     ("scene", "chosen", "why", "step"),
     [
-        (pair(contact=AUTO), "time-of-impact", "nothing presses contacts together", 1.0),
-        (pair(contact=AUTO, gravity=FALLING), "time-of-impact", "nothing presses contacts together", 1.0),
-        (pair(contact=AUTO, time={"integrator": "euler"}), "time-of-impact", "nothing presses", 1.0),
-        (pair(contact=AUTO, time={"cfl": 0.2}), "time-of-impact", "nothing presses", 0.2),
-        (scene_of(MOVING, contact=AUTO), "end-of-step", "gravity presses contacts together: an impact is", 0.5),
-        (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "end-of-step", "the field presses contacts together", 0.5),
+        (pair(contact=AUTO), "time-of-impact", "no self-gravity presses contacts together", 1.0),
+        (pair(contact=AUTO, gravity=FALLING), "time-of-impact", "no self-gravity presses contacts together", 1.0),
+        (pair(contact=AUTO, time={"integrator": "euler"}), "time-of-impact", "no self-gravity presses", 1.0),
+        (pair(contact=AUTO, time={"cfl": 0.2}), "time-of-impact", "no self-gravity presses", 0.2),
+        (scene_of(MOVING, contact=AUTO), "end-of-step", "own gravity presses contacts together: an impact is", 0.5),
+        (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "time-of-impact", "no self-gravity presses", 0.5),
         (pair(contact=AUTO, time={"integrator": "yoshida4"}), "end-of-step", "yoshida4 is more than one drift", 0.5),
         (scene_of(RESTING, gravity={"constant": 0}, contact=AUTO), "end-of-step", "no contact is possible", None),
         (pair(contact={"timing": "end-of-step"}), "end-of-step", 'contact.timing = "end-of-step"', 0.5),
         (scene_of(MOVING, contact=NOW), "time-of-impact", 'contact.timing = "time-of-impact"', 0.5),
     ],
 )
-def test_impacts_are_at_their_own_moments_where_nothing_presses(
+def test_impacts_are_at_their_own_moments_unless_self_gravity_presses(
     scene: Scene, chosen: str, why: str, step: float | None
 ) -> None:
     assert timing(scene) == chosen
@@ -181,7 +181,7 @@ def test_impacts_are_at_their_own_moments_where_nothing_presses(
 def test_times_of_impact_can_be_forced_on_where_a_step_is_one_drift() -> None:
     pressed = cloud(contact=AUTO, model={"force": "time-of-impact"})
     part = require(pressed).impact_time
-    assert part.modelled and part.why.startswith("forced; otherwise not: gravity presses contacts together")
+    assert part.modelled and part.why.startswith("forced; otherwise not: the bodies' own gravity presses")
     assert Space(pressed)._contact is not None
     with pytest.raises(SceneError, match=r'set time\.integrator = "leapfrog"'):
         require(cloud(contact=AUTO, time={"integrator": "yoshida4"}, model={"force": "time-of-impact"}))

@@ -43,6 +43,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 HELD = 1e-8  # a sweep that changes no velocity by more than this part of the largest that the contacts undo is the last
+LOADED = 1e-5  # how much the velocity counts that an impulse gives to the lightest body: rounding is 1e-16 of it
 
 
 @kernel
@@ -94,7 +95,7 @@ def begin(
             for k in range(4):
                 C[c, 8 + k] = 0.0
         else:
-            largest = max(largest, -vn, C[c, 8] * Kn)
+            largest = max(largest, -vn, LOADED * C[c, 8] * Kn)
         for k in range(12, 16):
             C[c, k] = 0.0
     found[piece, CHANGE] = largest
