@@ -74,6 +74,18 @@ def stack_20() -> Bodies:
         yield {"position": [0.0, 0.0, round(1.05 + 2.05 * k, 6)], "radius": 1.0}
 
 
+def stack_200() -> Bodies:
+    """Place two hundred balls that touch in a column on the floor."""
+    for k in range(200):
+        yield {"position": [0.0, 0.0, 1.0 + 2.0 * k], "radius": 1.0}
+
+
+def stack_dropped() -> Bodies:
+    """Place fifty balls in a column, 5 cm above each other and the floor."""
+    for k in range(50):
+        yield {"position": [0.0, 0.0, round(1.05 + 2.05 * k, 6)], "radius": 1.0}
+
+
 def table(body: dict[str, Any]) -> str:
     """Write one [[body]] of a scene."""
     lines = [f'{key} = "{value}"' if isinstance(value, str) else f"{key} = {value}" for key, value in body.items()]
@@ -82,7 +94,7 @@ def table(body: dict[str, Any]) -> str:
 
 def main() -> None:
     """Replace what is below the marker in each scene."""
-    for place in (overlapped, elastic_chain, collapse_10, dense_gas, hub_25, stack_20):
+    for place in (overlapped, elastic_chain, collapse_10, dense_gas, hub_25, stack_20, stack_200, stack_dropped):
         path = HERE / f"{place.__name__.replace('_', '-')}.toml"
         head, _, _ = path.read_text(encoding="utf-8").partition(MARKER)
         path.write_text(head + MARKER + "\n" + "\n\n".join(map(table, place())) + "\n", encoding="utf-8")
