@@ -94,7 +94,7 @@ def holding(bench: Workbench) -> Callable[[], object]:
 
     def hold() -> None:
         bench.hot[:, IMPULSE:] = 0.0
-        if bench.hold(1.0, 1.0, 0.0, 0.0, SWEEPS) != SWEEPS:
+        if bench.hold(1.0, 1.0, 0.0, 0.0, SWEEPS, as_needed=False) != SWEEPS:
             raise RuntimeError("the sweeps ended early: that is no measurement")
 
     return hold

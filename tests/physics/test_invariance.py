@@ -189,7 +189,8 @@ def test_isolated_collisions_have_the_same_bits_in_any_order(document: Document,
 @settings(max_examples=100, deadline=None)
 @given(document=documents(gravity=False, fixed_step=True, periodic=False, most_bodies=8))
 def test_a_far_body_that_meets_nobody_changes_no_bit(document: Document) -> None:
-    far = {"position": [0.0, 0.0, 1e9 * document["body"][0]["radius"]], "radius": 1e-9, "mass": 1.0}
+    radius = document["body"][0]["radius"]
+    far = {"position": [0.0, 0.0, 1e9 * radius], "radius": 1e-3 * radius, "mass": 1.0}
     far["velocity"] = document["body"][0]["velocity"]
     alone, watched = run(document)[0], run({**document, "body": [*document["body"], far]})[0]
     n = len(document["body"])

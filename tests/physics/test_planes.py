@@ -200,7 +200,10 @@ def test_nothing_moves_or_turns_a_fixed_body_and_it_still_pulls() -> None:
             }
         )
     scene = scene_of(
-        bodies, gravity={"constant": 1.0, "uniform": [1.0, 2.0, -3.0]}, time={"duration": 4.0, "max_dt": 0.01}
+        bodies,
+        gravity={"constant": 1.0, "uniform": [1.0, 2.0, -3.0]},
+        contact={"timing": "end-of-step"},
+        time={"duration": 4.0, "max_dt": 0.01},
     )
     _, frames = frames_of(scene)
     assert sum(bool(np.any(frame.contacts.pairs[:, 0] == 0)) for frame in frames) >= 3

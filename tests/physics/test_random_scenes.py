@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.physics.contact.stage import SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -78,7 +79,8 @@ class Auditor:
         """Add up what may have been rounded since the frame before, and how large it was."""
         scene, state = self.space.scene, self.space.state
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
-        passes = frame.sweeps + (scene.contact.sweeps if scene.contact.stabilisation == "split" else 0)
+        most = SWEEPS if scene.contact.sweeps == "auto" else scene.contact.sweeps
+        passes = frame.sweeps + (most if scene.contact.stabilisation == "split" else 0)
         struck = self.space.moments.impacts - self.impacts
         self.impacts += struck
         visits = passes * len(frame.contacts) + struck

@@ -41,6 +41,7 @@ _AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
+Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # without a unit: there are no others to choose
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
 
@@ -114,11 +115,11 @@ class Contact(Section):
     """[contact]: what happens where spheres touch."""
 
     enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
-    restitution: Real = Field(
+    restitution: _AnyReal = Field(
         0.5, ge=0, le=1, description="fraction of the approach speed kept, from 0 (no bounce) to 1 (elastic)"
     )
-    static_friction: NonNegative = Field(0.6, description="Coulomb coefficient while the contact sticks; not negative")
-    kinetic_friction: NonNegative = Field(
+    static_friction: Friction = Field(0.6, description="Coulomb coefficient while the contact sticks; not negative")
+    kinetic_friction: Friction = Field(
         0.4, description="Coulomb coefficient while the contact slides, from 0 to static_friction"
     )
     solver: Literal["lasting", "staged"] = Field(
@@ -333,9 +334,11 @@ class Plane(Section):
     normal: tuple[_AnyReal, _AnyReal, _AnyReal] = Field(
         (0.0, 0.0, 1.0), description="direction out of the solid; of any length but 0"
     )
-    restitution: Real | None = Field(None, ge=0, le=1, description="as in [contact], whose value holds unless given")
-    static_friction: NonNegative | None = Field(None, description="as in [contact], whose value holds unless given")
-    kinetic_friction: NonNegative | None = Field(
+    restitution: _AnyReal | None = Field(
+        None, ge=0, le=1, description="as in [contact], whose value holds unless given"
+    )
+    static_friction: Friction | None = Field(None, description="as in [contact], whose value holds unless given")
+    kinetic_friction: Friction | None = Field(
         None, description="as in [contact], whose value holds unless given; at most the static one"
     )
 

@@ -23,8 +23,8 @@ OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES, PART, APART = 0, 1, 2, 3
 # motion, of a body or plane: v, ω, 1/m, 1/I;   what the last sweep changed of v and ω
 MOTION = 16
 
-# search: s, what conjugate gradients change of λ_n and λ_t; d, the direction; r, the residual;   c, how fast the contact
-#         may close, 1 where λ_n is free to change, 1 where λ_t is
+# search: s, what conjugate gradients change of λ_n and λ_t; d, the direction; r, the residual;   c, how fast the
+#         contact may close, 1 where λ_n is free to change, 1 where λ_t is
 SEARCH = 16
 STEP, DIRECTION, RESIDUAL, ALLOWED, FREE_NORMAL, FREE_TANGENT = 0, 4, 8, 12, 13, 14
 

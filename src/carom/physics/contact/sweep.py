@@ -36,6 +36,7 @@ from carom.physics.contact.load import (
     REST,
     SPINS,
 )
+from carom.physics.contact.velocity import bend, give
 from carom.physics.kernel import kernel
 from carom.physics.machine import AHEAD, prefetch
 
@@ -110,22 +111,7 @@ def press(lo: int, hi: int, pairs: IntArray, C: FloatArray, V: FloatArray, flags
         ahead = min(last, c + AHEAD)
         prefetch(V, pairs[ahead, 0], 0)
         prefetch(V, pairs[ahead, 1], 0)
-        nx, ny, nz, Jn = C[c, 0], C[c, 1], C[c, 2], C[c, 8]
-        Jx, Jy, Jz = C[c, 9], C[c, 10], C[c, 11]
-        tx, ty, tz = nz * Jy - ny * Jz, nx * Jz - nz * Jx, ny * Jx - nx * Jy  # of J_t alone: n × n = 0
-        Jx, Jy, Jz = Jx + Jn * nx, Jy + Jn * ny, Jz + Jn * nz
-        for end in range(2):
-            b = pairs[c, end]
-            w = V[b, 6] if end == 1 else -V[b, 6]
-            if w != 0.0:
-                V[b, 0] += Jx * w
-                V[b, 1] += Jy * w
-                V[b, 2] += Jz * w
-                if spins:
-                    s = C[c, 3 + end] * V[b, 7]
-                    V[b, 3] += s * tx
-                    V[b, 4] += s * ty
-                    V[b, 5] += s * tz
+        give(c, 0, pairs, C, V, spins, C[c, 8], C[c, 9], C[c, 10], C[c, 11])
 
 
 @kernel
@@ -164,9 +150,8 @@ def relax(
         vn = ux * nx + uy * ny + uz * nz
         ux, uy, uz = ux - vn * nx, uy - vn * ny, uz - vn * nz
         if drift > 0.0 and j < bodies:
-            R, t2 = C[c, 3] + C[c, 4] - may_close * drift, (ux * ux + uy * uy + uz * uz) * drift * drift
-            if 0.0 < t2 < R * R:
-                may_close += t2 / ((R + np.sqrt(R * R - t2)) * drift)
+            way2 = (ux * ux + uy * uy + uz * uz) * drift * drift
+            may_close += bend(C[c, 3] + C[c, 4] - may_close * drift, way2, drift)
         old = C[c, 8] + alpha * C[c, 12]
         Jn = max(0.0, old - (vn + may_close) * C[c, 5])
         more = Jn - old
