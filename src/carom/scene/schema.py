@@ -135,7 +135,7 @@ class Contact(Section):
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
         description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed; auto is "
-        "the latter where nothing presses contacts together",
+        "the latter unless the bodies' own gravity presses contacts together",
     )
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"
