@@ -129,7 +129,7 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(tmp_path: Path) -> None:
         (["spheres.toml", "--vary", "contact.restitution=0:1:1", "-o", "new"], "two values or more"),
         (["spheres.toml", "--vary", "seed=1,2", "--seeds", "2", "-o", "new"], "given twice"),
         (["spheres.toml", "-o", "new"], "nothing varies"),
-        (["spheres.toml", *VARY, "-o", "spheres.toml"], "cannot be made a folder"),
+        (["spheres.toml", *VARY, "-o", "spheres.toml"], "is no folder"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"], "expected the address of a Dask scheduler"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers"),
         (["spheres.toml", *VARY, "--plot", "x=a", "z=b"], "expected x=KEY y=KEY"),

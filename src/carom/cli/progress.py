@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import zip_longest
 from typing import Self
 
 from rich.table import Table
@@ -77,6 +78,7 @@ class Progress(LiveLine):
             table.add_row(kept if verdict.met else Text("missed", style="red"), str(verdict))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
         resumed = ("resume",) if outcome.status == "interrupted" else ()
-        commands = (command(name, outcome.path) for name in (*resumed, "view", "inspect", "picture"))
-        table.add_row("next", "  ·  ".join(commands))
-        Terminal(file=sys.stdout, soft_wrap=True).print(table)
+        terminal = Terminal(file=sys.stdout)
+        terminal.print(table)
+        for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
+            terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # whole, to be copied

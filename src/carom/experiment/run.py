@@ -307,7 +307,7 @@ def _summary(space: Space, moments: Moments, verdicts: list[Verdict]) -> dict[st
         summary["angular_momentum.max_error"] = moments.angular_momentum_error.value
     if moments.energy_error is not None:
         summary["energy.max_error"] = moments.energy_error.value
-    summary["energy.scale"] = moments.energy_scale
+    summary["energy.reference"] = moments.energy_scale  # J; the viewer loads no recording with "energy.scale" here
     summary["energy.contact_gain"] = moments.contact_gain.value
     if moments.overlap is not None:
         summary["contacts.max_overlap"] = moments.overlap.value

@@ -91,17 +91,17 @@ def measure(
         if Jn > 0.0:
             missed = abs(missed)
         small = min(C[c, 3], C[c, 4]) if C[c, 4] > 0.0 else C[c, 3]
-        slow = tolerated(cold[c, REST], cold[c, APPROACH], cold[c, FOUND] / small)
-        excess = max(excess, missed - (tolerance * min(slow, PART_OF_RADIUS * small / numbers[DT]) + negligible))
+        allowed = tolerated(cold[c, REST], cold[c, APPROACH], cold[c, FOUND] / small, small / numbers[DT])
+        excess = max(excess, missed - (tolerance * allowed + negligible))
     found[piece, CHANGE] = excess
 
 
 @kernel
-def tolerated(rest_speed: float, approach: float, depth: float) -> float:
-    """Return the speed at which a contact may close, in m/s, given its depth in radii."""
+def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step: float) -> float:
+    """Return the speed at which a contact may close, in m/s, given its depth in radii and m/s for a radius a step."""
     if approach <= rest_speed and depth > DEEP:
         return PART_WHEN_DEEP * rest_speed
-    return max(PART_OF_REST * rest_speed, PART_OF_APPROACH * approach)
+    return min(max(PART_OF_REST * rest_speed, PART_OF_APPROACH * approach), PART_OF_RADIUS * radius_per_step)
 
 
 @kernel

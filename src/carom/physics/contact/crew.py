@@ -65,7 +65,7 @@ IntArray = NDArray[np.int64]
 
 PUSHES, IMPACTS, HOLDING, HELP = range(4)  # jobs
 ROUNDS = 20  # of conjugate gradients, at most
-ITERATIONS = 2000  # of them in a round, at most
+ITERATIONS = 100  # of them in a round, at most
 BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
 WORTH = 0.5  # of what was missed before; a round that leaves more is the last
 SOLVED = 1e-3
