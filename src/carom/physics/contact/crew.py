@@ -214,10 +214,9 @@ def _descend(board: IntArray, edges: IntArray, independent: int, load: Load) -> 
         push, pull = 0.0, 0.0
         for k in range(pieces):
             push, pull = max(push, load.found[k, PUSH_MOST]), max(pull, load.found[k, PULL_MOST])
-        if pull > push:
-            _forget_changes(board, load)
-            break
         _forget_changes(board, load)
+        if pull > push:  # a residual that no impulse can remove makes them grow without end
+            break
     _share_stages(board, edges, independent, load, PROJECT)
     return iterations
 

@@ -210,7 +210,7 @@ class ContactStage:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
-                f"Contacts were still closing after {self.sweeps} sweeps (contact.sweeps = {self._contact.sweeps}); "
+                f"Contacts were still closing after the sweeps of a step (contact.sweeps = {self._contact.sweeps}); "
                 "what is left is resolved in later steps."
             )
         if self._flight and self._flight.is_exhausted:
