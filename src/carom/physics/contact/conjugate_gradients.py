@@ -28,10 +28,10 @@ from carom.physics.contact.load import (
     DRIFT,
     DT,
     FARTHEST,
-    FOUND,
     FREE_NORMAL,
     FREE_TANGENT,
     NEGLIGIBLE,
+    OVERLAP,
     PULL_MOST,
     PUSH_MOST,
     RESIDUAL,
@@ -91,7 +91,9 @@ def measure(
         if Jn > 0.0:
             missed = abs(missed)
         small = min(C[c, 3], C[c, 4]) if C[c, 4] > 0.0 else C[c, 3]
-        allowed = tolerated(cold[c, REST], cold[c, APPROACH], cold[c, FOUND] / small, small / numbers[DT])
+        # Before a drift the approach is that of the step before, which no checkpoint keeps.
+        approach = 0.0 if drift > 0.0 else cold[c, APPROACH]
+        allowed = tolerated(cold[c, REST], approach, cold[c, OVERLAP] / small, small / numbers[DT])
         excess = max(excess, missed - (tolerance * allowed + negligible))
     found[piece, CHANGE] = excess
 
