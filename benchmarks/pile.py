@@ -1,4 +1,4 @@
-"""How still a pile lies, and what it costs: contacts that last beside the seed's stages.
+"""How still a pile lies, and what it costs: the `lasting` solver beside the `staged` one.
 
 python benchmarks/pile.py
 

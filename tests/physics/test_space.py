@@ -1,4 +1,4 @@
-"""One step after the other: conservation, rest, determinism, and the seed's public calls."""
+"""One step after the other: conservation, rest, determinism, and the reference engine's public calls."""
 
 from __future__ import annotations
 

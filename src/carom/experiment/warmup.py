@@ -37,7 +37,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 1.0, "method": "tree"},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },
-    "a periodic box, the seed's colours": {
+    "a periodic box, bodies coloured": {
         "group": _CROWD,
         "domain": {"boundary": "periodic", "size": [4.0, 4.0, 4.0]},
         "gravity": {"constant": 0.0},

@@ -49,7 +49,7 @@ WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
 
 
 class Space:
-    """Bodies in motion: the seed's public calls, and what people need besides.
+    """Bodies in motion: the reference engine's public calls, and what people need besides.
 
     While one thread steps, others may read ``status`` and ``contacts`` and call ``stop``, nothing else.
 
@@ -420,9 +420,9 @@ class Space:
     def _integrate(self, dt: float, with_potential: bool) -> float:
         """Kick, drift, kick; overlaps are undone after the last drift, so that forces belong to the final positions.
 
-        The seed pushes bodies apart at the end of the step. The forces would then be those of other positions, the next
-        kick would not be central, and angular momentum would drift by overlap × force; or they would have to be
-        computed twice.
+        The reference engine pushes bodies apart at the end of the step. The forces would then be those of other
+        positions, the next kick would not be central, and angular momentum would drift by overlap × force; or they
+        would have to be computed twice.
         """
         state = self.state
         pulls = self.requirements.pulls

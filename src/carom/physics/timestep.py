@@ -11,7 +11,7 @@ By default the first two hold where bodies can touch, and the third where they c
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
 uniform field: a scene that moves or falls as a whole gets the same steps. Where planes, walls or fixed bodies stand
-still, speeds count from them and the field counts. The seed leaves out the acceleration, takes
+still, speeds count from them and the field counts. The reference engine leaves out the acceleration, takes
 speeds as they are, and the radius of the *fastest* body only, so that a small body a little slower tunnels; that
 limit is kept as "fastest-body". It also smooths in both directions; a smoothed shrink breaks the bound that it exists
 for, so ours is taken at once.
@@ -34,8 +34,8 @@ from carom.scene.schema import Time
 from carom.scene.step_limits import HELD_PART
 
 FloatArray = NDArray[np.float64]
-# |a|max, m/s²; dt_v, s, by the seed's rule and by ours, infinite at rest; |a|max of what contacts do not hold, m/s²;
-# the shortest time in which what they hold moves by its radius, s; and the most that they bear, m/s²
+# |a|max, m/s²; dt_v, s, of the fastest body and of every body, infinite at rest; |a|max of what contacts do not hold,
+# m/s²; the shortest time in which what they hold moves by its radius, s; and the most that they bear, m/s²
 Limits = tuple[float, float, float, float, float, float]
 
 BLOCK = 1000  # bodies, some 10 µs

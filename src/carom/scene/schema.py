@@ -83,7 +83,7 @@ class Time(Section):
         '"auto" is 0.2, and 1 where the pull alone limits the step',
     )
     velocity_limit: Literal["every-body", "fastest-body"] = Field(
-        "every-body", description="whose radius and speed limit the step; fastest-body is the seed's rule"
+        "every-body", description="the bodies whose radius and speed limit the step: all, or the fastest body alone"
     )
     fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
     integrator: Literal["auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
@@ -124,13 +124,14 @@ class Contact(Section):
     )
     solver: Literal["lasting", "staged"] = Field(
         "lasting",
-        description="how contacts at rest are held: by impulses that last from step to step, or by the seed's stages",
+        description="solver of resting contacts: warm-started impulses (lasting), or impulses that start from 0 "
+        "in every step (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(
-        "contacts", description="what the stages are built from; bodies is the seed's"
+        "contacts", description="what is coloured to find contacts that can be solved in parallel: contacts or bodies"
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
-        "split", description="how overlaps are undone; baumgarte is the seed's"
+        "split", description="how overlaps are undone: by moving positions (split), or by a velocity bias (baumgarte)"
     )
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
@@ -138,7 +139,7 @@ class Contact(Section):
         "the latter unless the bodies' own gravity presses contacts together",
     )
     search: Literal["grid", "k-d-tree"] = Field(
-        "grid", description="how touching pairs are found, with the same result; k-d-tree is the seed's"
+        "grid", description="broad phase: a hierarchical grid, or a k-d tree with the same result, 2 to 8 times slower"
     )
     sweeps: Literal["auto"] | Annotated[Count, Field(le=10_000)] = Field(
         "auto",

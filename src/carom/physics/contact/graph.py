@@ -1,8 +1,8 @@
 """The collision graph: which bodies touch in a step, how deeply, and in which order the contacts are resolved.
 
-The seed colours *bodies* so that neighbours differ, and then resolves "all collisions of a colour"; two contacts of
-one colour can share a body. carom colours *contacts* so that no two contacts of a colour share a body: each stage is
-independent. Body colouring is kept for comparison.
+carom colours *contacts* so that no two contacts of a colour share a body: the contacts of a colour can be solved in
+parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions of a
+colour"; two contacts of one colour can share a body. Body colouring remains available for comparison.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class CollisionGraph:
     normals: FloatArray  # (m, 3) unit vectors from i to j, as the contact was found: before any push
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
     colours: IntArray  # (m,) stage in which the contact is resolved
-    body_colours: IntArray | None = None  # (n,) the seed's colouring of the nodes, -1: touches nobody
+    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes, -1: touches nobody
     into_step: FloatArray | None = None  # (m,) s after the beginning of the step each first was resolved; None: its end
 
     def __len__(self) -> int:
@@ -99,7 +99,7 @@ def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mas
 
 
 def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tuple[IntArray, IntArray]:
-    """Colour bodies greedily, in order, so that no two that touch share a colour: the seed's rule.
+    """Colour bodies greedily, in order, so that no two that touch share a colour: the reference engine's rule.
 
     Parameters
     ----------

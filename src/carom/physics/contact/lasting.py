@@ -24,8 +24,8 @@ lost and made again in every other step. Together this is RATTLE (Andersen 1983)
 Impacts are not handled here. They are resolved before, one by one, with their restitution; a step without a contact at
 rest does not come here at all.
 
-Rejected: the seed's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed), impulses at the end
-of the step only (a body falls a dt²/2 into the ground in every step and has to be pushed back).
+Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed),
+impulses at the end of the step only (a body falls a dt²/2 into the ground in every step and has to be pushed back).
 """
 
 from __future__ import annotations

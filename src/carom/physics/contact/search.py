@@ -30,7 +30,7 @@ class Search(Protocol):
 
 
 class KdTree:
-    """The seed's broad phase, kept to compare with: 2 to 8 times slower than `Grid` (benchmarks/contacts.py)."""
+    """The reference engine's broad phase: 2 to 8 times slower than `Grid` (benchmarks/contacts.py)."""
 
     def __init__(self, radius: FloatArray, box: FloatArray) -> None:
         self._radius = radius
