@@ -1,12 +1,13 @@
-"""A drift with impacts at their own moments, said once more in plain NumPy: no grids, no agenda, no strays.
+"""Event-driven drift in plain NumPy, the oracle of the kernels: no broad phase and no event queue.
 
-All pairs, planes and images are looked at from now on, after every impact; all bodies move to the first one; it is
-resolved by the readable form of the impulse law.
+After each impact it looks at all pairs, planes and images, moves all bodies to the first impact, and resolves that one
+by the readable form of the impulse law.
 """
 
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +19,19 @@ from carom.physics.space import Space
 FloatArray = NDArray[np.float64]
 
 
-def drift(bodies: Bodies, space: Space, kick: float, dt: float) -> list[tuple[float, int, int]]:
-    """Move bodies without friction on planes for dt after a kick; return times and pairs of the impacts."""
+class Impact(NamedTuple):
+    """One impact: its time in s from the beginning of the drift, its pair, and its closing speed in m/s."""
+
+    time: float
+    i: int
+    j: int
+    closing: float
+
+
+def drift(bodies: Bodies, space: Space, kick: float, dt: float) -> list[Impact]:
+    """Move bodies without friction on planes for dt after a kick; return the impacts in the order of time."""
     time = 0.0
-    impacts: list[tuple[float, int, int]] = []
+    impacts: list[Impact] = []
     while True:
         found = _first(bodies, space, kick - time, dt - time)
         span = found[0] if found else dt - time
@@ -29,12 +39,12 @@ def drift(bodies: Bodies, space: Space, kick: float, dt: float) -> list[tuple[fl
         if found is None:
             return impacts
         time += span
-        _, i, j, normal = found
+        _, i, j, normal, closing = found
         _strike(bodies, space, i, j, normal, time - kick)
-        impacts.append((time, i, j))
+        impacts.append(Impact(time, i, j, closing))
 
 
-def _first(bodies: Bodies, space: Space, kick: float, span: float) -> tuple[float, int, int, FloatArray] | None:
+def _first(bodies: Bodies, space: Space, kick: float, span: float) -> tuple[float, int, int, FloatArray, float] | None:
     found = []
     n = len(bodies)
     for i, j in itertools.combinations(range(n), 2):
@@ -59,7 +69,7 @@ def _first(bodies: Bodies, space: Space, kick: float, span: float) -> tuple[floa
         closing = -(v + a * (tau - kick)) @ normal
         noise = 1e-13 * (np.abs(bodies.velocity).sum())
         if tau <= span and closing > noise:
-            return tau, i, j, normal
+            return tau, i, j, normal, float(closing)
     return None
 
 

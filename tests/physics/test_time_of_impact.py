@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -183,7 +183,10 @@ def test_a_ball_that_falls_on_a_plane_bounces_as_high_as_the_law_says_to_round_o
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_step_is_that_of_the_oracle(integrator: str, seed: int) -> None:
-    # A few impacts in one step. An error grows by the way between impacts over the radius, some ten times for each.
+    # A few impacts in one step. An error grows by the path between impacts over the radius, about ten times for each.
+    # Inelastic collapses are left out: their gaps shrink like the square of their closing speeds and reach rounding,
+    # 10⁻¹⁶ m, while bodies still close with 10⁻⁸ m/s. Kernel and oracle then part by that speed and by all that it
+    # does to later impacts (up to 3 × 10⁻⁴ s in 30 000 scenes, against 3 × 10⁻¹⁴ s wherever bodies close faster).
     random = np.random.default_rng(seed)
     periodic, walls, falls = random.random(3) < (0.3, 0.3, 0.5)
     bodies = [
@@ -216,7 +219,8 @@ def test_a_step_is_that_of_the_oracle(integrator: str, seed: int) -> None:
     found = struck(space)
     if space.box is not None:
         other.state.position[:] -= space.box * np.floor(other.state.position / space.box + 0.5)
-    first = {(i, j): moment for moment, i, j in reversed(expected)}
+    assume(all(impact.closing > 1e-6 for impact in expected))
+    first = {(impact.i, impact.j): impact.time for impact in reversed(expected)}
     assert dict(found) == pytest.approx(first, abs=1e-9)
     assert np.allclose(state.position, other.state.position, rtol=0, atol=1e-8)
     assert np.allclose(state.velocity, other.state.velocity, rtol=0, atol=1e-8)
