@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.experiment.exact import solve
-from carom.experiment.reference import scale_of
-from carom.experiment.trajectory import Trajectory, follow, sample_times
+from carom.experiment.work_precision.event_driven_reference import solve
+from carom.experiment.work_precision.reference import scale_of
+from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.requirements import pull_fraction
 from carom.scene.schema import Scene

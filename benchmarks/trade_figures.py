@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from carom.experiment.figure import draw
+from carom.experiment.work_precision.figure import draw
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results" / "trade"

@@ -9,10 +9,10 @@ from typing import Any
 import pyarrow as pa
 import xxhash
 
-from carom.recording import framing, protobuf
-from carom.recording.arrow_stream import record_batch
-from carom.recording.container import RECORDING, decode
-from carom.recording.framing import CHUNK, END
+from carom.recording.rrd import framing, protobuf
+from carom.recording.rrd.arrow_stream import record_batch
+from carom.recording.rrd.framing import CHUNK, END
+from carom.recording.rrd.index import RECORDING, decode
 
 Change = Callable[[pa.RecordBatch], pa.RecordBatch]
 

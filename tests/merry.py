@@ -16,7 +16,7 @@ from carom.physics.frame import Frame
 from carom.physics.moments import Moment, Moments
 from carom.physics.momentum import MomentumBaseline
 from carom.physics.watch import WatchTally
-from carom.recording.header import Header
+from carom.recording.schema.header import Header
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 

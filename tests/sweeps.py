@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 
 SCENE = """
 title = "Two spheres"

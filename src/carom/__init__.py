@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from carom.experiment.run import run as run
     from carom.physics.space import Space as Space
-    from carom.recording.recording import Recording as Recording
+    from carom.recording.read.recording import Recording as Recording
     from carom.scene.schema import Scene as Scene
 
 __all__ = ["Recording", "Scene", "Space", "run"]
 
 _HOMES = {
-    "Recording": "carom.recording.recording",
+    "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.schema",
     "Space": "carom.physics.space",
     "run": "carom.experiment.run",

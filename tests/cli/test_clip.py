@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 

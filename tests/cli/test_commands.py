@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from carom.experiment.report import worst_moment
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.parts import unknown
 from command import carom
 

@@ -13,7 +13,7 @@ import pytest
 
 from carom.cli.main import main
 from carom.physics.error import PhysicsError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 QUICK = ("run", "two-spheres", "--set", "time.duration=0.5")

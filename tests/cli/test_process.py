@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 LONG = ["run", "elastic-gas", "--set", "time.duration=1e5", "-o", "x.rrd"]

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.claim import Claim
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.write.claim import Claim
 from command import carom
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from carom.experiment.stress import extremes
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 # at their own moments impacts overlap by nothing

@@ -17,7 +17,7 @@ import pytest
 from carom.cli.main import main
 from carom.experiment.run import simulate
 from carom.physics.space import Space
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from command import carom

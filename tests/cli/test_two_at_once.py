@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 LONG = ("--set", "time.duration=1e5")

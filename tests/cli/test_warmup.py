@@ -21,7 +21,7 @@ def kernels() -> set[str]:
     """All functions of carom that Numba compiles on their own, by module and name."""
     modules = [module.name for module in pkgutil.walk_packages(carom.physics.__path__, "carom.physics.")]
     found = set()
-    for module in (*modules, "carom.recording.encoding"):
+    for module in (*modules, "carom.recording.write.encoding_kernels"):
         for value in vars(importlib.import_module(module)).values():
             if isinstance(value, Dispatcher) and value.targetoptions.get("inline") != "always":
                 found.add(f"{value.py_func.__module__}.{value.py_func.__name__}")

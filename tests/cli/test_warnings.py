@@ -9,7 +9,7 @@ import pytest
 
 from carom.cli.warnings import warning_lines
 from carom.physics.event import Event
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from command import carom
 
 # Two spheres that overlap at rest: Baumgarte's bias throws them apart, which is a rise of the energy.

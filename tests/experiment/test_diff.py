@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from carom.cli.diff import _short
-from carom.experiment.diff import Diff, diff, differing, overlay
+from carom.experiment.diff.diff import Diff, diff, differing, overlay
 from carom.experiment.run import run
-from carom.recording.clip import clip
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
 from merry import Merry
 

@@ -12,8 +12,8 @@ from carom.experiment.estimate import MARKS, Estimate, estimate
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, run
 from carom.physics.space import Space
-from carom.recording.contents import contents
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.inventory import contents
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of

@@ -13,10 +13,10 @@ import pytest
 import carom
 from carom.experiment.replay import replay
 from carom.experiment.resume import continuation
-from carom.recording.clip import clip
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
-from carom.recording.framing import CHUNK
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.framing import CHUNK
 from crafted import assembled, changed, is_of, mapped, messages_of, without_column
 from examples import cloud
 

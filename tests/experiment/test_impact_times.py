@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from carom.experiment.exact import solve
-from carom.experiment.trajectory import follow, sample_times
+from carom.experiment.work_precision.event_driven_reference import solve
+from carom.experiment.work_precision.trajectory import follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from examples import scene_of

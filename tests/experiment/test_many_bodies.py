@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import carom
-from carom.experiment.recorded import recorded_scene
 from carom.experiment.replay import replay
 from carom.experiment.report import report
+from carom.experiment.restore import recorded_scene
 from carom.experiment.resume import continuation, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene

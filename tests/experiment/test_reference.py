@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.experiment import exact
-from carom.experiment.exact import solve
-from carom.experiment.reference import fineness, make_reference, refined
-from carom.experiment.trajectory import sample_times
+from carom.experiment.work_precision import event_driven_reference as exact
+from carom.experiment.work_precision.event_driven_reference import solve
+from carom.experiment.work_precision.reference import fineness, make_reference, refined
+from carom.experiment.work_precision.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

@@ -18,9 +18,9 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
-from carom.recording import checkpoint
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema import checkpoint
 from carom.scene.bundled import bundled_scenes
 from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
@@ -196,7 +196,7 @@ def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_agai
         return {name: column for name, column in encode(checkpoints).items() if not name.startswith(new)}
 
     with monkeypatch.context() as then:
-        then.setattr("carom.recording.layout.SCHEMA_VERSION", 1)
+        then.setattr("carom.recording.schema.application_id.SCHEMA_VERSION", 1)
         then.setattr(checkpoint, "encode", as_it_was)
         carom.run(cloud(12), tmp_path / "old.rrd")
     recording = Recording.open(tmp_path / "old.rrd")

@@ -13,9 +13,9 @@ import carom
 from carom.experiment import report as reports
 from carom.experiment.replay import replay
 from carom.experiment.report import Report, report, worst_moment
-from carom.recording import bundle
+from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from examples import cloud
 

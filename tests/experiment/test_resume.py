@@ -18,7 +18,7 @@ from carom.experiment.resume import continuation, resume
 from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from examples import cloud

@@ -19,7 +19,7 @@ from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.experiment import tradeoff, trajectory
 from carom.experiment.error import ExperimentError
-from carom.experiment.overlay import record
-from carom.experiment.setting import default_settings, vary
-from carom.experiment.tradeoff import Study
+from carom.experiment.work_precision import tradeoff, trajectory
+from carom.experiment.work_precision.overlay import record
+from carom.experiment.work_precision.settings_grid import default_settings, vary
+from carom.experiment.work_precision.tradeoff import Study
 from carom.physics.error import PhysicsError
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from examples import cloud, pair

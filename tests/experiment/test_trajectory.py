@@ -10,10 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from carom.experiment.comparison import Scale, compare
-from carom.experiment.reference import make_reference, refined
-from carom.experiment.setting import vary
-from carom.experiment.trajectory import Trajectory, follow, sample_times
+from carom.experiment.work_precision.error_measures import Scale, compare
+from carom.experiment.work_precision.reference import make_reference, refined
+from carom.experiment.work_precision.settings_grid import vary
+from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.recorder import Recorder
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 IMPACT: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2"}

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
-from carom.experiment.diff import diff
-from carom.recording.clip import clip
+from carom.experiment.diff.diff import diff
+from carom.recording.edit.clip import clip
+from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
-from carom.recording.repair import repair
+from carom.recording.read.recording import Recording
 
 SLOWEST = 20  # s of CPU for one file; all of them take less than 1 s
 

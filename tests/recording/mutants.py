@@ -17,11 +17,11 @@ import pyarrow as pa
 
 from carom.cli.inspect import _moments, _overview, _profile
 from carom.cli.terminal import Terminal
-from carom.experiment.diff import diff
-from carom.recording.clip import clip
-from carom.recording.container import RECORDING, decode
-from carom.recording.framing import CHUNK
-from carom.recording.recording import Recording
+from carom.experiment.diff.diff import diff
+from carom.recording.edit.clip import clip
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.framing import CHUNK
+from carom.recording.rrd.index import RECORDING, decode
 from crafted import assembled, messages_of, repacked, stream, with_column, without_column
 from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
 

@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from carom.recording.arrow_stream import record_batch
-from carom.recording.container import Container
 from carom.recording.errors import DamageError
-from carom.recording.flatbuffer import claims
-from carom.recording.framing import END
+from carom.recording.rrd.arrow_stream import record_batch
+from carom.recording.rrd.flatbuffer import claims
+from carom.recording.rrd.framing import END
+from carom.recording.rrd.index import Container
 from crafted import assembled, messages_of, stream, with_column
 
 ROWS = 200_000_000

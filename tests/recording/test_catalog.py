@@ -9,10 +9,10 @@ from rerun.catalog import CatalogClient
 
 from carom.experiment.run import simulate
 from carom.physics.space import Space
-from carom.recording.catalog import catalog
 from carom.recording.errors import RecordingError
-from carom.recording.header import SweepMember
-from carom.recording.viewer import Viewer
+from carom.recording.schema.header import SweepMember
+from carom.recording.view.catalog import catalog
+from carom.recording.view.viewer import Viewer
 from examples import pair
 
 

@@ -6,10 +6,10 @@ import pytest
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
-from carom.recording.checkpoint import CheckpointPlan, size
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.checkpoint import CheckpointPlan, size
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
-from carom.recording.writer import Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.claim import Claim
 
 
 def test_a_second_claim_of_a_file_is_refused_until_the_first_is_released(tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_a_file_has_one_claim_under_all_its_paths(tmp_path: Path) -> None:
 
 def test_a_killed_process_leaves_no_claim(tmp_path: Path) -> None:
     code = f"""
-import time; from pathlib import Path; from carom.recording.claim import Claim
+import time; from pathlib import Path; from carom.recording.write.claim import Claim
 with Claim(Path({str(tmp_path / "x.rrd")!r})):
     print("claimed", flush=True); time.sleep(100)
 """

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from carom.physics.frame import Frame
-from carom.recording import paths
-from carom.recording.clip import clip
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 FIRST, LAST = 45, 73  # steps of the clip that most tests make: frame 45 lies inside a phase, and at no checkpoint
@@ -201,7 +201,7 @@ def test_a_full_disk_leaves_the_clip_that_was_there(recorded: Path, tmp_path: Pa
     (tmp_path / "clip.rrd").write_bytes(b"the one before")
     code = f"""
 import resource
-from carom.recording.clip import clip
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 try:

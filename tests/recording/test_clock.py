@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from carom.recording.clock import Clock
 from carom.recording.errors import RecordingError
+from carom.recording.schema.clock import Clock
 
 
 def test_an_ordinary_scene_is_shown_in_plain_seconds() -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.recorder import Recorder
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 from seeds import fresh_seed
 

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from carom.recording.errors import RecordingError
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from crafted import Change, changed, mapped, retyped, with_column, without_column
 
 OUTCOME, ABOUT = "__properties/outcome", "__properties/carom"

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from carom.recording.framing import MessageSplitter
+from carom.recording.rrd.framing import MessageSplitter
 
 HEADER = b"RRF2" + bytes(8)
 MESSAGES = [struct.pack("<QQ", 2, len(body)) + body for body in (b"first", b"", b"x" * 5000)]

@@ -4,9 +4,9 @@ from pathlib import Path
 import pytest
 
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
-from carom.recording.viewer import Viewer
+from carom.recording.read.recording import Recording
+from carom.recording.view.viewer import Viewer
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from carom.recording import palette
+from carom.recording.schema import palette
 
 
 def test_a_body_that_touches_nobody_is_grey() -> None:

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from carom.recording import palette
 from carom.recording.errors import RecordingError
-from carom.recording.picture import render
-from carom.recording.recorder import Recorder
+from carom.recording.schema import palette
+from carom.recording.view.picture import render
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 SIZE = (1600, 1000)

@@ -11,8 +11,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 TESTS = Path(__file__).parents[1]  # where merry.py is
@@ -191,7 +191,7 @@ import os, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from merry import Merry
-from carom.recording.recorder import Recorder
+from carom.recording.write.recorder import Recorder
 from carom.recording.errors import RecordingError
 merry = Merry(200)
 path = Path({path!r})
@@ -260,7 +260,7 @@ def test_a_limit_on_the_size_of_files_leaves_a_readable_file(tmp_path: Path) -> 
 def test_a_disk_that_fails_in_the_middle_of_a_message_leaves_whole_messages(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     fail = """
-import errno, carom.recording.outlet as outlet
+import errno, carom.recording.write.durable_sink as outlet
 write = os.write
 def fails(descriptor, data):
     if len(data) > 100_000 and os.fstat(descriptor).st_size > 5_000_000:

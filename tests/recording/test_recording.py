@@ -6,10 +6,11 @@ import pytest
 import rerun as rr
 
 from carom.physics.event import Event
-from carom.recording import entities, paths
 from carom.recording.errors import RecordingError
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.write import encoder as entities
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
@@ -125,7 +126,7 @@ def test_events_recorded_before_there_were_kinds_read_with_empty_ones(
         return entities.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
 
     monkeypatch.setattr(entities, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.stream.event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
     with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
         for frame in merry.frames(50):
             recorder.put(frame)

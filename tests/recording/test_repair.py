@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.recording import paths
-from carom.recording.clock import Clock
-from carom.recording.container import Container
+from carom.recording.edit.repair import repair
+from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import RecordingError
-from carom.recording.framing import END, MESSAGE_HEADER, messages
-from carom.recording.new_layout import new_layout
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
-from carom.recording.repair import repair
-from carom.recording.stream import Stream
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.framing import END, MESSAGE_HEADER, messages
+from carom.recording.rrd.index import Container
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.write.recorder import Recorder
+from carom.recording.write.stream import Stream
 from merry import Merry
 
 
@@ -173,7 +173,7 @@ def test_a_file_full_of_beginnings_does_not_take_for_ever(tmp_path: Path) -> Non
     (tmp_path / "trap.rrd").write_bytes(b"RRF2\x00)\x00\x00\x01\x02\x00\x00" + message * (size // len(message)))
     code = f"""
 import resource
-from carom.recording.repair import repair
+from carom.recording.edit.repair import repair
 resource.setrlimit(resource.RLIMIT_CPU, (20, 20))  # 15 minutes, if every one of them were read
 try:
     repair({str(tmp_path / "trap.rrd")!r}, {str(tmp_path / "fixed.rrd")!r})

@@ -39,7 +39,7 @@ def clip(
 
     from carom.cli.units import bytes_text
     from carom.experiment.output import refuse_output
-    from carom.recording.clip import clip as cut
+    from carom.recording.edit.clip import clip as cut
 
     interval = _interval(start, end, around, window)
     path = output or file.with_name(f"{file.stem}-clip.rrd")

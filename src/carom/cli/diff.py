@@ -14,7 +14,7 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.diff import Diff
+    from carom.experiment.diff.diff import Diff
 
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
@@ -35,11 +35,11 @@ def diff(
     """Compare two recordings: same bits? Where do they part, and is it chaos or a fault? Exit code 1 if they differ."""
     import json
 
-    from carom.experiment.diff import diff as compare
-    from carom.experiment.diff import overlay
+    from carom.experiment.diff.diff import diff as compare
+    from carom.experiment.diff.diff import overlay
     from carom.experiment.output import refuse_output
     from carom.recording.errors import RecordingError
-    from carom.recording.recording import Recording
+    from carom.recording.read.recording import Recording
 
     if output is not None:
         if any(output.exists() and path.exists() and output.samefile(path) for path in (a, b)):

@@ -115,7 +115,7 @@ def _parts(parts: list[PartCost]) -> Table:
 
 def _entities(entities: list[EntityCost]) -> Table:
     """Show the entities; those of one folder that are there for the same reason share a row, as do those left out."""
-    from carom.recording.contents import ONCE
+    from carom.recording.schema.inventory import ONCE
 
     rows: dict[tuple[str, str], list[EntityCost]] = {}
     for entity in entities:

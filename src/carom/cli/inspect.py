@@ -30,8 +30,8 @@ def inspect(
     """Say what is in a recording: outcome, energies, worst moments, where the time went, versions."""
     import json
 
-    from carom.recording.bundle import opened
-    from carom.recording.recording import Recording
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
 
     with opened(file) as path:
         summary = Recording.open(path).summary()

@@ -26,8 +26,8 @@ def repair(
     from dataclasses import asdict
 
     from carom.experiment.output import refuse_output
-    from carom.recording.claim import Claim
-    from carom.recording.repair import repair as mend
+    from carom.recording.edit.repair import repair as mend
+    from carom.recording.write.claim import Claim
 
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")

@@ -49,8 +49,8 @@ def replay(
     from carom.cli.compiling import announce_compilation
     from carom.experiment.replay import replay as run_again
     from carom.physics.error import PhysicsError
-    from carom.recording.bundle import opened
-    from carom.recording.recording import Recording
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
 
     if every not in (None, "step"):
         raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")

@@ -31,7 +31,7 @@ def report(
     from carom.cli.units import bytes_text
     from carom.experiment.output import refuse_output
     from carom.experiment.report import report as make
-    from carom.recording.recording import Recording
+    from carom.recording.read.recording import Recording
 
     recording = Recording.open(file)
     path = output or file.with_name(f"{file.stem}-report.zip")

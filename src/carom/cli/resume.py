@@ -36,7 +36,7 @@ def resume(
     from carom.cli.progress import Progress
     from carom.experiment.resume import claimed_target, continuation, under_way
     from carom.experiment.resume import resume as go_on
-    from carom.recording.recording import Recording
+    from carom.recording.read.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g} is no time to simulate to", param_hint="--until")

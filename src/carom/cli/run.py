@@ -95,7 +95,7 @@ def _default_path(scene: str) -> Path:
 def live_viewer() -> str | None:
     """Start a viewer that listens and return its address; say why there is none, where there can be none."""
     from carom.recording.errors import RecordingError
-    from carom.recording.viewer import start_live_viewer
+    from carom.recording.view.viewer import start_live_viewer
 
     try:
         return start_live_viewer()

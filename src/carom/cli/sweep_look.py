@@ -82,7 +82,7 @@ def serve(folder: Path) -> None:
     from carom.experiment.sweep.manifest import stored_runs
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
-        from carom.recording.catalog import serve_catalog
+        from carom.recording.view.catalog import serve_catalog
     paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
     serve_catalog(folder.resolve().name, paths, typer.echo)
 

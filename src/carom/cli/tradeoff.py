@@ -16,8 +16,8 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.setting import Setting
-    from carom.experiment.tradeoff import Result, Study, Teller
+    from carom.experiment.work_precision.settings_grid import Setting
+    from carom.experiment.work_precision.tradeoff import Result, Study, Teller
 
 VaryOption = Annotated[
     list[str] | None,
@@ -66,7 +66,7 @@ def tradeoff(
     """
     import json
 
-    from carom.experiment.setting import default_settings
+    from carom.experiment.work_precision.settings_grid import default_settings
 
     study, settings = opened(scene, vary, folder, overrides, threads, force)
     wanted = default_settings(study.scene) if settings is None else settings
@@ -91,8 +91,8 @@ def opened(
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
-    from carom.experiment.setting import vary as grid
-    from carom.experiment.tradeoff import ADVICE, Study
+    from carom.experiment.work_precision.settings_grid import vary as grid
+    from carom.experiment.work_precision.tradeoff import ADVICE, Study
     from carom.scene.schema import Scene
 
     scene = Scene.load(source, overrides)
@@ -125,8 +125,8 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 def _draw(study: Study, quiet: bool) -> None:
     """Leave the figure and the recording beside the document; say where they are, or why there is none."""
     from carom.experiment.error import ExperimentError
-    from carom.experiment.figure import draw
-    from carom.experiment.overlay import record
+    from carom.experiment.work_precision.figure import draw
+    from carom.experiment.work_precision.overlay import record
 
     if not any(result.complete for result in study.results):
         return
@@ -185,7 +185,7 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.experiment.comparison import NAMES
+    from carom.experiment.work_precision.error_measures import NAMES
 
     done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
     shown = [

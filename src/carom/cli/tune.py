@@ -13,8 +13,8 @@ from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, RepeatsOption, opened, ran, table_of
 
 if TYPE_CHECKING:
-    from carom.experiment.tradeoff import Study
-    from carom.experiment.tune import Tuning
+    from carom.experiment.work_precision.tradeoff import Study
+    from carom.experiment.work_precision.tune import Tuning
 
 ADVICE = "give --new-study to begin anew, or another folder with --study"
 
@@ -61,7 +61,7 @@ def tune(
     import json
 
     from carom.experiment.output import refuse_output
-    from carom.experiment.tune import limits, tuned, write
+    from carom.experiment.work_precision.tune import limits, tuned, write
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")

@@ -14,7 +14,7 @@ AtOption = Annotated[float | None, typer.Option("--at", parser=seconds, metavar=
 
 def view(file: RecordingArgument, at: AtOption = None) -> None:
     """Open a recording in the Rerun viewer."""
-    from carom.recording.viewer import open_viewer
+    from carom.recording.view.viewer import open_viewer
 
     open_viewer(file, at)
 
@@ -29,7 +29,7 @@ def picture(
 ) -> None:
     """Render a recording to a PNG, without a screen; by default at its most interesting moment."""
     from carom.recording.errors import RecordingError
-    from carom.recording.picture import render
+    from carom.recording.view.picture import render
 
     width, _, height = size.partition("x")
     if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):

@@ -17,8 +17,8 @@ from carom.physics.gravity.method import gravity_of
 from carom.physics.schedule import every
 from carom.physics.space import WARM_UP_STEPS, Space
 from carom.physics.team import Team
-from carom.recording.contents import Content, contents
-from carom.recording.trial import Taken, trial
+from carom.recording.schema.inventory import Content, contents
+from carom.recording.write.size_probe import Taken, trial
 from carom.scene.limits import memory_estimate
 from carom.scene.parts import Part
 from carom.scene.requirements import Requirements, frame_interval

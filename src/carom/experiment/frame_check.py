@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from carom.experiment.environment import versions
 from carom.physics.frame import Frame
-from carom.recording import paths
-from carom.recording.clock import Clock
-from carom.recording.container import Chunk
-from carom.recording.entities import BatchEncoder
-from carom.recording.header import Header
-from carom.recording.past import CLOSING
-from carom.recording.recording import Recording
-from carom.recording.rows import RecordedRows, checkpoints_of, rows_of
-from carom.recording.selection import Selection
-from carom.recording.timelines import SIM_TIME, STEP
+from carom.recording.edit.continuation import CLOSING
+from carom.recording.edit.selection import Selection
+from carom.recording.read.recording import Recording
+from carom.recording.read.rows import RecordedRows, checkpoints_of, rows_of
+from carom.recording.rrd.index import Chunk
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.write.encoder import BatchEncoder
 
 Value = float | str
 

@@ -6,8 +6,8 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from carom.recording.claim import Claim
 from carom.recording.errors import RecordingError
+from carom.recording.write.claim import Claim
 
 
 def refuse_output(path: Path, force: bool) -> None:

@@ -13,15 +13,15 @@ import numpy as np
 from carom.experiment.environment import versions
 from carom.experiment.frame_check import FrameCheck, Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_output
-from carom.experiment.recorded import checkpoint_before, recorded_scene, space_of
+from carom.experiment.restore import checkpoint_before, recorded_scene, space_of
 from carom.experiment.run import header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
-from carom.recording.header import Header
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header
+from carom.recording.write.recorder import Recorder
 
 TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
 

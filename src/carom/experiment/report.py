@@ -17,11 +17,11 @@ from carom.experiment.environment import environment
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.recording import bundle
-from carom.recording.clip import clip
+from carom.recording.edit import bundle
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
-from carom.recording.picture import render
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.view.picture import render
 from carom.scene.command import command
 from carom.scene.error import SceneError
 

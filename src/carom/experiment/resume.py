@@ -9,15 +9,15 @@ from pathlib import Path
 
 from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_output
-from carom.experiment.recorded import recorded_scene, space_of
+from carom.experiment.restore import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.recording.claim import Claim
+from carom.recording.edit.continuation import Past
 from carom.recording.errors import RecordingError
-from carom.recording.header import Scalar
-from carom.recording.past import Past
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Scalar
+from carom.recording.write.claim import Claim
 from carom.scene.command import command
 from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene

@@ -22,12 +22,12 @@ from carom.physics.event import Event
 from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.recording.claim import Claim
+from carom.recording.edit.continuation import Past
 from carom.recording.errors import RecordingError
-from carom.recording.header import Header, Scalar, SweepMember
-from carom.recording.past import Past
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header, Scalar, SweepMember
+from carom.recording.write.claim import Claim
+from carom.recording.write.recorder import Recorder
 from carom.scene.halfspace import planes_of
 from carom.scene.schema import Scene
 

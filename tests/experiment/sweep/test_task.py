@@ -12,7 +12,7 @@ from carom.experiment.sweep import task as made
 from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.plan import plan
 from carom.experiment.sweep.task import Task, execute
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
 from sweeps import write_scene
 
 

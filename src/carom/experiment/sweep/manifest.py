@@ -13,7 +13,7 @@ from carom.experiment.environment import versions
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.folder import NO_ROOM, Folder, put
 from carom.experiment.sweep.plan import Plan, Point
-from carom.recording.reserve import Reserve
+from carom.recording.write.disk_reserve import Reserve
 from carom.scene.nesting import DEEPEST, is_too_deep
 
 SCHEMA = 1

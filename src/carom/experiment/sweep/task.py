@@ -17,8 +17,8 @@ from carom.experiment.sweep.plan import SEED, Point, digest
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
-from carom.recording.header import SweepMember
-from carom.recording.recording import Recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import SweepMember
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

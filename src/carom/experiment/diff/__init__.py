@@ -1,0 +1,1 @@
+"""Where two recordings differ, and how fast."""

@@ -1,0 +1,144 @@
+"""Where and how two recordings part: scene, versions, first frame, growth."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from carom.experiment.diff.divergence import Curve, Growth, Verdict, growth, verdict
+from carom.experiment.diff.frame_alignment import Matched
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.view.comparison import Pair, write_overlay
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
+from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
+from carom.scene.schema import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Diff:
+    """Two recordings compared."""
+
+    paths: tuple[Path, Path]
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
+    defaults: dict[str, Any]  # the values of those that are not written
+    environment: dict[str, tuple[Any, Any]]  # what differs of versions, machine, command
+    frames: tuple[int, int]
+    matched_by: str  # "step", or "sim_time" where dt differs
+    curve: Curve
+    growth: Growth | None
+    verdict: Verdict
+
+    @property
+    def same(self) -> bool:
+        """Whether all frames that both have are the same bits."""
+        return self.verdict.kind == "same"
+
+
+def diff(a: Recording, b: Recording) -> Diff:
+    """Compare two recordings.
+
+    Frames are matched by step if both have the same times, else by time; then positions and energies of the second are
+    interpolated linearly between its frames.
+
+    Raises
+    ------
+    RecordingError
+        If they have no frame in common, do not show the same bodies, or cannot be read.
+    """
+    matched = Matched(a, b)
+    curve = matched.curve()
+    grown = growth(curve)
+    scene = differing(_scene(a), _scene(b))
+    defaults = _defaults(a, b, scene)
+    return Diff(
+        paths=(a.path, b.path),
+        scene={key: values for key, values in scene.items() if key not in defaults or defaults[key] not in values},
+        defaults=defaults,
+        environment=differing(a.properties, b.properties),
+        frames=(a.frames, b.frames),
+        matched_by=matched.by,
+        curve=curve,
+        growth=grown,
+        verdict=verdict(curve, grown),
+    )
+
+
+def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
+    """Write both into one recording, to look at. RecordingError if it cannot be written."""
+    matched = Matched(a, b)
+    text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
+    curve = found.curve
+    pairs = (Pair(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step)))
+    seen = np.where(curve.rms > curve.floor, curve.rms, np.nan)
+    series = {"rms": seen, "energy": np.abs(curve.energy)}
+    write_overlay(out, a, b, pairs, len(matched), series, text)
+
+
+def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the keys whose values differ, with both; None stands for one that is not there."""
+    keys = [*a, *(key for key in b if key not in a)]
+    return {key: (a.get(key), b.get(key)) for key in keys if a.get(key) != b.get(key)}
+
+
+def _scene(recording: Recording) -> dict[str, Any]:
+    """Read the scene's keys, dotted: ``time.max_dt``, ``body.0.radius``."""
+    text = recording.scene_toml
+    try:
+        if line_of_long_key(text) is not None or is_too_deep(document := tomllib.loads(text)):
+            raise RecordingError(f"the scene in {recording.path} is nested more than {DEEPEST} levels deep")
+        return _flat(document)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise RecordingError(f"the scene in {recording.path} cannot be read: {error}") from error
+
+
+def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
+    """Return what holds in one of two scenes for the keys that it does not write, where that is anything."""
+    defaults: dict[str, Any] = {}
+    for recording, own in ((a, 0), (b, 1)):
+        missing = [key for key, values in differing.items() if values[own] is None]
+        if missing:
+            scene = _validated(recording)
+            defaults |= {key: value for key in missing if (value := _value(scene, key)) is not None}
+    return defaults
+
+
+def _validated(recording: Recording) -> Scene | None:
+    try:
+        return scene_from_text(recording.scene_toml, f"the scene in {recording.path}")
+    except SceneError:  # of another version
+        return None
+
+
+def _value(scene: Scene | None, key: str) -> Any:
+    """Return the value of a dotted key, as TOML would have it; None where there is none."""
+    node: Any = scene
+    for name in key.split("."):
+        if isinstance(node, tuple):
+            node = node[int(name)] if name.isdigit() and int(name) < len(node) else None
+        else:
+            node = getattr(node, name, None) if name in getattr(type(node), "model_fields", {}) else None
+    if isinstance(node, BaseModel):
+        return None
+    return list(node) if isinstance(node, tuple) else node
+
+
+def _flat(document: Any, before: str = "") -> dict[str, Any]:
+    items: list[tuple[str, Any]]
+    if isinstance(document, dict):
+        items = list(document.items())
+    elif isinstance(document, list) and document and all(isinstance(value, dict) for value in document):
+        items = [(str(k), value) for k, value in enumerate(document)]
+    else:
+        return {before: document}
+    flat: dict[str, Any] = {}
+    for key, value in items:
+        flat |= _flat(value, f"{before}.{key}" if before else key)
+    return flat

@@ -1,0 +1,145 @@
+"""`Matched`: the frames that two recordings have in common, and how far apart the bodies are in each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.diff.divergence import Curve
+from carom.recording.errors import RecordingError
+from carom.recording.read.positions import Track
+from carom.recording.read.recording import Recording
+
+FloatArray = NDArray[np.float64]
+
+_SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
+_SINGLE = float(np.finfo(np.float32).eps)
+
+
+class Matched:
+    """Frames matched by step if both recordings have the same times, else by time.
+
+    By time, the second one is interpolated linearly between its frames where it has none at the same moment.
+
+    Raises
+    ------
+    RecordingError
+        If they have no frame in common, or do not show the same bodies.
+    """
+
+    def __init__(self, a: Recording, b: Recording) -> None:
+        for recording in (a, b):
+            if recording.frames == 0:
+                raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+        if a.shown != b.shown:
+            raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
+        self._a, self._b = _Frames(a), _Frames(b)
+        box = a.info.get("box")
+        self._box = None if box is None else np.asarray(box, dtype=np.float64)
+        _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
+        self.by = "step"
+        if len(first) == 0 or not np.allclose(self._a.time[first], self._b.time[second], rtol=_SAME_TIME, atol=0.0):
+            self.by = "sim_time"
+            first = np.flatnonzero((self._a.time >= self._b.time[0]) & (self._a.time <= self._b.time[-1]))
+            second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - _SAME_TIME))
+        if len(first) == 0:
+            raise RecordingError(f"{a.path} and {b.path} have no frame in common")
+        self._first, self._second = first, second
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+    def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return the positions in both (m), and the smallest rms difference that can be told from rounding (m)."""
+        i, j, part = self._place(k)
+        if part == 1.0:
+            exact = self._a.track.exact(self._a.step[i]), self._b.track.exact(self._b.step[j])
+            if exact[0] is not None and exact[1] is not None:
+                return exact[0], self._near(exact[0], exact[1]), 0.0
+        one, other = self._a.track.drawn(self._a.step[i]), self._b.track.drawn(self._b.step[j])
+        rounding = _SINGLE * min(_rms(one - self._a.origin), _rms(other - self._b.origin))
+        if part < 1.0:
+            earlier = self._near(other, self._b.track.drawn(self._b.step[j - 1]))
+            rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
+            other = earlier + part * (other - earlier)
+        return one, self._near(one, other), rounding
+
+    def curve(self) -> Curve:
+        """Measure the difference in every frame."""
+        rms, floor, reach = np.zeros(len(self)), np.zeros(len(self)), 0.0
+        for k in range(len(self)):
+            one, other, floor[k] = self.at(k)
+            rms[k] = _rms(other - one)
+            reach = max(reach, float(np.max(np.abs(one), initial=0.0)))
+        first = self._a.track.drawn(self._a.step[self._first[0]])
+        return Curve(
+            step=np.array([self._a.step[i] for i in self._first]),
+            time=self._a.time[self._first],
+            rms=rms,
+            floor=floor,
+            energy=np.array([self._energy(k) for k in range(len(self))]),
+            differs=np.array([self._differs(k) for k in range(len(self))]),
+            size=max(_rms(first - first.mean(axis=0)), self._a.radius),
+            reach=reach,
+        )
+
+    def _place(self, k: int) -> tuple[int, int, float]:
+        """Return the frame in the first, the frame in the second, and how far on the way to it the moment is."""
+        i, j = int(self._first[k]), int(self._second[k])
+        time, reached = self._a.time[i], self._b.time[j]
+        if self.by == "step" or abs(reached - time) <= _SAME_TIME * abs(time) or j == 0:
+            return i, j, 1.0
+        return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
+
+    def _near(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Take the images of the other positions that are next to the ones, in a periodic box."""
+        if self._box is None:
+            return other
+        return np.asarray(other - self._box * np.round((other - one) / self._box))
+
+    def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
+        """Estimate the error of interpolating linearly half way: an eighth of the second difference."""
+        third = j + 1 if j + 1 < len(self._b.step) else j - 2
+        if third < 0:
+            return float("inf")
+        further = self._near(later, self._b.track.drawn(self._b.step[third]))
+        bend = further - 2 * later + earlier if third > j else further - 2 * earlier + later
+        return _rms(bend) / 8.0
+
+    def _differs(self, k: int) -> bool:
+        i, j, part = self._place(k)
+        return part < 1.0 or bool(self._a.bits[i] != self._b.bits[j])
+
+    def _energy(self, k: int) -> float:
+        i, j, part = self._place(k)
+        later = self._b.energy(j)
+        other = later if part == 1.0 else (1.0 - part) * self._b.energy(j - 1) + part * later
+        return other - self._a.energy(i)
+
+
+class _Frames:
+    """The frames of one recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        prints: Any = recording.fingerprints()
+        self.step: list[int] = prints["step"].to_pylist()
+        self.time: FloatArray = prints["time"].to_numpy()
+        self.bits: NDArray[np.uint64] = prints["fingerprint"].to_numpy()
+        self.track = Track(recording)
+        self.origin = recording.origin
+        self.radius = float(np.max(recording.bodies.radius))
+        table = recording.energy()
+        self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
+
+    def energy(self, frame: int) -> float:
+        """Total energy in J; NaN where that piece of the recording is missing."""
+        return float(self._energy.get(self.step[frame], np.nan))
+
+
+def _rms(vectors: FloatArray) -> float:
+    """Return the rms length; a vector that is no number is infinitely long."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        rms = float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+    return rms if np.isfinite(rms) else float("inf")

@@ -1,0 +1,105 @@
+"""From a recording back to a space that stands where it stood: what replays and continued runs begin with.
+
+A recording may come from a stranger. Everything in it is looked at before it is computed with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.scene.load import longest_text, scene_from_text
+from carom.scene.placement import Start
+from carom.scene.schema import Scene
+
+
+def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
+    """Return the scene of a recording.
+
+    Raises
+    ------
+    SceneError
+        If this version does not understand it.
+    RecordingError
+        If it is not one of as many bodies as the recording has.
+    """
+    text, bodies = recording.scene_toml, len(recording.bodies.mass)
+    if len(text) > longest_text(bodies):
+        raise RecordingError(
+            f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
+        )
+    scene = scene_from_text(text, f"the scene in {recording.path}", overrides)
+    if scene.count != len(recording.bodies.mass):
+        raise RecordingError(
+            f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
+        )
+    return scene
+
+
+def space_of(
+    recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None, restored: bool = True
+) -> Space:
+    """Build a space that stands at a checkpoint of a recording.
+
+    Bodies are those recorded, not placed anew: random numbers may differ between libraries.
+
+    Parameters
+    ----------
+    restored
+        Whether to restore what the checkpoint has besides positions and velocities. At the start of a run a space has
+        all that by itself, and the contacts of frame 0, too.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot run on this machine or in this version.
+    RecordingError
+        If the bodies in it cannot be simulated.
+    """
+    try:
+        space = Space(scene, threads, _start(recording, scene, checkpoint))
+        needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
+        if (needs.spin.modelled, needs.orientation.modelled) != kept:
+            raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
+        if restored:
+            space.restore(checkpoint)
+    except PhysicsError as error:
+        raise RecordingError(f"{recording.path} cannot go on from step {checkpoint.step}: {error}") from None
+    return space
+
+
+def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
+    """Return the last checkpoint at or before a time, else the first that there is.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    times = recording.checkpoint_times
+    if not times:
+        raise RecordingError(f"{recording.path} has no checkpoint to go on from: {recording.outcome}")
+    earlier = [step for step, at in times.items() if at <= time]
+    return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
+
+
+def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
+    bodies, n = recording.bodies, scene.count
+    fixed = np.zeros(n, dtype=bool)
+    fixed[: len(scene.body)] = [body.fixed for body in scene.body]
+    spin = checkpoint.angular_velocity
+    return Start(
+        name=bodies.name,
+        group=bodies.group,
+        position=checkpoint.position,
+        velocity=checkpoint.velocity,
+        angular_velocity=np.zeros((n, 3)) if spin is None else spin,
+        mass=bodies.mass,
+        radius=bodies.radius,
+        inertia=bodies.inertia,
+        fixed=fixed,
+    )

@@ -1,0 +1,1 @@
+"""Accuracy against cost: settings of a scene, measured and searched."""

@@ -1,0 +1,353 @@
+"""A few bodies, exactly: an adaptive method of eighth order between contacts, and each contact an event.
+
+SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off, from contact to contact. A step
+in which two bodies may come together is searched for the first moment at which they touch by conservative advancement:
+the gap, divided by a bound of the closing speed, is a time in which they cannot meet, so no contact is stepped over.
+The moment is then refined on steps from the same beginning, and the contact is resolved by the readable form of the
+impulse law, `physics/contact/impulse.py`. Samples do not cut the steps: each one is a shorter step beside the one that
+passes it, which is more accurate than DOP853's interpolation.
+
+Where contacts follow each other without end, as before a body comes to rest on another, the solution ends: from there
+on bodies touch for a time, which an event cannot say.
+
+The tolerance bounds the error of flights only. What contacts make of rounding is measured by a *twin*: the same scene,
+started at the distance of rounding, with simultaneous contacts taken in the opposite order.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853, OdeSolution
+
+from carom.experiment.work_precision.trajectory import Trajectory
+from carom.physics.bodies import Bodies, BodyProxy
+from carom.physics.contact.impulse import CollisionContext
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+MOST_BODIES = 20  # the pairs are looked at one by one, in Python
+MOST_CONTACTS = 10_000
+TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it takes
+SPEED_MARGIN = 1.5  # what the speed of approach within a step may be over the largest at its ends and middle
+TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact
+LOWEST_FLIGHT = 1e-11  # of the sum of radii: a bounce that is lower is none, the contact lasts
+NEWTON = 12  # iterations at most, each of them squares the error
+NUDGE = 4.0  # units of rounding by which a twin starts elsewhere: more than the arithmetic of some hundred steps loses
+LONGER = 1.25  # how much longer the steps of a twin may be: at order eight they err by six times as much
+EPS = float(np.finfo(np.float64).eps)
+
+
+@dataclass
+class Exact:
+    """The exact course of a scene up to where it ends."""
+
+    trajectory: Trajectory
+    ended: str = ""  # why it does not go on to the end of the scene; empty if it does
+    time: list[float] = field(default_factory=list)  # s, of every contact
+
+
+def why_not(scene: Scene) -> str:
+    """Say why a scene cannot be solved exactly; empty if it can."""
+    if scene.count > MOST_BODIES:
+        return f"{scene.count} bodies are more than {MOST_BODIES}"
+    if scene.domain.boundary != "open" or scene.plane:
+        return "planes, walls and periodic boxes are not in it"
+    if any(body.fixed for body in scene.body):
+        return "fixed bodies are not in it"
+    if scene.contact.allow_overlap:
+        return "bodies may overlap at the start"
+    return ""
+
+
+def solve(
+    space: Space, times: FloatArray, tolerance: float = TIGHTEST, *, twin: int = 0, budget: float = math.inf
+) -> Exact:
+    """Solve a scene from the start of its space.
+
+    Parameters
+    ----------
+    space
+        Before its first step; it stays there.
+    times
+        (K,) s, at which the solution is kept.
+    tolerance
+        Relative, of DOP853; absolute, of the largest coordinate and speed at the start.
+    twin
+        0 solves the scene as it is. Any other number is the seed of a twin, which starts at the distance of rounding
+        and takes simultaneous contacts in the opposite order.
+    budget
+        Seconds of computing, after which the solution ends where it is.
+    """
+    return _Solver(space, times, tolerance, twin, budget).run()
+
+
+class _Solver:
+    def __init__(self, space: Space, times: FloatArray, tolerance: float, twin: int, budget: float) -> None:
+        scene, start = space.scene, space.state
+        self._scene, self._tolerance, self._times = scene, tolerance, times
+        self._budget, self._deadline = budget, clock.perf_counter() + budget
+        self._bodies = _copy(start)
+        self._n = len(start)
+        self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
+        self._field = np.array(scene.gravity.uniform)
+        self._contacts = space.requirements.contact.modelled
+        self._i, self._j = np.triu_indices(self._n, 1)
+        if twin:
+            _nudge(self._bodies, scene.time.duration, twin)
+            self._i, self._j = self._i[::-1], self._j[::-1]
+        self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
+        self._reach = start.radius[self._i] + start.radius[self._j]
+        self._time = 0.0
+        self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
+        self._velocity: list[FloatArray] = []  # (n, 3) m/s, likewise
+        self._met: dict[tuple[int, int], float] = {}
+        self._struck: list[float] = []
+        self._ended = ""
+        size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
+        length = max(float(np.abs(size).max()), float(start.radius.max()))
+        speed = max(float(np.abs(start.velocity).max()), length / scene.time.duration)
+        self._absolute = tolerance * np.repeat([length, speed], 3 * self._n)
+
+    def run(self) -> Exact:
+        end, longest = float(self._times[-1]), math.inf
+        while self._time < end and not self._ended:
+            touching = self._advance(end, longest)
+            longest = self._resolve(touching) if touching else math.inf
+            self._sample_now()
+        position, velocity = self._position, self._velocity
+        shape = (len(position), self._n, 3)
+        trajectory = Trajectory(
+            time=self._times[: len(position)],
+            position=np.array(position).reshape(shape),
+            velocity=np.array(velocity).reshape(shape),
+            pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
+            met=np.array(list(self._met.values())),
+            energy_error=np.nan,
+            energy_gain=np.nan,
+            momentum_error=np.nan,
+            angular_momentum_error=np.nan,
+            overlap=0.0,
+            sinking=0.0,
+            impacts=len(self._struck),
+            steps=0,
+            frames=0,
+        )
+        return Exact(trajectory, self._ended, self._struck)
+
+    def _advance(self, end: float, longest: float) -> list[int]:
+        """Advance to a time or to the first contacts before it; return which pairs those are.
+
+        The first step is at most the longest: bodies that leave each other and fall back must first be apart.
+        """
+        solver = self._solver(self._time, self._state(), min(end, self._time + longest))
+        while not self._ended:
+            if solver.status != "running":
+                if solver.t >= end:
+                    break
+                solver = self._solver(solver.t, solver.y, end)
+            before, y = solver.t, solver.y.copy()
+            message = solver.step()
+            if solver.status == "failed":
+                self._end(f"DOP853 stopped at t = {solver.t:.6g} s: {message}")
+                break
+            found = self._first_contact(solver, before, y) if self._contacts else None
+            after, state = found or (solver.t, solver.y)
+            self._sample(before, y, after)
+            self._accept(after, state)
+            if clock.perf_counter() > self._deadline:
+                self._end(f"{self._budget:.3g} s of computing reached t = {after:.6g} s")
+            if found is not None:
+                return self._touching()
+            self._sample_now()
+        return []
+
+    def _sample(self, before: float, y: FloatArray, after: float) -> None:
+        """Keep the samples within a step that begins with a state."""
+        while (time := self._next_sample()) < after:
+            x, v = self._at(before, y, time).reshape(2, self._n, 3)
+            self._position.append(x.copy())
+            self._velocity.append(v.copy())
+
+    def _sample_now(self) -> None:
+        """Keep the sample at the present time, if there is one: what is struck then has its new velocity."""
+        if self._next_sample() == self._time:
+            self._position.append(self._bodies.position.copy())
+            self._velocity.append(self._bodies.velocity.copy())
+
+    def _next_sample(self) -> float:
+        """Return the time of the next sample in s, infinite after the last."""
+        return float(self._times[len(self._position)]) if len(self._position) < len(self._times) else math.inf
+
+    def _at(self, before: float, y: FloatArray, time: float) -> FloatArray:
+        """Return the state at a time within the step that begins with a state."""
+        if time == before:
+            return y
+        solver = self._solver(before, y, time, first_step=time - before)
+        while solver.status == "running":
+            solver.step()
+        return np.asarray(solver.y)
+
+    def _solver(self, time: float, y: FloatArray, end: float, first_step: float | None = None) -> DOP853:
+        return DOP853(
+            self._rates,
+            time,
+            y,
+            end,
+            rtol=self._tolerance,
+            atol=self._absolute,
+            first_step=first_step,
+            max_step=self._max_step,
+        )
+
+    def _rates(self, time: float, y: FloatArray) -> FloatArray:
+        x = y[: 3 * self._n].reshape(-1, 3)
+        d = x[None, :, :] - x[:, None, :]
+        r2 = np.sum(d * d, axis=2) + self._scene.gravity.softening**2
+        np.fill_diagonal(r2, 1.0)
+        pull = self._constant * self._bodies.mass / (r2 * np.sqrt(r2)) if self._constant else np.zeros_like(r2)
+        acceleration = np.einsum("ij,ijk->ik", pull, d) + self._field
+        return np.concatenate((y[3 * self._n :], acceleration.ravel()))
+
+    def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
+        """Return time and state of the first contact in the step that was just made, if there is one."""
+        dense = OdeSolution([before, solver.t], [solver.dense_output()])
+        end = solver.t
+        looks = [dense(before), dense((before + end) / 2), dense(end)]
+        bound = SPEED_MARGIN * np.max([self._speeds(look) for look in looks], axis=0)
+        gap = self._gaps(y)
+        apart = gap > TOUCHING * self._reach
+        earliest, which = math.inf, -1
+        for pair in np.flatnonzero(apart & (gap < bound * (end - before))):
+            time = self._meeting(dense, int(pair), before, min(end, earliest), float(bound[pair]))
+            if time < earliest:
+                earliest, which = time, int(pair)
+        return None if which < 0 else self._refined(before, y, earliest, which)
+
+    def _meeting(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
+        """Return when a pair first touches, infinite if it does not before the end, by conservative advancement."""
+        near = TOUCHING * self._reach[pair]
+        while time < end:
+            gap = self._gap(dense(time), pair)
+            if gap <= near:
+                return time
+            later = time + gap / bound
+            if later == time:
+                return time
+            time = later
+        return time if self._gap(dense(end), pair) <= near else math.inf
+
+    def _refined(self, before: float, y: FloatArray, time: float, pair: int) -> tuple[float, FloatArray]:
+        """Refine the moment of a contact: Newton's iteration on steps that end there."""
+        at = y
+        for _ in range(NEWTON):
+            at = self._at(before, y, time)
+            rate = self._closing(at, pair)
+            if rate >= 0.0:
+                break
+            change = self._gap(at, pair) / rate
+            if time - change <= before or abs(change) <= 2 * np.spacing(time):
+                break
+            time -= change
+        return time, at
+
+    def _resolve(self, touching: list[int]) -> float:
+        """Resolve contacts; return how long the next step may be at most, in s."""
+        rounds = 0
+        while touching and not self._ended:
+            for pair in touching:
+                self._strike(pair)
+            rounds += 1
+            if len(self._struck) > MOST_CONTACTS or rounds > MOST_CONTACTS:
+                self._end(f"contacts follow each other without end from t = {self._time:.9g} s on")
+            touching = self._touching()
+        return self._flight()
+
+    def _strike(self, pair: int) -> None:
+        i, j = int(self._i[pair]), int(self._j[pair])
+        if self._closing(self._state(), pair) >= 0.0:
+            return
+        b1, b2 = BodyProxy(self._bodies, i), BodyProxy(self._bodies, j)
+        normal = (b2.position - b1.position) / np.linalg.norm(b2.position - b1.position)
+        r1_vec, r2_vec = normal * b1.radius, -normal * b2.radius
+        v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
+        v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
+        contact = self._scene.contact
+        CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0).resolve(
+            contact.restitution, contact.static_friction, contact.kinetic_friction
+        )
+        self._met.setdefault((i, j), self._time)
+        self._struck.append(self._time)
+
+    def _flight(self) -> float:
+        """Return the time in s after which the first of the bodies that touch are farthest apart again."""
+        state = self._state()
+        acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
+        longest = math.inf
+        for pair in np.flatnonzero(np.abs(self._gaps(state)) <= TOUCHING * self._reach):
+            i, j = self._i[pair], self._j[pair]
+            normal = (self._bodies.position[j] - self._bodies.position[i]) / self._reach[pair]
+            rate, pull = self._closing(state, int(pair)), float((acceleration[j] - acceleration[i]) @ normal)
+            if pull >= 0.0 < rate:
+                continue
+            flight = rate / -pull if pull < 0.0 else 0.0
+            if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
+                self._end(f"bodies {i} and {j} stay in contact from t = {self._time:.9g} s on")
+            longest = min(longest, flight)
+        return longest
+
+    def _touching(self) -> list[int]:
+        """Return the pairs that touch and close."""
+        state = self._state()
+        near = np.flatnonzero(self._gaps(state) <= TOUCHING * self._reach)
+        return [int(pair) for pair in near if self._closing(state, int(pair)) < 0.0]
+
+    def _end(self, why: str) -> None:
+        self._ended = self._ended or why
+
+    def _accept(self, time: float, y: FloatArray) -> None:
+        self._time = time
+        self._bodies.position[:] = y[: 3 * self._n].reshape(-1, 3)
+        self._bodies.velocity[:] = y[3 * self._n :].reshape(-1, 3)
+
+    def _state(self) -> FloatArray:
+        return np.concatenate((self._bodies.position.ravel(), self._bodies.velocity.ravel()))
+
+    def _gaps(self, y: FloatArray) -> FloatArray:
+        x = y[: 3 * self._n].reshape(-1, 3)
+        return np.asarray(np.linalg.norm(x[self._j] - x[self._i], axis=1) - self._reach)
+
+    def _gap(self, y: FloatArray, pair: int) -> float:
+        i, j = 3 * self._i[pair], 3 * self._j[pair]
+        return math.dist(y[i : i + 3], y[j : j + 3]) - float(self._reach[pair])
+
+    def _speeds(self, y: FloatArray) -> FloatArray:
+        v = y[3 * self._n :].reshape(-1, 3)
+        return np.asarray(np.linalg.norm(v[self._j] - v[self._i], axis=1))
+
+    def _closing(self, y: FloatArray, pair: int) -> float:
+        """Return the rate of the gap of a pair, negative while it closes."""
+        x, v = y.reshape(2, -1, 3)
+        i, j = self._i[pair], self._j[pair]
+        normal = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])
+        return float((v[j] - v[i]) @ normal)
+
+
+def _nudge(bodies: Bodies, duration: float, seed: int) -> None:
+    """Move bodies by what rounding makes of their coordinates, of their speeds and of the clock."""
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (2, len(bodies), 3))
+    bodies.position[:] += NUDGE * EPS * signs[0] * (np.abs(bodies.position) + np.abs(bodies.velocity) * duration)
+    bodies.velocity[:] *= 1.0 + NUDGE * EPS * signs[1]
+
+
+def _copy(bodies: Bodies) -> Bodies:
+    """Copy the state that contacts change."""
+    velocity, spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
+    ends = replace(bodies.ends, velocity=velocity, angular_velocity=spin)
+    return replace(bodies, position=bodies.position.copy(), velocity=velocity, angular_velocity=spin, ends=ends)

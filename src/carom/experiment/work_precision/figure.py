@@ -1,0 +1,124 @@
+"""The figure of a study: error over cost, the front drawn, each setting labelled. Needs the extra ``plot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.pareto_front import front
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.backend_bases import RendererBase
+
+PANELS = {
+    "position": "position, rms / size",
+    "impact": "first contacts, rms / s",
+    "energy": "integration error / energy",
+    "overlap": "deepest overlap / radius",
+    "sinking": "mean overlap at rest / radius",
+    "energy_gain": "rise of the energy / energy",
+    "impacts": "number of impacts, relative",
+}
+MOST_PANELS = 6
+LEAST = 1e-14  # rounding: what is smaller is drawn there
+INK, FAINT, ACCENT = "#1b2a3a", "#8a94a0", "#d55e00"
+LINE = 9.0  # points between two lines of labels
+
+
+def draw(document: dict[str, Any], path: Path) -> None:
+    """Draw the document of a study into a PNG or SVG.
+
+    Raises
+    ------
+    ExperimentError
+        If matplotlib is not there, or nothing is measured.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ImportError:
+        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+    done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
+    panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
+    if not panels:
+        raise ExperimentError("nothing is measured yet that could be drawn")
+    with mpl.rc_context({"font.size": 8, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}):
+        rows = (len(panels) + 1) // 2
+        figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.9 * rows), layout="constrained", dpi=110)
+        canvas = FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, min(len(panels), 2), squeeze=False).ravel()
+        for ax, error in zip(axes, panels, strict=False):
+            _panel(ax, error, document, done)
+        for ax in axes[len(panels) :]:
+            ax.set_visible(False)
+        figure.suptitle(document["scene"]["title"], fontsize=10)
+        noise = f"costs ± half their range; filled: on the front; ring: in doubt; least noise {document['noise']:.1%}"
+        figure.supxlabel(f"cost / s ({noise})", fontsize=7, color=FAINT)
+        figure.draw_without_rendering()
+        for ax in axes[: len(panels)]:
+            _label(ax, canvas.get_renderer())  # type: ignore[no-untyped-call]
+        figure.savefig(path)
+
+
+def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, Any]]) -> None:
+    from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
+
+    points = [(e["cost"], max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
+    ax.set(xscale="log", yscale="log", ylabel=PANELS[error])
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(which="both", color=FAINT)
+    for cost, wrong, entry in points:
+        on, near = (entry["marks"][error] == mark for mark in ("front", "near"))
+        ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=FAINT, elinewidth=0.8)
+        edge, fill = ACCENT if on or near else FAINT, ACCENT if on else "white" if near else FAINT
+        ax.plot(cost, wrong, "o", markersize=5, color=edge, markerfacecolor=fill, zorder=3)
+        name = entry["name"].replace("integrator = ", "")
+        ax.annotate(
+            name,
+            (cost, wrong),
+            xytext=(6, 3),
+            textcoords="offset points",
+            color=INK if on or near else FAINT,
+            fontsize=7,
+        )
+    cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
+    on, _ = front(cost, wrong, np.zeros_like(cost))  # of the medians: a line through what is certain alone has gaps
+    if on.any():
+        ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=ACCENT, lw=1.0)
+    floor = document["reference"]["uncertainty"][error]
+    if (
+        error not in ("energy", "energy_gain", "overlap", "sinking")
+        and floor
+        and floor > LEAST
+        and floor > min(w for _, w, _ in points) / 30
+    ):
+        ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
+        words, where = "the reference's own uncertainty", ("axes fraction", "data")
+        ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
+    ax.margins(x=0.12, y=0.12)
+
+
+def _label(ax: Axes, renderer: RendererBase) -> None:
+    """Move labels that lie on each other apart, upwards, and to the left of their points at the right edge."""
+    edge = ax.get_window_extent().x1
+    placed: list[Any] = []
+    labels = [text for text in ax.texts if text.get_fontsize() == 7]
+    for label in sorted(labels, key=lambda text: text.get_window_extent(renderer).y0):
+        if label.get_window_extent(renderer).x1 > edge:
+            label.set_horizontalalignment("right")
+            label.set_position((-6, 3))
+        for _ in range(len(labels)):
+            box = label.get_window_extent(renderer)
+            if not any(box.overlaps(other) for other in placed):
+                break
+            x, y = label.get_position()
+            label.set_position((x, y + LINE / 2))
+        placed.append(label.get_window_extent(renderer))

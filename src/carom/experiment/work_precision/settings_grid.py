@@ -1,0 +1,230 @@
+"""The settings of a scene that are measured against each other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+from carom.experiment.work_precision.reference import refined
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
+from carom.scene.requirements import gravity_method, integrator, require, smoothing, timing
+from carom.scene.schema import Scene
+from carom.scene.variation import texts_of
+
+STEP = "step"  # a key of its own: so many times the step, whatever rule sets it
+THREADS = "threads"  # likewise: for the kernels; they change the cost and no bit
+TIMING = "contact.timing"
+STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator where it is all that matters
+FEW = 20  # bodies whose gravity no tree would be used for
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A few keys of the scene, with other values than it has."""
+
+    name: str  # for people: "step × 2, integrator = euler"
+    overrides: tuple[str, ...]  # as given to ``--set``
+    threads: int | None = None  # in place of the study's
+
+    def apply(self, scene: Scene) -> Scene:
+        """Return the scene with this setting.
+
+        Raises
+        ------
+        SceneError
+            If a key or a value is wrong.
+        """
+        return scene_from_text(scene.toml, scene.title, list(self.overrides))
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A setting by its coordinates: a factor on the step, and the keys that have another value than the scene's."""
+
+    step: float = 1.0
+    values: tuple[tuple[str, str], ...] = ()  # key and value, as given to ``--set``
+
+    def value(self, key: str) -> str | None:
+        """Return the value of a key; None where it is the scene's."""
+        return dict(self.values).get(key)
+
+    def having(self, key: str, value: str | None) -> Point:
+        """Return the point with another value of a key, or with the scene's."""
+        others = {k: v for k, v in self.values if k != key}
+        return Point(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
+
+    def times(self, factor: float) -> Point:
+        """Return the point with so many times the step."""
+        return Point(self.step * factor, self.values)
+
+    def setting(self, scene: Scene) -> Setting:
+        """Return it as a setting of a scene."""
+        return _setting(scene, (*(_value(key, value) for key, value in self.values), _times(self.step)))
+
+
+def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Return the keys that trade speed for accuracy in a scene, each with values that differ from the scene's."""
+    parts = require(scene)
+    forces, located = parts.pulls, parts.impact_time.modelled
+    found: dict[str, tuple[str, ...]] = {}
+    if not parts.contact.modelled:
+        found["time.integrator"] = ("euler", "leapfrog", "leapfrog-dkd", "yoshida4")
+    elif forces:
+        found["time.integrator"] = ("euler", "leapfrog", "yoshida4")
+        found["contact.solver"] = ("lasting", "staged")
+    if parts.contact.modelled:
+        if forces or not located:  # else next to nothing is left to the end of the step
+            found["contact.sweeps"] = ("2",)
+            found["contact.stabilisation"] = ("split", "none", "baumgarte")
+        found["contact.timing"] = ("end-of-step", "time-of-impact")
+        if parts.adaptive_step.modelled:
+            found["time.velocity_limit"] = ("every-body", "fastest-body")
+            found["time.smoothing"] = ("1",)
+    if parts.contact.modelled and parts.gravity.modelled and scene.count > FEW:
+        if gravity_method(scene) == "tree":
+            found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
+            found["gravity.quadrupoles"] = ("true", "false")
+        else:
+            found["gravity.method"] = ("tree",)
+    own = _in_effect(scene)
+    return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
+
+
+def _in_effect(scene: Scene) -> dict[str, str]:
+    """Return the values that the knobs have in a scene, with those that it leaves to be decided."""
+    contact, gravity = scene.contact, scene.gravity
+    return {
+        "time.integrator": integrator(scene),
+        "time.velocity_limit": scene.time.velocity_limit,
+        "time.smoothing": f"{smoothing(scene):g}",
+        "contact.solver": contact.solver,
+        "contact.sweeps": str(contact.sweeps),
+        "contact.stabilisation": contact.stabilisation,
+        "contact.timing": timing(scene),
+        "gravity.method": gravity_method(scene),
+        "gravity.opening_angle": f"{gravity.opening_angle:g}",
+        "gravity.quadrupoles": str(gravity.quadrupoles).lower(),
+    }
+
+
+def default_points(scene: Scene) -> list[Point]:
+    """Return about a dozen settings worth knowing, of the parts that the scene requires; the first is the scene."""
+    parts, other = require(scene), knobs(scene)
+    forces, located = parts.pulls, parts.impact_time.modelled
+    if not parts.contact.modelled:
+        own = Point()
+        orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]
+        euler = [point for point in orders if point.value("time.integrator") == "euler"]
+        return [own, *euler, *(p.times(k) for p in orders if p not in euler for k in STEPS if p.times(k) != own)]
+    steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
+    points = [Point(step) for step in steps]
+    points += [Point().having(key, value) for key, values in other.items() if key != TIMING for value in values]
+    otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
+    return points + [Point(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+
+
+def default_settings(scene: Scene) -> list[Setting]:
+    """Return the default points as settings."""
+    return [point.setting(scene) for point in default_points(scene)]
+
+
+def vary(scene: Scene, choices: list[str]) -> list[Setting]:
+    """Return the settings of a grid.
+
+    Parameters
+    ----------
+    choices
+        ``key=a,b,c`` or ``key=first:last:count`` each, as `carom sweep` takes it; every value of one is combined with
+        every value of the others. The key ``step`` multiplies whatever sets the step, and ``threads`` is not of the
+        scene: it changes the cost alone.
+
+    Raises
+    ------
+    SceneError
+        If a key or a value is wrong.
+    """
+    axes = [_axis(choice) for choice in choices]
+    settings = []
+    for picked in itertools.product(*axes):
+        try:
+            settings.append(_setting(scene, picked))
+        except SceneError as error:
+            raise SceneError(str(error).replace("--set", "--vary")) from None
+    return settings
+
+
+def refusal(scene: Scene) -> str:
+    """Say why this version refuses to run a valid scene, or cannot begin to; empty if it runs it."""
+    try:
+        Space(scene)
+    except (SceneError, PhysicsError) as error:
+        return str(error)
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """One value of one key."""
+
+    word: str = ""  # for people
+    override: str = ""  # as given to ``--set``
+    step: float = 1.0  # factor on the step
+    threads: int | None = None
+
+
+def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
+    """Put choices together; the step is a multiple of what it is with all the others."""
+    overrides = [choice.override for choice in picked if choice.override]
+    step = math.prod(choice.step for choice in picked)
+    if step != 1.0:
+        overrides += refined(Setting("", tuple(overrides)).apply(scene), 1.0 / step)
+    name = ", ".join(choice.word for choice in picked if choice.word) or "as written"
+    threads = next((choice.threads for choice in picked if choice.threads), None)
+    setting = Setting(name, tuple(overrides), threads)
+    setting.apply(scene)
+    return setting
+
+
+def _axis(choice: str) -> list[_Choice]:
+    """Read the values of a key."""
+    key, separator, values = choice.partition("=")
+    key = key.strip()
+    if not separator or not key:
+        raise SceneError(f"--vary {choice}: expected key=a,b,c, such as time.integrator=euler,leapfrog")
+    try:
+        parts = texts_of(values)
+    except ValueError as error:
+        raise SceneError(f"--vary {key}: {error}") from None
+    if key == STEP:
+        return [_step(choice, value) for value in parts]
+    if key == THREADS:
+        return [_threads(choice, value) for value in parts]
+    return [_value(key, value) for value in parts]
+
+
+def _value(key: str, value: str) -> _Choice:
+    return _Choice(f"{key.rpartition('.')[2]} = {value}", f"{key}={value}")
+
+
+def _times(step: float) -> _Choice:
+    return _Choice("" if step == 1.0 else f"step × {step:g}", step=step)
+
+
+def _step(choice: str, value: str) -> _Choice:
+    try:
+        times = float(value)
+    except ValueError:
+        times = 0.0
+    if not 0.0 < times < math.inf:
+        raise SceneError(f"--vary {choice}: {value!r} is no number above 0, by which the step is multiplied")
+    return _times(times)
+
+
+def _threads(choice: str, value: str) -> _Choice:
+    if not value.isdigit() or int(value) < 1:
+        raise SceneError(f"--vary {choice}: {value!r} is no number of threads; expected 1, 2 and so on")
+    return _Choice(f"threads = {value}", threads=int(value))

@@ -1,0 +1,326 @@
+"""What accuracy costs on a scene: settings run and timed in turns, their errors held against a reference.
+
+All that is measured is kept in a folder as soon as it is there, so that a study can be stopped and gone on with: a
+document, ``tradeoff.json``, and the trajectories.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+import zipfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from carom.experiment.environment import environment
+from carom.experiment.error import ExperimentError
+from carom.experiment.output import output_folder
+from carom.experiment.work_precision.error_measures import NAMES, Errors
+from carom.experiment.work_precision.pareto_front import front
+from carom.experiment.work_precision.reference import Reference, fineness, make_reference, scale_of
+from carom.experiment.work_precision.settings_grid import Setting, refusal
+from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
+from carom.physics.error import PhysicsError
+from carom.physics.schedule import at
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+DOCUMENT = "tradeoff.json"
+REFERENCE = "reference.npz"
+VERSION = 3  # of the document; 1 had no sinking, 2 no frames and references that knew nothing of rounding
+COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
+ADVICE = "give --force to begin anew, or another folder with -o"
+ROUND_OFF = 1e-13  # of a whole run, over its scale
+MARGIN = 2.0  # how many times smaller than the smallest steps compared those of a refined reference are at least
+
+Teller = Callable[[str], None]
+
+
+@dataclass
+class Result:
+    """A setting and what is measured of it so far."""
+
+    setting: Setting
+    status: str = "pending"  # "measured", "refused" or "failed"
+    reason: str = ""  # why it was refused or failed
+    costs: list[float] = field(default_factory=list)  # s, of each run
+    steps: int = 0
+    frames: int = 0  # that a recording of it has
+    errors: Errors | None = None
+
+    @property
+    def cost(self) -> float:
+        """Median cost in s; NaN where there is none."""
+        return median(self.costs) if self.costs else math.nan
+
+    @property
+    def spread(self) -> float:
+        """Half the range of the costs over their median; 0 for a single one."""
+        return (max(self.costs) - min(self.costs)) / 2 / self.cost if self.costs else 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether it has both an error and a cost."""
+        return bool(self.costs) and self.errors is not None
+
+
+class Study:
+    """The settings of a scene, measured.
+
+    Parameters
+    ----------
+    scene
+        What is run.
+    folder
+        Where everything is kept. What an earlier study of the same scene left there is gone on with.
+    threads
+        For the kernels.
+    force
+        Whether to begin anew, in place of whatever study is there.
+    advice
+        What a person can do where the folder holds another study.
+
+    Raises
+    ------
+    ExperimentError
+        If the folder holds a study of another scene and ``force`` is not given, or what it holds cannot be read.
+    """
+
+    def __init__(
+        self, scene: Scene, folder: Path, *, threads: int | None = None, force: bool = False, advice: str = ADVICE
+    ) -> None:
+        self.scene, self.folder, self.threads = scene, folder, threads
+        self._advice = advice
+        self.results: list[Result] = []
+        self.reference: Reference | None = None
+        output_folder(folder)
+        if (folder / DOCUMENT).exists() and not force:
+            self._load()
+
+    @property
+    def noise(self) -> float:
+        """The least that each cost is uncertain by, a part of it: the median of the ranges of the settings' costs.
+
+        Half of that is what single runs are off by; but of three runs two may be off by chance, and then the median is.
+        A setting whose costs lie farther apart is as uncertain as they are. 0 where nothing was run twice.
+        """
+        ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
+        return median(ranges) if ranges else 0.0
+
+    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
+        """Measure what is not measured yet, and return the results of these settings.
+
+        The first run of a setting is followed for its errors, and not timed: it also compiles what is needed. Then all
+        settings are timed once, then all a second time, and so on, so that a machine that slows down for a while does
+        so for all of them.
+        """
+        results = [self._result(setting) for setting in settings]
+        finest = max([1.0, *(fineness(self.scene, s) for s in map(self._applied, results) if s is not None)])
+        if self.reference is None or self.reference.fineness < MARGIN * finest:
+            self.reference = make_reference(self.scene, finest, threads=self.threads, tell=tell)
+            self.reference.trajectory.save(self.folder / REFERENCE)
+            for result in self.results:  # of an earlier study, held against a coarser reference so far
+                if result.status == "measured":
+                    result.errors = self.reference.errors(self.trajectory(result))
+            self._save()
+        for number, result in enumerate(results, start=1):
+            if result.status == "pending":
+                tell(f"{_count(number, results)}{result.setting.name}: errors")
+                self._follow(result)
+                self._save()
+        for turn in range(repeats):
+            for number, result in enumerate(results, start=1):
+                if result.status == "measured" and len(result.costs) <= turn:
+                    left = _left(results, repeats)
+                    which = _count(number, results)
+                    tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
+                    result.costs.append(self._cost(result))
+                    self._save()
+        return results
+
+    def floor(self, error: str) -> float:
+        """Return what the reference is uncertain by, or rounding: errors below it are not told apart."""
+        value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
+        return float(np.fmax(value, ROUND_OFF))
+
+    def marks(self, error: str) -> dict[str, str]:
+        """Return "front", "near" (in doubt) or "" (beaten) of each setting, by its name, for one kind of error."""
+        done = [result for result in self.results if result.complete]
+        cost = np.array([result.cost for result in done])
+        wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
+        noise = np.array([max(result.spread, self.noise) for result in done])
+        on, near = front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
+        words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
+        return dict(zip((result.setting.name for result in done), words, strict=True))
+
+    def trajectory(self, result: Result) -> Trajectory:
+        """Read the trajectory of a setting that is measured."""
+        return Trajectory.load(self._path(result))
+
+    def document(self) -> dict[str, Any]:
+        """Return all that is known as one JSON document."""
+        marks = {error: self.marks(error) for error in NAMES}
+        return {
+            "version": VERSION,
+            "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
+            "environment": environment(self.threads or 0),
+            "noise": self.noise,
+            "reference": None if self.reference is None else _reference_entry(self.reference),
+            "settings": [
+                {
+                    **self.entry(result),
+                    "marks": {e: marks[e].get(result.setting.name, "") for e in NAMES} if result.complete else {},
+                }
+                for result in self.results
+            ],
+        }
+
+    def entry(self, result: Result) -> dict[str, Any]:
+        """Return what is known of one setting for a JSON document."""
+        return {
+            "name": result.setting.name,
+            "overrides": list(result.setting.overrides),
+            "threads": result.setting.threads,
+            "status": result.status,
+            "reason": result.reason,
+            "steps": result.steps,
+            "frames": result.frames,
+            "costs": result.costs,
+            "cost": _number(result.cost),
+            "spread": result.spread,
+            "errors": result.errors and _numbers(result.errors),
+        }
+
+    def _result(self, setting: Setting) -> Result:
+        """Find the result of a setting, or begin it."""
+        for result in self.results:
+            if (result.setting.overrides, result.setting.threads) == (setting.overrides, setting.threads):
+                return result
+        self.results.append(Result(setting))
+        return self.results[-1]
+
+    def _applied(self, result: Result) -> Scene | None:
+        """Return the scene with a setting; None where this version refuses it."""
+        if result.status == "refused":
+            return None
+        scene = result.setting.apply(self.scene)
+        reason = refusal(scene)
+        if reason:
+            result.status, result.reason = "refused", reason
+        return None if reason else scene
+
+    def _space(self, result: Result) -> Space:
+        return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
+
+    def _follow(self, result: Result) -> None:
+        assert self.reference is not None, "the reference comes first"
+        try:
+            run = follow(self._space(result), sample_times(self.scene))
+        except PhysicsError as error:
+            result.status, result.reason = "failed", str(error)
+            return
+        run.save(self._path(result))
+        result.status, result.errors = "measured", self.reference.errors(run)
+        result.steps, result.frames = run.steps, run.frames
+
+    def _cost(self, result: Result) -> float:
+        """Run a setting once, with nothing recorded, and return how long it took in s."""
+        space = self._space(result)
+        began = time.perf_counter()
+        for _ in space.run(schedule=at(())):
+            pass
+        return time.perf_counter() - began
+
+    def _path(self, result: Result) -> Path:
+        threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
+        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads]).encode()).hexdigest()[:12]
+        return self.folder / f"{name}.npz"
+
+    def _save(self) -> None:
+        """Write the document, whole or not at all."""
+        unfinished = self.folder / f"{DOCUMENT}.part"
+        unfinished.write_text(json.dumps(self.document(), indent=1, ensure_ascii=False), encoding="utf-8")
+        unfinished.replace(self.folder / DOCUMENT)
+
+    def _load(self) -> None:
+        path = self.folder / DOCUMENT
+        try:
+            kept = json.loads(path.read_text(encoding="utf-8"))
+            theirs, known = kept["scene"]["toml"], kept["reference"]
+            if kept["version"] == VERSION and theirs == self.scene.toml:
+                self._reopen(known, kept["settings"])
+                return
+            if kept["version"] != VERSION and theirs == self.scene.toml:
+                raise ValueError("another version of carom measured it")
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise ExperimentError(f"{path}: cannot be gone on with ({error}); {self._advice}") from None
+        raise ExperimentError(
+            f"{self.folder}: holds a study of another scene, or of this one before it was changed; {self._advice}"
+        )
+
+    def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:
+        if known is not None:
+            trajectory = Trajectory.load(self.folder / REFERENCE)
+            self.reference = Reference(
+                trajectory,
+                scale_of(self.scene, trajectory),
+                known["kind"],
+                math.inf if known["fineness"] is None else known["fineness"],
+                known["samples"],
+                known["whole"],
+                Errors(**{e: math.nan if known["uncertainty"][e] is None else known["uncertainty"][e] for e in NAMES}),
+                known["text"],
+            )
+        for entry in settings:
+            setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"))
+            result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
+            if result.status == "measured" and self.reference is not None:
+                result.errors = self.reference.errors(self.trajectory(result))
+            elif result.status in ("refused", "measured"):  # another version may run it
+                result.status = "pending"
+            self.results.append(result)
+
+
+def _count(number: int, results: list[Result]) -> str:
+    """Say which one it is, of more than one."""
+    return f"{number}/{len(results)}  " if len(results) > 1 else ""
+
+
+def _left(results: list[Result], repeats: int) -> str:
+    """Say how long what is left will take, from what has been timed; nothing before anything has."""
+    known = [result.cost for result in results if result.costs]
+    if not known:
+        return ""
+    typical = median(known)
+    runs = [result for result in results if result.status == "measured"]
+    seconds = sum((repeats - len(r.costs)) * (r.cost if r.costs else typical) for r in runs if len(r.costs) < repeats)
+    return f"; about {seconds:.2g} s left"
+
+
+def _reference_entry(reference: Reference) -> dict[str, Any]:
+    return {
+        "kind": reference.kind,
+        "text": reference.text,
+        "fineness": None if math.isinf(reference.fineness) else reference.fineness,
+        "samples": reference.samples,
+        "horizon": reference.horizon,
+        "duration": float(reference.trajectory.time[-1]),
+        "whole": reference.whole,
+        "uncertainty": _numbers(reference.uncertainty),
+    }
+
+
+def _numbers(errors: Errors) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in asdict(errors).items()}
+
+
+def _number(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return value if math.isfinite(value) else None

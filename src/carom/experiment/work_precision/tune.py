@@ -1,0 +1,165 @@
+"""The cheapest setting of a scene that was measured to keep its errors within what a person asks for.
+
+It is either searched for, or one of those that a person names.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.coordinate_descent import Search, excess, loses_frames, unsure
+from carom.experiment.work_precision.error_measures import NAMES
+from carom.experiment.work_precision.settings_grid import Setting
+from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+from carom.scene.error import SceneError
+from carom.scene.nearest import suggestion
+
+WORSE = 1.1  # times an error of the scene as written: what is less is not worth a word
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """What was tried for some limits, and what is the cheapest of it."""
+
+    study: Study
+    limits: dict[str, float]
+    written: Result  # the scene as it is
+    tried: tuple[Result, ...]  # the scene as it is among them
+
+    @property
+    def best(self) -> Result | None:
+        """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
+
+        An error that is not measured, such as a position beyond the horizon, is not kept. Nor is a limit below what the
+        reference is uncertain by: nobody can tell.
+        """
+        if unsure(self.study, self.limits):
+            return None
+        kept = [result for result in self.tried if not self._excess(result)]
+        return min(kept, key=lambda result: result.cost, default=None)
+
+    @property
+    def speed(self) -> float:
+        """How many times as fast as the scene as written the best one is; NaN where one of them is not."""
+        return math.nan if self.best is None else self.written.cost / self.best.cost
+
+    def misses(self, result: Result) -> list[str]:
+        """Say which limits a setting does not keep."""
+        errors = {name: getattr(result.errors, name, math.nan) for name in self.limits}
+        missed = [
+            f"{name} not measured" if math.isnan(found) else f"{name} {found:.2g} > {self.limits[name]:.2g}"
+            for name, found in errors.items()
+            if not found <= self.limits[name]
+        ]
+        if loses_frames(self.study, self.written, result):
+            missed.append(f"{result.frames} frames of {self.written.frames}")
+        return missed
+
+    def worse(self) -> dict[str, tuple[float, float]]:
+        """Return the errors that the best setting makes worse than they are as written: both values, by their names."""
+        if self.best is None or self.best.errors is None or self.written.errors is None:
+            return {}
+        before, after = asdict(self.written.errors), asdict(self.best.errors)
+        return {
+            name: (before[name], after[name])
+            for name in NAMES
+            if after[name] > max(WORSE * before[name], self.study.floor(name))
+        }
+
+    def why_none(self) -> str:
+        """Say what is in the way, in terms of the setting that misses by the smallest factor."""
+        for name in unsure(self.study, self.limits):
+            return f"{name} below {self.study.floor(name):.2g} is rounding, or the uncertainty of the reference itself"
+        done = [result for result in self.tried if result.complete]
+        if not done:
+            return "none could be measured"
+        best = min(done, key=self._excess)
+        return f"the nearest is {best.setting.name}: {', '.join(self.misses(best))}"
+
+    def document(self) -> dict[str, Any]:
+        """Return all of it as one JSON document."""
+        best, speed = self.best, self.speed
+        return {
+            "scene": {"title": self.study.scene.title, "bodies": self.study.scene.count},
+            "limits": self.limits,
+            "tried": len(self.tried),
+            "best": best and self.study.entry(best),
+            "as_written": self.study.entry(self.written),
+            "speed": None if math.isnan(speed) else speed,
+            "worse": {name: list(values) for name, values in self.worse().items()},
+            "why_none": None if best else self.why_none(),
+            "study": str(self.study.folder),
+        }
+
+    def _excess(self, result: Result) -> float:
+        return excess(self.study, self.written, result, self.limits)
+
+
+def tuned(
+    study: Study, limits: dict[str, float], repeats: int, tell: Teller, settings: list[Setting] | None = None
+) -> Tuning:
+    """Search a study for the cheapest setting that keeps limits, or take it from some settings."""
+    if settings is None:
+        search = Search(study, limits, tell)
+        search.run(repeats)
+        tried = search.results
+    else:
+        tried = study.measure([Setting("as written", ()), *settings], repeats, tell)
+    distinct = {(result.setting.overrides, result.setting.threads): result for result in tried}
+    return Tuning(study, limits, tried[0], tuple(distinct.values()))
+
+
+def limits(asked: list[str]) -> dict[str, float]:
+    """Read limits as given to ``--error``.
+
+    Parameters
+    ----------
+    asked
+        ``name=value`` each, such as ``energy=1e-4``.
+
+    Raises
+    ------
+    SceneError
+        If one is no limit of an error that is measured.
+    """
+    found = {}
+    for text in asked:
+        name, separator, value = (part.strip() for part in text.partition("="))
+        if name not in NAMES:
+            raise SceneError(f"--error {text}: no error of that name; {suggestion(name, NAMES)}")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = math.nan
+        if not separator or not 0.0 <= found[name] < math.inf:
+            raise SceneError(f"--error {text}: expected a number of 0 or more, such as {name}=1e-4")
+    return found
+
+
+def write(tuning: Tuning, path: Path) -> None:
+    """Write the scene with the best setting, the measurement in a comment, and the author's comments kept.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be written.
+    """
+    study, result = tuning.study, tuning.best
+    assert study.reference is not None and result is not None, "what is measured has a reference"
+    measured = [f"{e} {getattr(result.errors, e):.2g} (asked for {limit:.2g})" for e, limit in tuning.limits.items()]
+    cost = f"{result.cost:.3g} s, the median of {len(result.costs)}, ± {result.spread:.0%}"
+    comment = [
+        f"carom tune: {result.setting.name}",
+        f"measured: {', '.join(measured)}; {cost}",
+        f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as before",
+        f"against a reference that is {study.reference.text}; compared up to {study.reference.horizon:.6g} s",
+    ]
+    text = "".join(f"# {line}\n" for line in comment) + "\n" + result.setting.apply(study.scene).toml
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ExperimentError(f"{path}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,1 @@
+"""Files made of other files: clips, repairs, continuations, bundles."""

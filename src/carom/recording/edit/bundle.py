@@ -1,0 +1,115 @@
+"""One zip file to attach to a bug report, and how one from a stranger is read.
+
+Nothing of a bundle but its recording is ever written to disk, under a name of our own choosing, and no more of it than
+it says it has.
+"""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from carom.recording.errors import RecordingError
+from carom.recording.write.claim import Claim
+
+CLIP = "clip.rrd"
+LARGEST = 10_000_000  # bytes of a bundle that one may attach
+MOST_UNPACKED = 1_000_000_000  # bytes
+MOST_TIMES = 1000  # what deflate can do with anything but a bomb
+MOST_MEMBERS = 100
+_PIECE = 1 << 20
+
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_SURPRISES = (
+    *(zipfile.BadZipFile, zlib.error, struct.error),
+    *(EOFError, LookupError, NotImplementedError, RuntimeError, ValueError, OSError),
+)
+
+
+def is_bundle(path: Path) -> bool:
+    """Tell whether a file begins like a zip file."""
+    try:
+        with path.open("rb") as file:
+            return file.read(4) == b"PK\x03\x04"
+    except OSError:
+        return False
+
+
+def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
+    """Write a bundle, whole or not at all; return its size in bytes.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written, or another process writes it.
+    """
+    with Claim(path):
+        return _pack(path, members)
+
+
+def _pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
+            for name, content in members.items():
+                if isinstance(content, Path):
+                    bundle.write(content, name)
+                else:
+                    bundle.writestr(name, content)
+        part.replace(path)
+        return path.stat().st_size
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Path]:
+    """Give the path of a recording: of the one in a bundle, as long as the context lasts, or of the file itself.
+
+    Raises
+    ------
+    RecordingError
+        If a bundle is damaged, has no recording in it, or one that is not what it says it is.
+    """
+    if not is_bundle(path):
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
+        out = Path(folder) / path.with_suffix(".rrd").name
+        try:
+            _unpack(path, out)
+        except _SURPRISES as error:
+            raise RecordingError(f"{path} is not a bundle of carom's, or is damaged ({error})") from error
+        yield out
+
+
+def _unpack(path: Path, out: Path) -> None:
+    with zipfile.ZipFile(path) as bundle:
+        infos = bundle.infolist()
+        if len(infos) > MOST_MEMBERS:
+            raise ValueError(f"{len(infos)} files in it are too many")
+        found = [info for info in infos if info.filename == CLIP]
+        if len(found) != 1:
+            raise ValueError(f"there must be one {CLIP} in it, not {len(found)}")
+        info = found[0]
+        if info.compress_type not in _METHODS:
+            raise ValueError(f"{CLIP} in it is packed by method {info.compress_type}, not by deflate")
+        if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
+            raise ValueError(f"{CLIP} in it says that it unpacks to {info.file_size} bytes")
+        if shutil.disk_usage(out.parent).free < info.file_size:
+            raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no room")
+        with bundle.open(info) as source, out.open("wb") as target:
+            left = info.file_size
+            while piece := source.read(min(_PIECE, left + 1)):
+                left -= len(piece)
+                if left < 0:
+                    raise ValueError(f"{CLIP} in it unpacks to more than it says")
+                target.write(piece)

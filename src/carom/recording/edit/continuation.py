@@ -1,0 +1,63 @@
+"""What a recording holds up to one of its checkpoints: a run that goes on from there writes it first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.index import Chunk
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import STEP
+
+CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
+
+
+class Past:
+    """The frames of a recording up to a step.
+
+    Parameters
+    ----------
+    recording
+        The run so far, or more than that.
+    step
+        Of the last frame that counts, one that carries a checkpoint.
+    """
+
+    def __init__(self, recording: Recording, step: int) -> None:
+        self.recording = recording
+        self.step = step
+        steps = recording.fingerprints()[STEP].to_numpy()
+        self.frames = int(np.count_nonzero(steps <= step))
+        self.origin = recording.origin  # (3,) m
+        self.clock = Clock(float(recording.info["time_scale"]))
+        self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
+        states = {paths.PHASE: recording.phases(), paths.DT_LIMIT: recording.dt_limits()}
+        self.last_state = {path: _last(table, step) for path, table in states.items()}
+
+    def first_position(self) -> NDArray[np.float64]:
+        """Where the bodies were at the first checkpoint, (n, 3) m."""
+        return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
+
+    def chunks(self) -> Iterator[Chunk]:
+        """All rows up to the step, those that closed the recording apart."""
+        for chunk in self.recording.temporal_chunks():
+            batch = chunk.batch
+            kept = pc.less_equal(batch[STEP], self.step)
+            if chunk.entity_path == paths.EVENTS:
+                texts = pc.list_element(batch["TextLog:text"], 0)
+                kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, CLOSING)))
+            if pc.all(kept).as_py():
+                yield chunk
+            elif pc.any(kept).as_py():
+                yield Chunk(chunk.entity_path, batch.filter(kept))
+
+
+def _last(table: pa.Table, step: int) -> str:
+    rows = np.flatnonzero(table[STEP].to_numpy() <= step)
+    return str(table["state"][int(rows[-1])]) if len(rows) else ""

@@ -1,0 +1,157 @@
+"""Making a damaged recording whole, as far as it can be: a torn one, one without its footer, one with wrong bytes."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from carom.recording.edit.restored_blueprint import new_layout
+from carom.recording.errors import DamageError, RecordingError
+from carom.recording.read.damage import reading
+from carom.recording.read.recording import UNFINISHED, Recording
+from carom.recording.rrd.index import BLUEPRINT, RECORDING, Container, Entry, Store
+from carom.recording.rrd.salvage import Salvage, salvage
+from carom.recording.schema.application_id import schema_version
+from carom.recording.schema.timelines import STEP
+from carom.recording.write.chunk_writer import StoredLayout, Writer
+
+PROPERTY = "repair"
+
+
+@dataclass(frozen=True, slots=True)
+class Repaired:
+    """What could be done."""
+
+    path: Path | None  # None: there was nothing to repair
+    size: int = 0  # bytes
+    frames: int = 0
+    last_step: int | None = None
+    end: float | None = None  # s, of the last frame
+    lost: list[str] = field(default_factory=list)
+    added: list[str] = field(default_factory=list)
+
+
+def repair(source: str | Path, out: str | Path) -> Repaired:
+    """Write what can be read of a recording into a new one, with a footer, a layout and an outcome that says so.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, it is not carom's, nothing of it can be read, or the new one cannot be written.
+    """
+    source, out = Path(source), Path(out)
+    with reading(source):
+        if not source.is_file():
+            raise RecordingError(f"there is no recording at {source}")
+        found = salvage(source)
+        store = _recording(source, found)
+        if found.finished:
+            return Repaired(None)
+        recording = Recording(Container(source, [store, *_layouts(found, store)], finished=False), store)
+        _refuse_unbegun(recording)
+        return _rewrite(recording, out, found)
+
+
+def _recording(source: Path, found: Salvage) -> Store:
+    """Choose the recording that most of the chunks belong to: a wrong byte may have made up others."""
+    stores = [store for store in found.stores if store.kind == RECORDING]
+    store = max(stores, key=lambda store: len(store.entries), default=None)
+    if store is None or not store.entries:
+        raise RecordingError(f"nothing of {source} can be read as a recording")
+    if schema_version(store.application_id) is None:
+        raise RecordingError(f"{source} was not made by carom, but by {store.application_id!r}")
+    return store
+
+
+def _refuse_unbegun(recording: Recording) -> None:
+    """Refuse what ends before a run has said who it is: nobody could read the repaired file."""
+    try:
+        known = bool(recording.info)
+    except RecordingError:
+        known = False
+    if not known:
+        raise RecordingError(f"{recording.path} has nothing to save: its run ended before its first frame was written")
+
+
+def _layouts(found: Salvage, store: Store) -> list[Store]:
+    """Return the layouts of which nothing was lost; half a layout is none."""
+    return [
+        layout
+        for layout in found.stores
+        if layout.kind == BLUEPRINT and layout.application_id == store.application_id and _is_whole(layout, found)
+    ]
+
+
+def _is_whole(layout: Store, found: Salvage) -> bool:
+    offsets = [entry.offset for entry in layout.entries]
+    if not offsets:
+        return False
+    end = layout.entries[-1].offset + layout.entries[-1].length
+    return not any(min(offsets) - 1000 < gap.offset <= end for gap in found.gaps)
+
+
+def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
+    lost, added = _lost(recording, found), ["footer"]
+    with Writer(out, recording.store.application_id, recording.store.store_id) as writer:
+        for entry in recording.store.entries:
+            try:
+                for chunk in recording.chunks([entry]):
+                    writer.send(chunk)
+            except DamageError as error:  # of no kind that Rerun would have written
+                lost.append(f"{_named(entry)} ({error})")
+        frames, step, end = _reach(recording)
+        until = f"to t = {end:.6g} s (step {step})" if frames else "without a frame"
+        outcome = f"{_ending(recording)}; repaired, {until}"
+        writer.send_property("outcome", {"outcome": outcome + _told(lost), "frames": frames})
+        writer.send_property(PROPERTY, {"source": recording.path.name, "lost": "\n".join(lost)})
+        if layout := recording.layout():
+            writer.send_layout(StoredLayout(layout))
+        else:
+            with contextlib.suppress(RecordingError):  # too little is left to know what there is to show
+                writer.send_layout(new_layout(recording))
+                added.append("layout")
+        writer.flush()
+    return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
+
+
+def _reach(recording: Recording) -> tuple[int, int | None, float | None]:
+    """Return how many frames there are, and step and time (s) of the last one."""
+    try:
+        prints = recording.fingerprints()
+        steps, times = prints[STEP].to_pylist(), prints["time"].to_pylist()
+    except RecordingError:
+        return 0, None, None
+    return (len(steps), int(steps[-1]), float(times[-1])) if steps else (0, None, None)
+
+
+def _ending(recording: Recording) -> str:
+    """Say how the run ended, if that was not lost."""
+    ended = recording.outcome
+    return "unfinished: the run was killed, or its end lost" if ended == UNFINISHED else ended
+
+
+def _told(lost: list[str]) -> str:
+    if not lost:
+        return ""
+    count = "1 piece" if len(lost) == 1 else f"{len(lost)} pieces"
+    return f", {count} lost: {'; '.join(lost[:3])}" + ("; …" if len(lost) > 3 else "")
+
+
+def _lost(recording: Recording, found: Salvage) -> list[str]:
+    """Say what cannot be read: by name where the footer knows it, else by where it lies."""
+    if found.missing or found.layout_lost:
+        return [_named(entry) for entry in found.missing] + (["the layout"] if found.layout_lost else [])
+    size = recording.path.stat().st_size
+    return [
+        f"the last {gap.length} bytes ({gap.reason})"
+        if gap.offset + gap.length == size
+        else f"{gap.length} bytes at byte {gap.offset} ({gap.reason})"
+        for gap in found.gaps
+    ]
+
+
+def _named(entry: Entry) -> str:
+    if entry.first_step is None:
+        return f"/{entry.entity_path}"
+    return f"/{entry.entity_path} of steps {entry.first_step} to {entry.last_step}"

@@ -1,0 +1,46 @@
+"""What is said of a file that cannot be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow as pa
+
+from carom.recording.errors import DamageError, RecordingError
+from carom.recording.rrd.framing import looks_recorded
+from carom.scene.command import command
+
+# What reading meets where a name, a type or a length is not what carom writes. Files come from anywhere.
+_SURPRISES = (
+    *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
+    pa.ArrowException,
+)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Name the file and what to do, whatever turns out to be wrong with it.
+
+    Raises
+    ------
+    RecordingError
+        In place of what was raised inside.
+    """
+    try:
+        yield
+    except DamageError as error:
+        raise RecordingError(_damaged(path, str(error))) from error
+    except RecordingError:
+        raise
+    except OSError as error:
+        raise RecordingError(f"cannot read {path}: {error.strerror or error}") from error
+    except _SURPRISES as error:
+        raise RecordingError(_damaged(path, f"{type(error).__name__}: {error}".splitlines()[0])) from error
+
+
+def _damaged(path: Path, reason: str) -> str:
+    if not looks_recorded(path):
+        return f"{path} is not a recording ({reason})"
+    return f"{path} is not a recording, or is damaged ({reason}); `{command('repair', path)}` saves what can be read"

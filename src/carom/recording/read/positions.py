@@ -1,0 +1,77 @@
+"""`Track`: where the bodies of a recording were, frame by frame, read as one goes along."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.damage import reading
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.index import Chunk, Entry
+from carom.recording.schema import paths
+from carom.recording.schema.timelines import STEP
+
+FloatArray = NDArray[np.float64]
+
+_KEPT = 3  # chunks in memory: neighbouring frames may lie in two of them
+
+
+class Track:
+    """Positions in m, (n, 3): as they are drawn, or exact where there is a checkpoint."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        with reading(recording.path):
+            self._origin = recording.origin
+        self._shown = recording.shown
+        self._drawn = _Rows(recording, paths.BODIES)
+        self._exact = _Rows(recording, paths.CHECKPOINT)
+
+    def drawn(self, step: int) -> FloatArray:
+        """Return positions that were rounded to float32, of the bodies that the recording shows."""
+        with reading(self._recording.path):
+            for name in paths.CENTRES:
+                values = self._drawn.at(step, name)
+                if values is not None:
+                    return values.reshape(len(self._shown), 3) + self._origin
+        raise RecordingError(f"{self._recording.path} has no positions at step {step}: a piece of it is missing")
+
+    def exact(self, step: int) -> FloatArray | None:
+        """Return exact positions of the bodies that the recording shows; None where there is no checkpoint."""
+        with reading(self._recording.path):
+            values = self._exact.at(step, "position")
+            return None if values is None else values.reshape(-1, 3)[self._shown]
+
+
+class _Rows:
+    """Rows of one entity by their step."""
+
+    def __init__(self, recording: Recording, path: str) -> None:
+        self._recording = recording
+        entries = [e for e in recording.store.entries if e.entity_path == path and e.first_step is not None]
+        self._entries = sorted(entries, key=lambda entry: entry.first_step or 0)
+        self._chunks: OrderedDict[int, Chunk] = OrderedDict()
+
+    def at(self, step: int, component: str) -> FloatArray | None:
+        """Return the numbers in a component, flat; None if there is no such row."""
+        for entry in self._entries:
+            if entry.holds(step):
+                chunk = self._chunk(entry)
+                rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+                if len(rows) and component in chunk.components:
+                    values = chunk.batch[component][int(rows[-1])].values
+                    while not pa.types.is_floating(values.type):
+                        values = values.flatten()
+                    return np.asarray(values.to_numpy(), dtype=np.float64)
+        return None
+
+    def _chunk(self, entry: Entry) -> Chunk:
+        if entry.offset not in self._chunks:
+            (self._chunks[entry.offset],) = self._recording.chunks([entry])
+            if len(self._chunks) > _KEPT:
+                self._chunks.popitem(last=False)
+        return self._chunks[entry.offset]

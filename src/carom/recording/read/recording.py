@@ -1,0 +1,459 @@
+"""`Recording`: open an .rrd of carom's and read from it. Nothing is loaded before it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce, wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.physics.event import Event
+from carom.recording.errors import DamageError, RecordingError
+from carom.recording.read import tables
+from carom.recording.read.damage import reading
+from carom.recording.read.summary import summary
+from carom.recording.read.tables import Column
+from carom.recording.rrd.index import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
+from carom.recording.schema import paths
+from carom.recording.schema.application_id import schema_version
+from carom.recording.schema.properties import checked
+from carom.recording.schema.timelines import SIM_TIME, STEP
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
+
+UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
+
+_PROPERTIES = "__properties"
+_END = "end: "  # how the last event of a recording begins
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def _named(
+    read: Callable[Concatenate[Recording, _Parameters], _Result],
+) -> Callable[Concatenate[Recording, _Parameters], _Result]:
+    """Let a method say which file it is that has not got in it what it should."""
+
+    @wraps(read)
+    def reads(self: Recording, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+        with reading(self.path):
+            return read(self, *args, **kwargs)
+
+    return reads
+
+
+@dataclass(frozen=True, slots=True)
+class BodyTable:
+    """What does not change about the bodies."""
+
+    name: list[str]  # (n,)
+    group: NDArray[np.int64]  # (n,)
+    mass: NDArray[np.float64]  # (n,) kg
+    radius: NDArray[np.float64]  # (n,) m
+    inertia: NDArray[np.float64]  # (n,) kg m²
+
+
+class Recording:
+    """A recording on disk. Make one with :meth:`open`."""
+
+    def __init__(self, container: Container, store: Store) -> None:
+        self.path = container.path
+        self.finished = container.finished  # the file has its footer: the run closed it
+        self.store = store
+        self._container = container
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """Open a file. RecordingError if it is not there, not a recording of carom's, or of a newer schema."""
+        path = Path(path)
+        with reading(path):
+            if not path.is_file():
+                raise RecordingError(f"there is no recording at {path}")
+            container = Container.open(path)
+        store = next((store for store in container.stores if store.kind == RECORDING), None)
+        if store is None:
+            raise RecordingError(f"{path} holds no recording")
+        version = schema_version(store.application_id)
+        if version is None:
+            raise RecordingError(f"{path} was not made by carom, but by {store.application_id!r}")
+        if version > paths.SCHEMA_VERSION:
+            raise RecordingError(
+                f"{path} has schema version {version}; this carom reads up to {paths.SCHEMA_VERSION}: upgrade carom"
+            )
+        return cls(container, store)
+
+    @cached_property
+    @_named
+    def info(self) -> Mapping[str, Any]:
+        """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
+        return self._property("carom")
+
+    @cached_property
+    @_named
+    def properties(self) -> Mapping[str, Any]:
+        """The property `run`: versions, command, git, cpu and whatever else the run was told to keep."""
+        return self._property("run")
+
+    @cached_property
+    @_named
+    def parameters(self) -> Mapping[str, Any]:
+        """The property `sweep`: the run's name in its sweep, and what varies there; empty for a run of its own."""
+        return self._property("sweep")
+
+    @cached_property
+    @_named
+    def closing(self) -> Mapping[str, Any]:
+        """The property `outcome`: how it ended; empty if the run was killed."""
+        return self._property("outcome")
+
+    @cached_property
+    @_named
+    def arrow_references(self) -> Mapping[str, Any]:
+        """The property `arrows`: what the length of torques and angular accelerations is measured in."""
+        return self._property("arrows")
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """The packages that it was recorded with."""
+        stamped = ((key.partition("version."), value) for key, value in self.properties.items())
+        return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
+
+    @cached_property
+    @_named
+    def clip(self) -> Mapping[str, Any]:
+        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
+        return self._property("clip")
+
+    @cached_property
+    @_named
+    def shown(self) -> list[int]:
+        """Numbers of the bodies that have a sphere in it: all, unless it is a clip of a few."""
+        few = self.clip.get("bodies", range(int(self.info["bodies"])))
+        found = [int(body) for body in np.atleast_1d(few)]
+        if not all(0 <= body < int(self.info["bodies"]) for body in found):
+            raise DamageError("it shows bodies that it does not have")
+        return found
+
+    @property
+    @_named
+    def is_overlay(self) -> bool:
+        """Whether it shows several runs over each other: `carom diff -o` made it, or `carom tradeoff`."""
+        return bool(self._property("diff") or self._property("tradeoff"))
+
+    def refuse_overlay(self) -> None:
+        """Raise RecordingError if it shows several runs: none of them is whole in it."""
+        if self.is_overlay:
+            raise RecordingError(f"{self.path} shows several runs over each other, to look at with carom view")
+
+    @property
+    @_named
+    def title(self) -> str:
+        """The scene's title."""
+        return str(self.info["title"])
+
+    @property
+    @_named
+    def outcome(self) -> str:
+        """How the run ended."""
+        return str(self.closing.get("outcome", UNFINISHED))
+
+    @cached_property
+    @_named
+    def scene_toml(self) -> str:
+        """The scene, exactly as it was written."""
+        self.refuse_overlay()
+        return str(self._static(paths.SCENE_TOML)["TextDocument:text"][0])
+
+    @cached_property
+    @_named
+    def bodies(self) -> BodyTable:
+        """Names, groups, masses, radii and moments of inertia."""
+        stored, n = self._static(paths.STATIC_STATE), int(self.info["bodies"])
+        names, groups = stored["name"], np.asarray(stored["group"])
+        if not isinstance(names, list) or len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
+            raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
+        return BodyTable(names, groups, *(self._positive(stored[name], name) for name in ("mass", "radius", "inertia")))
+
+    def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
+        n, array = int(self.info["bodies"]), np.asarray(values)
+        if array.shape != (n,) or array.dtype != np.float64 or not np.all((array > 0.0) & np.isfinite(array)):
+            raise DamageError(f"{name} of its bodies is not {n} positive numbers")
+        return array
+
+    @cached_property
+    @_named
+    def origin(self) -> NDArray[np.float64]:
+        """Where the origin of what is drawn lies in the scene, (3,) m."""
+        return np.asarray(self.info["origin"], dtype=np.float64)
+
+    @property
+    @_named
+    def frames(self) -> int:
+        """How many frames there are."""
+        return int(self._fingerprints.num_rows)
+
+    @_named
+    def fingerprints(self) -> pa.Table:
+        """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
+        return self._fingerprints
+
+    @_named
+    def energy(self, *names: str) -> pa.Table:
+        """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
+
+        With names, only these are read.
+        """
+        return self._series(paths.ENERGY, names)
+
+    @_named
+    def steps(self, *names: str) -> pa.Table:
+        """Return dt (s), contacts, colours, sweeps and overlaps of every frame; with names, only these are read."""
+        return self._series(paths.STEP, names)
+
+    @_named
+    def momentum(self) -> pa.Table:
+        """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
+        return self._table(paths.MOMENTUM, tables.MOMENTA)
+
+    @_named
+    def events(self) -> pa.Table:
+        """Columns step, sim_time, level, text, kind (empty in recordings older than kinds), in the order of steps."""
+        table = self._table(paths.EVENTS, tables.EVENTS, optional=("kind",))
+        table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))  # those of the end look back
+
+    def warnings(self, until: int | None = None) -> list[Event]:
+        """Return what the run was warned of, up to a step, in order of time; how it ended is no warning."""
+        events, scale = self.events(), float(self.info["time_scale"])
+        seconds = events[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * scale
+        names = ("level", "text", "kind")
+        rows = zip(
+            events[STEP].to_pylist(), seconds.tolist(), *(events[name].to_pylist() for name in names), strict=True
+        )
+        found = [Event(*row) for row in rows]
+        return [
+            event
+            for event in found
+            if event.level == "WARN"
+            and not (event.kind == "end" or event.text.startswith(_END))
+            and (until is None or event.step <= until)
+        ]
+
+    @_named
+    def phases(self) -> pa.Table:
+        """Columns step, sim_time, state: a row where the phase changes."""
+        return self._states(paths.PHASE)
+
+    @_named
+    def dt_limits(self) -> pa.Table:
+        """Columns step, sim_time, state: a row where what limits dt changes."""
+        return self._states(paths.DT_LIMIT)
+
+    @cached_property
+    @_named
+    def checkpoint_times(self) -> dict[int, float]:
+        """Simulated time in s by step of the exact checkpoints, rising; a clip's first may lie before its frames."""
+        table = self._table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
+        times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
+        rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
+        times |= {int(step): float(time) for step, time in rows}
+        return dict(sorted(times.items()))
+
+    @property
+    def checkpoint_steps(self) -> list[int]:
+        """Steps that carry an exact checkpoint, rising."""
+        return list(self.checkpoint_times)
+
+    @_named
+    def checkpoint(self, step: int) -> Checkpoint:
+        """Decode the exact state at one of :attr:`checkpoint_steps`.
+
+        Raises
+        ------
+        RecordingError
+            If there is none at this step, or it is damaged: not finite, not what its digest was made of, or not of its
+            frame's fingerprint.
+        """
+        from carom.recording.schema.checkpoint import decode  # noqa: PLC0415 - loads Numba, which looking at a file does not need
+
+        found = decode(step, self._checkpoint_row(step), len(self.bodies.mass))
+        own = np.flatnonzero(self._fingerprints[STEP].to_numpy() == step)
+        if len(own) and self._fingerprints["fingerprint"][int(own[0])].as_py() != found.fingerprint:
+            raise RecordingError(
+                f"{self.path}: the checkpoint at step {step} has not the fingerprint of its frame; one is damaged"
+            )
+        return found
+
+    def _checkpoint_row(self, step: int) -> dict[str, NDArray[Any] | list[str]]:
+        for chunk in self._chunks_at(step, paths.CHECKPOINT):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+            if len(rows):
+                return {name: _values(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
+        if self._start and int(self._start[STEP][0]) == step:
+            return self._start
+        raise RecordingError(f"{self.path} has no checkpoint at step {step}")
+
+    def checkpoints(self) -> Iterator[Checkpoint]:
+        """All exact states, in order."""
+        return (self.checkpoint(step) for step in self.checkpoint_steps)
+
+    @_named
+    def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
+        """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
+        for chunk in self._chunks_at(step, paths.BODIES):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+            for name in paths.CENTRES:
+                if len(rows) and name in chunk.components:
+                    return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
+        return None
+
+    @_named
+    def moment(self, at: float | None = None) -> float:
+        """Find the time (s) to look at: a given one, else the hardest impact, else the most contacts, else the end.
+
+        A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
+
+        Raises
+        ------
+        RecordingError
+            If there is no frame, or the given time is not in the recording.
+        """
+        if self.frames == 0:
+            raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
+        times = _column(self._fingerprints, "time")
+        if at is not None:
+            between = (
+                np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)
+            )  # a step may have no frame
+            if not times[0] - between <= at <= times[-1] + between:
+                raise RecordingError(
+                    f"{self.path} goes from {times[0]:.9g} to {times[-1]:.9g} s, {at:.9g} s is not in it"
+                )
+            return at
+        impact = float(self.closing.get("moments.impact.time", np.nan))
+        if times[0] <= impact <= times[-1]:
+            return impact
+        energy = self.energy()
+        if "restitution" in energy.column_names:
+            taken = _column(energy, "restitution")
+            taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
+            lost = np.diff(taken, prepend=taken[:1])
+            if lost.max() > 0:
+                return float(_column(energy, "time")[np.argmax(lost)])
+        steps = self.steps()
+        if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
+            return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
+        return float(times[-1])
+
+    @_named
+    def summary(self) -> dict[str, Any]:
+        """How the run went, as nested numbers and strings."""
+        return summary(self)
+
+    @cached_property
+    def _start(self) -> dict[str, NDArray[Any] | list[str]]:
+        return self._static(paths.START, required=False)
+
+    @cached_property
+    def _fingerprints(self) -> pa.Table:
+        found = self._table(paths.FINGERPRINT, tables.FINGERPRINTS)
+        times = found["time"].to_numpy()
+        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+            raise DamageError("times that do not rise")
+        return found
+
+    def _states(self, path: str) -> pa.Table:
+        table = self._table(path, tables.STATES)
+        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
+
+    def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
+        """All Scalars below an entity, side by side: the frames that have a value in each.
+
+        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
+        """
+        series = {entry.entity_path for entry in self.store.entries if not entry.is_static}
+        paths = {path.rsplit("/", 1)[1]: path for path in sorted(series) if path.startswith(f"{root}/")}
+        parts: dict[str, pa.Table] = {}
+        for name in names or paths:
+            chunks = self._chunks(paths[name], "Scalars:scalars") if name in paths else iter(())
+            found = tables.table(f"{root}/{name}", chunks, tables.SCALARS)
+            if found.num_rows:
+                parts[name] = found
+        frames = self._fingerprints
+        columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
+        columns |= {name: part["Scalars:scalars"] for name, part in parts.items()}
+        steps = {name: part[STEP].to_numpy() for name, part in parts.items()}
+        own = frames[STEP].to_numpy()
+        if all(np.array_equal(column, own) for column in steps.values()):
+            return pa.table(columns)
+        common = reduce(np.intersect1d, steps.values(), own)
+        places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
+        return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
+
+    def _table(self, path: str, columns: Mapping[str, Column], optional: Sequence[str] = ()) -> pa.Table:
+        return tables.table(path, self._chunks(path), columns, optional)
+
+    def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
+        """Read chunks as they lie in the file, one after the other."""
+        with reading(self.path):
+            yield from self._container.chunks(entries)
+
+    def temporal_chunks(self) -> Iterator[Chunk]:
+        """Read all chunks that are not static, as they lie in the file."""
+        return self.chunks([entry for entry in self.store.entries if not entry.is_static])
+
+    def layout(self) -> list[Chunk]:
+        """Read the layout that it opens with, the last one sent; empty if there is none."""
+        layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
+        return list(self.chunks(layouts[-1].entries)) if layouts else []
+
+    def _chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
+        """Read an entity's chunks in order; with a component, those that have it."""
+        found = [entry for entry in self.store.entries if not entry.is_static and entry.entity_path == path]
+        for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
+            if component is None or component in chunk.components:
+                yield chunk
+
+    def _chunks_at(self, step: int, path: str) -> Iterator[Chunk]:
+        """Read those chunks of an entity that a step may be in."""
+        found = [entry for entry in self.store.entries if entry.entity_path == path and entry.holds(step)]
+        return self.chunks(found)
+
+    def _static(self, path: str, required: bool = True) -> dict[str, NDArray[Any] | list[str]]:
+        """Read the components of a static entity: arrays, or lists of texts."""
+        found: dict[str, NDArray[Any] | list[str]] = {}
+        for chunk in self.chunks([e for e in self.store.entries if e.is_static and e.entity_path == path]):
+            if chunk.batch.num_rows != 1:
+                raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which holds for all times")
+            found |= {name: _values(chunk.batch[name][0]) for name in chunk.components}
+        if not found and required:
+            raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
+        return found
+
+    def _property(self, name: str) -> dict[str, Any]:
+        stored = self._static(f"{_PROPERTIES}/{name}", required=False)
+        lists = {key: list(values) if isinstance(values, list) else values.tolist() for key, values in stored.items()}
+        return checked(name, {key: values[0] if len(values) == 1 else values for key, values in lists.items()})
+
+
+def _values(row: pa.ListScalar) -> NDArray[Any] | list[str]:
+    """Copy one row of a component: an array, or a list of texts. DamageError if it has none, or a gap in it."""
+    values = row.values
+    if values is None or values.null_count:
+        raise DamageError("a row without its values")
+    if pa.types.is_string(values.type):
+        return list(values.to_pylist())
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    return np.array(values.to_numpy(zero_copy_only=False))
+
+
+def _column(table: pa.Table, name: str) -> NDArray[np.float64]:
+    return np.asarray(table[name].to_numpy(), dtype=np.float64)

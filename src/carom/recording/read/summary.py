@@ -1,0 +1,123 @@
+"""The numbers that say how a run went, read from its recording: what `carom inspect` prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from carom.recording.errors import DamageError
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Nested numbers; see docs/recording.md for the keys.
+
+    Worst errors are those of the recorded frames. A run that looked at every step knows better: what it put into the
+    closing property under the same dotted key (``contacts.total``, say) is taken instead. A clip's numbers are those of
+    its own frames; how the run ended and which promises it kept it has from the whole run.
+    """
+    recording.refuse_overlay()
+    frames = recording.fingerprints()
+    clip, momenta = _clip(recording), recording.momentum()
+    found: dict[str, Any] = {
+        "scene": {"title": recording.title},
+        "bodies": int(recording.info["bodies"]),
+        "frames": recording.frames,
+        "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,
+        "sim_time": float(frames["time"][-1].as_py()) if recording.frames else 0.0,
+        "outcome": recording.outcome,
+        "energy": _energy(recording.energy("total", "relative_error")),
+        "momentum": {"max_error": _largest(momenta, "momentum_error")},
+        "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
+        "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
+        "warnings": [asdict(event) for event in recording.warnings()],
+        "moments": _moments(recording.closing, int(recording.info["bodies"])),
+        "profile": {} if clip else _below(recording.closing, "profile"),
+        "versions": recording.versions,
+        "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
+    }
+    if clip:
+        steps = clip["first_step"], found["steps"]
+        inside = {name: moment for name, moment in found["moments"].items() if steps[0] <= moment["step"] <= steps[1]}
+        return found | {"clip": clip, "moments": inside}
+    for section in ("energy", "momentum", "angular_momentum", "contacts"):
+        found[section] |= _below(recording.closing, section)
+    return found
+
+
+def _clip(recording: Recording) -> dict[str, Any]:
+    """Say what a clip is a clip of; empty for a whole run."""
+    if not recording.clip:
+        return {}
+    first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
+    return dict(recording.clip) | {"bodies": recording.shown, "first_step": first}
+
+
+def _energy(energy: pa.Table) -> dict[str, float]:
+    if energy.num_rows == 0:
+        return {"initial": 0.0, "final": 0.0, "max_error": 0.0}
+    total = energy["total"].to_numpy()
+    worst = float(np.max(np.abs(energy["relative_error"].to_numpy())))
+    return {"initial": float(total[0]), "final": float(total[-1]), "max_error": worst}
+
+
+def _largest(momenta: pa.Table, name: str) -> float | None:
+    """Return the largest error of the recorded frames; None where it is not defined, as in a periodic box."""
+    errors = np.concatenate([np.zeros(1), *(np.ravel(value) for value in momenta[name].to_numpy())])
+    worst = float(np.max(errors))
+    return None if np.isnan(worst) else worst
+
+
+def _contacts(steps: pa.Table) -> dict[str, float]:
+    if "contacts" not in steps.column_names or steps.num_rows == 0:
+        return {"total": 0, "max_overlap": 0.0}
+    return {
+        "total": int(np.sum(steps["contacts"].to_numpy())),
+        "max_overlap": float(np.max(steps["relative_overlap"].to_numpy())),
+    }
+
+
+def _moments(closing: Mapping[str, Any], bodies: int) -> dict[str, Any]:
+    """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``.
+
+    Recordings without `planes` count them among the bodies, from n on, and say no names.
+    """
+    moments = _complete(_below(closing, "moments"), ("value", "step", "time"))
+    for moment in moments.values():
+        ends, planes = _numbers(moment.get("bodies", "")), _numbers(moment.get("planes", ""))
+        moment["bodies"] = [end for end in ends if end < bodies]
+        moment["planes"] = planes or [end - bodies for end in ends if end >= bodies]
+        unnamed = [f"body {body}" for body in moment["bodies"]] + [f"plane {plane}" for plane in moment["planes"]]
+        moment["between"] = moment.get("between") or " and ".join(unnamed)
+    return moments
+
+
+def _numbers(text: Any) -> list[int]:
+    return [int(number) for number in str(text).split(",") if number]
+
+
+def _complete(entries: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    """Refuse entries of which a part is missing."""
+    for name, entry in entries.items():
+        if missing := [key for key in keys if not isinstance(entry, dict) or key not in entry]:
+            raise DamageError(f"its property outcome has {name} without {missing[0]}")
+    return entries
+
+
+def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
+    """Nest the entries whose dotted keys begin with a section."""
+    found: dict[str, Any] = {}
+    for key, value in properties.items():
+        top, *path = key.split(".")
+        if top == section and path:
+            inner = found
+            for name in path[:-1]:
+                inner = inner.setdefault(name, {})
+            inner[path[-1]] = value
+    return found

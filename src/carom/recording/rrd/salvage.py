@@ -1,0 +1,148 @@
+"""Which messages of a damaged file can still be read, and where it is broken."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+from carom.recording.errors import DamageError, TornFooterError
+from carom.recording.rrd import framing
+from carom.recording.rrd.arrow_stream import LARGEST
+from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_HEADER, Message
+from carom.recording.rrd.index import RECORDING, Container, Entry, Index, Store, read_body
+
+_WINDOW = 1 << 22  # bytes that are searched at a time
+_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
+_PATIENCE = 4  # times the file's size: so much is read at most in search of messages
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Bytes that nothing can be made of."""
+
+    offset: int
+    length: int
+    reason: str
+
+
+@dataclass(slots=True)
+class Salvage:
+    """What a pass through a file found."""
+
+    stores: list[Store] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    missing: list[Entry] = field(default_factory=list)  # of the recording: the footer tells of them, but they are gone
+    layout_lost: bool = False
+    finished: bool = False  # it has its footer, and the footer is right
+
+
+def salvage(path: Path) -> Salvage:
+    """Try every message of a file. OSError if the file cannot be read."""
+    found = Salvage()
+    listed = _listed(path)
+    with path.open("rb") as file:
+        file.seek(0, 2)
+        _Pass(file, file.tell(), found).go()
+    if listed is not None:
+        _compare(found, listed)
+    return found
+
+
+def _compare(found: Salvage, listed: list[Store]) -> None:
+    """Believe only chunks that are what the footer says of them."""
+    readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
+    for store in listed:
+        gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
+        store.entries[:] = [entry for entry in store.entries if entry not in gone]
+        if store.kind == RECORDING:
+            found.missing += gone
+        elif gone:
+            found.layout_lost = True
+            store.entries.clear()
+    found.stores = listed
+    found.finished = not (found.missing or found.layout_lost or found.gaps)
+
+
+def _listed(path: Path) -> list[Store] | None:
+    """Read the footer's index, if it has a good one."""
+    with path.open("rb") as file:
+        try:
+            if framing.read_footer(file) is None:
+                return None
+        except DamageError:
+            return None
+    try:
+        return Container.open(path).stores
+    except (DamageError, LookupError, TypeError, ValueError):
+        return None
+
+
+class _Pass:
+    """One pass through a file, from message to message, and where there is none to the next one."""
+
+    def __init__(self, file: BinaryIO, size: int, found: Salvage) -> None:
+        self._file = file
+        self._size = size
+        self._found = found
+        self._index = Index()
+        self._budget = _PATIENCE * size
+
+    def go(self) -> None:
+        """Fill in what is found."""
+        at = STREAM_HEADER
+        if not framing.is_rrd(self._file):
+            self._found.gaps.append(Gap(0, STREAM_HEADER, "it does not begin like a recording"))
+        while at < self._size:
+            try:
+                message = self._message(at)
+            except TornFooterError:
+                break
+            except DamageError as error:
+                following = self._next(at + 1)
+                self._found.gaps.append(Gap(at, following - at, str(error)))
+                at = following
+                continue
+            at = message.end
+            if message.kind == END:
+                break
+        self._found.stores = self._index.stores()
+
+    def _message(self, at: int) -> Message:
+        """Take the message at a place, if it is one."""
+        message = next(framing.messages(self._file, at))
+        self._index.add(message, self._body(message))
+        return message
+
+    def _body(self, message: Message) -> bytes:
+        if message.kind == END:
+            if self._size - message.end != framing.STREAM_FOOTER:
+                raise DamageError("an end in the middle")
+            return b""
+        if message.length > LARGEST:
+            raise DamageError(f"a message of {message.length} bytes")
+        self._budget -= message.length
+        return read_body(self._file, message)
+
+    def _next(self, at: int) -> int:
+        """Find the next place at which a message begins that can be read; the file's end if there is none."""
+        while at < self._size and self._budget > 0:
+            self._file.seek(at)
+            window = self._file.read(_WINDOW + MESSAGE_HEADER)
+            self._budget -= len(window)
+            for match in _MESSAGE.finditer(window):
+                if self._can_be_read(at + match.start()):
+                    return at + match.start()
+            at += _WINDOW
+        return self._size
+
+    def _can_be_read(self, at: int) -> bool:
+        if self._budget <= 0:
+            return False
+        try:
+            message = next(framing.messages(self._file, at))
+            Index().add(message, self._body(message))
+        except DamageError:
+            return False
+        return True

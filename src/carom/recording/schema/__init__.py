@@ -1,0 +1,1 @@
+"""What a recording holds: entities, timelines, properties, series and their versions."""

@@ -1,0 +1,253 @@
+"""The exact state of a run, float64, as it is kept in a recording: enough to go on from, bit for bit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import xxhash
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.contact.memory import ContactMemory
+from carom.physics.energy import Energy, Ledger
+from carom.physics.frame import Frame
+from carom.recording.errors import RecordingError
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+
+Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
+
+_ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
+_LEDGER = ("restitution", "friction", "stabilisation")
+_DIGEST = "digest"
+_NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
+_LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
+_BOOKS = TypeAdapter(Books)
+_BOOKS_BYTES = 1200  # as JSON
+_CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
+_FULL = 7  # contacts a body, of a dense packing and what is near
+
+
+def size(frame: Frame) -> int:
+    """Bytes of the checkpoint of a frame."""
+    contacts = 0 if frame.memory is None else len(frame.memory.pairs)
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts)
+
+
+def largest_size(header: Header) -> int:
+    """Bytes that a checkpoint takes where bodies are packed densely."""
+    lasts = header.collides and (header.gravitates or header.has_field)
+    return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0)
+
+
+def _size(bodies: int, spins: bool, contacts: int) -> int:
+    scalars = 8 * (4 + len(_ENERGIES) + len(_LEDGER))
+    return 8 * bodies * (16 if spins else 9) + _CONTACT_BYTES * contacts + scalars + _BOOKS_BYTES
+
+
+def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
+    """Flatten checkpoints into one column per component, row after row; each row has a digest of the others."""
+    digests = [_digest({name: values for name, (values, _) in _encoded([one]).items()}) for one in checkpoints]
+    return _encoded(checkpoints) | {_DIGEST: (np.array(digests, dtype=np.uint64), [1] * len(digests))}
+
+
+def _digest(row: Mapping[str, NDArray[Any] | list[Any]]) -> int:
+    """Return 64 bits of all components of a row, by the order of their names."""
+    digest = xxhash.xxh64()
+    for name in sorted(row):
+        values = row[name]
+        digest.update(name.encode())
+        digest.update("".join(values).encode() if isinstance(values, list) else np.ascontiguousarray(values).tobytes())
+    return digest.intdigest()
+
+
+def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
+    columns = {
+        "position": _flat([c.position for c in checkpoints]),
+        "velocity": _flat([c.velocity for c in checkpoints]),
+        "acceleration": _flat([c.acceleration for c in checkpoints]),
+        "time": _each([c.time for c in checkpoints]),
+        "previous_dt": _each([c.previous_dt for c in checkpoints]),
+    }
+    for name in ("orientation", "angular_velocity"):
+        arrays = [array for c in checkpoints if (array := getattr(c, name)) is not None]
+        if arrays:
+            columns[name] = _flat(arrays)
+    for name in _ENERGIES:
+        columns[f"energy_{name}"] = _each([float(getattr(c.energy, name)) for c in checkpoints])
+    for name in _LEDGER:
+        columns[f"ledger_{name}"] = _each([float(getattr(c.energy.ledger, name)) for c in checkpoints])
+    columns["books"] = [json.dumps(asdict(c.books)) for c in checkpoints], [1] * len(checkpoints)
+    memories = [c.contacts for c in checkpoints if c.contacts is not None]
+    return columns | _encode_contacts(memories) if memories else columns
+
+
+def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
+    # mostly the impulses are those of the step's own contacts: their pairs are written once
+    own = [np.array_equal(memory.held_pairs, memory.pairs) for memory in memories]
+    nobody = np.empty((0, 2), dtype=np.int64)
+    return {
+        "contact_pairs": _flat([memory.pairs.astype(np.uint32) for memory in memories]),
+        "contact_rest_speed": _flat([memory.rest_speed for memory in memories]),
+        "contact_dt": _each([memory.dt for memory in memories]),
+        "held_pairs": _flat(
+            [(nobody if same else m.held_pairs).astype(np.uint32) for m, same in zip(memories, own, strict=True)]
+        ),
+        "held_impulse": _flat([memory.impulse for memory in memories]),
+        "held_kick": _each([memory.kick for memory in memories]),
+    }
+
+
+def _flat(rows: Sequence[NDArray[Any]]) -> Column:
+    return np.concatenate([row.ravel() for row in rows]), [row.size for row in rows]
+
+
+def _each(values: Sequence[float]) -> Column:
+    return np.array(values, dtype=np.float64), [1] * len(values)
+
+
+def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:
+    """Undo :func:`encode` for one row.
+
+    Raises
+    ------
+    RecordingError
+        If the row is not whole, not of so many bodies, not finite, or not what its digest was made of: a file from a
+        stranger may hold anything. Recordings of before there were digests are taken as they are.
+    """
+    try:
+        row = _Row(stored, bodies)
+        checkpoint = Checkpoint(
+            step=step,
+            time=row.number("time"),
+            previous_dt=row.number("previous_dt"),
+            position=row.vectors("position", 3),
+            velocity=row.vectors("velocity", 3),
+            acceleration=row.vectors("acceleration", 3),
+            orientation=row.vectors("orientation", 4) if "orientation" in stored else None,
+            angular_velocity=row.vectors("angular_velocity", 3) if "angular_velocity" in stored else None,
+            energy=Energy(
+                ledger=Ledger(**{name: row.number(f"ledger_{name}") for name in _LEDGER}),
+                **{name: row.number(f"energy_{name}") for name in _ENERGIES},
+            ),
+            contacts=row.contacts() if "contact_pairs" in stored else None,
+            books=_BOOKS.validate_python(json.loads(row.text("books"))),
+        )
+        if _DIGEST in stored:
+            digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
+            if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
+                raise ValueError("it is not what its digest was made of")
+        return checkpoint
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, ValidationError) as error:
+        reason = "its books do not add up" if isinstance(error, ValidationError) else str(error)
+        raise RecordingError(f"the checkpoint at step {step} is damaged: {reason}") from error
+
+
+class _Row:
+    """One row of stored components, looked at with suspicion."""
+
+    def __init__(self, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> None:
+        self._stored = stored
+        self._bodies = bodies
+
+    def number(self, name: str) -> float:
+        return float(self._finite(name, 1)[0])
+
+    def text(self, name: str) -> str:
+        if name not in self._stored:
+            raise ValueError(f"it has no {name}: it was recorded by a version of carom that could not go on from it")
+        return str(self._stored[name][0])
+
+    def vectors(self, name: str, width: int) -> NDArray[np.float64]:
+        values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
+        if np.any(np.abs(values) > _LARGEST):
+            raise ValueError(f"{name} has numbers that cannot be squared")
+        return values
+
+    def contacts(self) -> ContactMemory:
+        pairs = self._pairs("contact_pairs")
+        impulse = self._finite("held_impulse")
+        held = self._pairs("held_pairs")
+        held = held if len(held) else pairs[: len(impulse) // 4]
+        if impulse.size != 4 * len(held):
+            raise ValueError(f"{impulse.size // 4} impulses of {len(held)} contacts")
+        return ContactMemory(
+            pairs=pairs,
+            rest_speed=self._finite("contact_rest_speed", len(pairs)),
+            dt=self.number("contact_dt"),
+            held_pairs=held,
+            impulse=impulse.reshape(-1, 4),
+            kick=self.number("held_kick"),
+        )
+
+    def _pairs(self, name: str) -> NDArray[np.int64]:
+        pairs = np.ascontiguousarray(np.asarray(self._stored[name], dtype=np.int64).reshape(-1, 2))
+        keys = (pairs[:, 0] << 32) + pairs[:, 1]
+        if np.any((pairs[:, 0] >= self._bodies) | (pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] < 0)):
+            raise ValueError(f"{name} has contacts of bodies that are not there")
+        if np.any(np.diff(keys) <= 0):
+            raise ValueError(f"{name} is not in order")
+        return pairs
+
+    def _finite(self, name: str, count: int | None = None) -> NDArray[np.float64]:
+        values = np.array(self._stored[name], dtype=np.float64)
+        if count is not None and values.size != count:
+            raise ValueError(f"{name} has {values.size} values instead of {count}")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} is not finite")
+        return values
+
+
+class CheckpointPlan:
+    """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
+
+    The first frame always carries one, and so does the frame before a warning, until warnings alone have used up
+    another tenth. It depends on the frames alone, not on how they come in batches: a run recorded twice has the same
+    checkpoints.
+    """
+
+    _SHARE = 0.1
+    _WARNINGS_AT_LEAST = 4
+
+    def __init__(self) -> None:
+        self._others = 0  # bytes of all frames so far, without checkpoints
+        self._regular = 0  # bytes of checkpoints
+        self._warned = 0
+        self._warnings = 0
+        self._before: Frame | None = None
+        self._last_kept = -1
+
+    def chosen(self, batch: Sequence[Frame]) -> list[Frame]:
+        """Choose the frames to keep of a batch; the first may be the last frame of the batch before."""
+        kept: list[Frame] = []
+        for frame in batch:
+            self._others += _bytes_of(frame)
+            room, cost = self._SHARE * self._others, size(frame)
+            before, self._before = self._before, frame
+            if before and before.step != self._last_kept and self._may_warn(frame, size(before), room):
+                kept.append(before)
+                self._last_kept = before.step
+            if self._last_kept < 0 or self._regular + cost <= room:
+                self._regular += cost
+                kept.append(frame)
+                self._last_kept = frame.step
+        return kept
+
+    def _may_warn(self, frame: Frame, cost: int, room: float) -> bool:
+        if not any(event.level == "WARN" for event in frame.events):
+            return False
+        if self._warnings >= self._WARNINGS_AT_LEAST and self._warned + cost > room:
+            return False
+        self._warnings += 1
+        self._warned += cost
+        return True
+
+
+def _bytes_of(frame: Frame) -> int:
+    """Estimate the bytes of a frame's row without its arrows: drawn bodies and contacts, and twenty scalars."""
+    return len(frame.position) * (12 if frame.orientation is None else 28) + 28 * len(frame.contacts) + 20 * 24

@@ -1,0 +1,58 @@
+"""The two timelines of a recording, and the scale that makes any scene's times fit into int64 nanoseconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+from carom.recording.schema.timelines import SIM_TIME, STEP
+
+_LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
+_COARSEST = 1.0e-7  # s; a step shorter than 100 ns would be rounded by more than half a per cent
+_FINE = 1.0e-6  # s; what the shortest step becomes when it has to be scaled up
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Converts simulated seconds to what the timeline shows.
+
+    ``scale`` is a power of ten: one second on the timeline stands for ``scale`` seconds of simulated time.
+    """
+
+    scale: float = 1.0
+
+    @classmethod
+    def fitting(cls, duration: float, shortest_dt: float) -> Clock:
+        """Choose the scale: 1 if it can be, more for long scenes, less for very short steps.
+
+        A duration that fits is worth more than a step that is resolved.
+        """
+        least = math.ceil(math.log10(duration / _LONGEST)) if _positive(duration) else -300
+        if least > 0:
+            return cls(10.0**least)
+        if _positive(shortest_dt) and shortest_dt < _COARSEST:
+            wanted = math.floor(math.log10(shortest_dt / _FINE))
+            return cls(10.0 ** min(0, max(wanted, least)))
+        return cls()
+
+    def nanoseconds(self, times: Sequence[float] | NDArray[np.float64]) -> NDArray[np.int64]:
+        """Turn simulated seconds into whole nanoseconds of the timeline: rounded, never truncated."""
+        shown = np.asarray(times, dtype=np.float64) / self.scale
+        if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
+            raise RecordingError(f"simulated time {np.max(np.abs(times)):g} s does not fit the timeline")
+        return np.round(shown * 1e9).astype(np.int64)
+
+    def columns(self, steps: Sequence[int], times: Sequence[float]) -> list[rr.TimeColumn]:
+        """Both timelines for the rows of a batch."""
+        duration = self.nanoseconds(times).astype("timedelta64[ns]")
+        return [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=duration)]
+
+
+def _positive(value: float) -> bool:
+    return math.isfinite(value) and value > 0

@@ -1,0 +1,1 @@
+"""How a recording looks: blueprint, camera, arrows, pictures and the viewer itself."""

@@ -1,0 +1,180 @@
+"""Two recordings in one, to look at: the bodies of both, lines between counterparts, and how far apart they are."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.components import FillMode
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.camera import Extent, View
+from carom.recording.write.chunk_writer import Writer
+
+FloatArray = NDArray[np.float64]
+
+PROPERTY = "diff"
+
+_A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
+_TEXT = "diff"
+_SERIES = {
+    "rms": ("difference/rms", "log₁₀ of rms distance (m)", palette.VERMILION),
+    "energy": ("difference/energy", "log₁₀ of energy difference (J)", palette.YELLOW),
+}
+_LARGEST = 100_000_000  # bytes of positions: of longer recordings every k-th frame is shown
+_BATCH = 4_000_000  # bytes
+_SEEN = 0.02  # of the median radius: shorter lines are inside the spheres anyway
+_HALO = 1.04  # what B's spheres are larger by: they would hide in A's where nothing differs
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A frame of both."""
+
+    step: int
+    time: float  # s
+    a: FloatArray  # (n, 3) m
+    b: FloatArray  # (n, 3) m
+
+
+def write_overlay(
+    out: Path,
+    a: Recording,
+    b: Recording,
+    pairs: Iterable[Pair],
+    count: int,
+    series: Mapping[str, FloatArray],
+    text: str,
+) -> None:
+    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` has a value for each of them.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    radius = a.bodies.radius[a.shown]
+    origin = a.origin
+    clock = Clock(float(a.info["time_scale"]))
+    every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
+    shown = islice(pairs, 0, None, every)
+    logarithms = {name: _logarithm(values)[::every] for name, values in series.items()}
+    layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
+    extent: Extent | None = None
+    with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
+        writer.log(_A, _spheres(radius, palette.SKY, a.bodies.name, FillMode.Solid))
+        writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, a.bodies.name, FillMode.MajorWireframe))
+        writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
+        for path, name, colour in _SERIES.values():
+            writer.log(path, rr.SeriesLines(names=name, colors=colour))
+        writer.send_property(
+            "carom", {"title": f"{a.title}: two runs", "time_scale": clock.scale, "bodies": len(radius)}
+        )
+        writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
+        done = 0
+        while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
+            extent = extent or Extent(radius, batch[0].a - origin)
+            extent.look(batch[-1].a - origin)
+            extent.look(batch[-1].b - origin)
+            part = {name: values[done : done + len(batch)] for name, values in logarithms.items()}
+            _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
+            done += len(batch)
+        if extent is not None:
+            writer.send_layout(_layout(extent.view()))
+        writer.flush()
+
+
+def _send(
+    writer: Writer, clock: Clock, batch: list[Pair], origin: FloatArray, seen: float, series: Mapping[str, FloatArray]
+) -> None:
+    index = clock.columns([pair.step for pair in batch], [pair.time for pair in batch])
+    each = [len(pair.a) for pair in batch]
+    a = np.concatenate([pair.a for pair in batch]) - origin
+    b = np.concatenate([pair.b for pair in batch]) - origin
+    writer.send_columns(_A, index, rr.Ellipsoids3D.columns(centers=a.astype(np.float32)).partition(each))
+    writer.send_columns(_B, index, rr.Ellipsoids3D.columns(centers=b.astype(np.float32)).partition(each))
+    apart = np.linalg.norm(b - a, axis=1) > seen
+    strips = np.stack([a[apart], b[apart]], axis=1).astype(np.float32)
+    lines = [int(np.count_nonzero(part)) for part in np.split(apart, np.cumsum(each)[:-1])]
+    writer.send_columns(_LINES, index, rr.LineStrips3D.columns(strips=list(strips)).partition(lines))
+    for name, values in series.items():
+        writer.send_columns(_SERIES[name][0], index, rr.Scalars.columns(scalars=values))
+    times = pa.array([pair.time for pair in batch])
+    columns = rr.AnyValues.columns(True, time=times, fingerprint=pa.array([0] * len(batch), pa.uint64()))
+    writer.send_columns(paths.FINGERPRINT, index, columns)
+
+
+def _logarithm(values: FloatArray) -> FloatArray:
+    """Take log₁₀; where nothing differs there is no point, and the line has a gap."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.log10(values)
+    return np.where(np.isfinite(logarithm), logarithm, np.nan)
+
+
+def _spheres(radius: FloatArray, colour: int, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+    return rr.Ellipsoids3D.from_fields(
+        half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
+        colors=colour,
+        fill_mode=fill,
+        line_radii=rr.Radius.ui_points(0.9),
+        labels=names,
+        show_labels=False,
+    )
+
+
+def _document(a: Recording, b: Recording, text: str, every: int) -> str:
+    lines = [
+        f"# {a.title}: two runs",
+        text,
+        f"- Blue, solid: **A**, {a.path.name}",
+        f"- Orange, wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+        f"- Red lines join counterparts that are further apart than {_SEEN:.0%} of the median radius.",
+        "- The plots are logarithms: a difference that grows exponentially is a straight line.",
+    ]
+    return "\n".join([*lines, f"- Every {every}th frame is shown." if every > 1 else ""]) + "\n"
+
+
+def _layout(view: View) -> rrb.Blueprint:
+    eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
+    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
+    whole = rrb.TimeAxis(
+        view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+    )
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    plots = [
+        rrb.TimeSeriesView(name=title, origin="/", contents=[path], plot_legend=legend, axis_x=whole)
+        for title, (path, _, _) in zip(("Distance", "Energy"), _SERIES.values(), strict=True)
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(
+                name="A blue, B orange",
+                origin="/",
+                contents=[_A, _B, _LINES],
+                background=background,
+                line_grid=False,
+                eye_controls=eye,
+            ),
+            rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5]),
+            column_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,78 @@
+"""What a person reads first: the text of /scene, in Markdown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.recording.schema import palette
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import ANGULAR_ACCELERATION, TORQUE
+from carom.recording.write.encoder import arrow_length, shape
+
+
+def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    """Say what one is looking at: the run, the scales and the colours."""
+    parts = [f"# {header.title}", header.description.strip(), _run(header), _scales(header, clock, origin)]
+    return "\n\n".join(part for part in [*parts, _legend(header)] if part) + "\n"
+
+
+def _run(header: Header) -> str:
+    radius = header.radius
+    lines = [
+        "| | |",
+        "|---|---|",
+        f"| bodies | {header.bodies} |",
+        f"| radii | {radius.min():.4g} to {radius.max():.4g} m |",
+        f"| total mass | {header.mass.sum():.6g} kg |",
+        f"| duration asked for | {header.duration:g} s |",
+        f"| seed | {header.seed} |",
+    ]
+    return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])
+
+
+def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+    x, y, z = origin
+    lines = [
+        "## Scales",
+        f"- Lengths are metres, from the centre of mass of the first frame at ({x:g}, {y:g}, {z:g}) m.",
+    ]
+    if clock.scale != 1.0:
+        lines.append(f"- **Time is scaled**: one second on `sim_time` stands for {clock.scale:g} s of the simulation.")
+    if header.has_torque:
+        lines.append(
+            "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
+            f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g} m for torques and "
+            f"{arrow_length(header, ANGULAR_ACCELERATION):.4g} m for angular accelerations; m_ref (N m, rad/s²) stands "
+            "in the recording's property `arrows`."
+        )
+    if header.planes is not None:
+        lines.append(f"- {len(header.planes)} static planes, drawn as grids; they go on without end.")
+    if header.walls is not None:
+        lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + " m.")
+    if header.box is not None:
+        lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + " m.")
+    return "\n".join(lines)
+
+
+def _legend(header: Header) -> str:
+    lines = ["## Colours", f"- Bodies: {_body_colours(header)}."]
+    if header.collides:
+        stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
+        lines.append(
+            f"- Lines join the centres of touching bodies. Their colour is the stage in which the contact is resolved: "
+            f"{stages}, then again from the start; white is the last, serial stage (past {palette.SERIAL_STAGE})."
+        )
+    if header.has_torque:
+        lines.append("- Arrows: torque orange and thick, angular acceleration green and thin.")
+    if shape(header) == "mesh":
+        lines.append("- Dark and light halves of a sphere show how it turns.")
+    return "\n".join(lines)
+
+
+def _body_colours(header: Header) -> str:
+    if header.body_colouring:
+        return "the colour a body has in the collision graph, grey if it touches nobody"
+    if shape(header) == "mesh":
+        return "one colour for all of them, since there are so many"
+    return "a hue for each group, a shade for each body"

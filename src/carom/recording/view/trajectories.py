@@ -1,0 +1,134 @@
+"""Several runs of one scene in one recording: trajectories that lie over a reference, and how far they are from it."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.recording.schema import palette, paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Scalar
+from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.blueprint import whole_time
+from carom.recording.write.chunk_writer import Writer
+
+FloatArray = NDArray[np.float64]
+
+PROPERTY = "tradeoff"
+
+PATHS_UP_TO = 20  # bodies, whose paths are drawn whole; of more only where they are
+SMALLEST = 1e-17  # what no distance is shown as, on a scale of decades
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """One run: its name, where its bodies were, and how far they were from the reference."""
+
+    name: str
+    position: FloatArray  # (K, n, 3) m
+    distance: FloatArray  # (K',) of the size of the system; K' ≤ K, up to where there is a reference
+
+
+def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, courses: list[Course]) -> None:
+    """Write a recording of several runs.
+
+    Parameters
+    ----------
+    path
+        The ``.rrd``, in place of an earlier one.
+    time
+        (K,) s.
+    radius
+        (n,) m.
+    courses
+        The reference first: it is drawn grey, the others each in a colour of its own.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    clock = Clock.fitting(float(time[-1]), float(time[0]))
+    origin = courses[0].position[0].mean(axis=0)
+    layout = hashlib.sha256("\n".join(("tradeoff", title, *(course.name for course in courses))).encode()).hexdigest()
+    colours = [palette.GREY, *(palette.BODIES[k % len(palette.BODIES)] for k in range(len(courses) - 1))]
+    names = [f"{number:02d}-{_entity(course.name)}" for number, course in enumerate(courses)]
+    with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        about: dict[str, Scalar] = {
+            "title": f"{title}: settings over the reference",
+            "time_scale": clock.scale,
+            "bodies": len(radius),
+        }
+        writer.send_property("carom", about)
+        writer.send_property(PROPERTY, {"courses": "; ".join(course.name for course in courses)})
+        for name, course, colour in zip(names, courses, colours, strict=True):
+            _send(writer, name, course, colour, time, radius, origin, clock)
+        index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
+        frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
+        writer.send_columns(paths.FINGERPRINT, index, frames)
+        writer.send_layout(_layout())
+        writer.flush()
+
+
+def _send(
+    writer: Writer,
+    name: str,
+    course: Course,
+    colour: int,
+    time: FloatArray,
+    radius: FloatArray,
+    origin: FloatArray,
+    clock: Clock,
+) -> None:
+    position = (course.position - origin).astype(np.float32)
+    count, n, _ = position.shape
+    index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
+    bodies = f"world/{name}/bodies"
+    writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour))
+    columns = rr.Points3D.columns(positions=position.reshape(-1, 3)).partition(np.full(count, n))
+    writer.send_columns(bodies, index, columns)
+    if n <= PATHS_UP_TO:
+        writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
+    if len(course.distance):
+        writer.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=course.name))
+        decades = np.log10(np.maximum(course.distance, SMALLEST))
+        shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
+        writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
+
+
+def _layout() -> rrb.Blueprint:
+    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
+    return rrb.Blueprint(
+        rrb.Vertical(
+            rrb.Spatial3DView(
+                name="Settings over the reference", origin="/world", background=background, line_grid=False
+            ),
+            rrb.TimeSeriesView(
+                name="log10 of the distance from the reference, over the size",
+                origin="/distance",
+                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom),
+                axis_x=whole_time(),
+            ),
+            row_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _entity(name: str) -> str:
+    """Make a name that needs no escapes in an entity path."""
+    words = "".join(character if character.isascii() and character.isalnum() else " " for character in name).split()
+    return "-".join(words) or "as-written"

@@ -1,0 +1,195 @@
+"""Rerun's viewer as a process that one can drive: with a window, or without a screen for pictures."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Self, TypeVar
+
+import numpy as np
+from rerun.experimental import ViewerClient
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import SIM_TIME
+
+_T = TypeVar("_T")
+
+_HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
+_START = 60.0  # s
+_LOAD = 120.0  # s
+_POLL = 0.1  # s
+_DYING = 2.0  # s a viewer may take to end after it stopped answering
+_GRACE = 5.0  # s between asking the process to end and ending it
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+_NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
+_VULKAN = (
+    "it needs a Vulkan driver; without a graphics card: "
+    "apt-get install mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
+)
+
+
+class Viewer:
+    """A viewer process. Leaving the context ends it."""
+
+    def __init__(self, *options: str) -> None:
+        self._port = _free_port()
+        self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
+        command = [_binary(), "--bind", _HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
+        self._process = subprocess.Popen(
+            command,
+            stdout=self._log,
+            stderr=self._log,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # the interrupt key is meant for the run, not for the window that watches it
+        )
+        try:
+            self.until("start", _START, self._listens)
+            self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{_HOST}:{self._port}/proxy"))
+        except BaseException:
+            self._end()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End the process."""
+        self._end()
+
+    def open(self, address: str) -> None:
+        """Open a file, or what a server offers."""
+        self._ask(lambda: self.client.open(address))
+
+    def show(self, recording: Recording) -> None:
+        """Load a recording, and wait until it is there."""
+        self.open(str(recording.path.resolve()))
+        self.until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
+
+    def go_to(self, recording: Recording, at: float) -> None:
+        """Pause at a simulated time (s)."""
+        nanoseconds = Clock(float(recording.info["time_scale"])).nanoseconds([at])[0]
+        shown = np.timedelta64(int(nanoseconds), "ns")
+        self._ask(lambda: self.client.set_time(SIM_TIME, duration=shown, play_state="paused"))
+
+    def screenshot(self) -> bytes:
+        """Take the whole window as a PNG."""
+        return self._ask(self.client.take_screenshot)
+
+    @property
+    def address(self) -> str:
+        """Where a live recording can be sent."""
+        return f"{_HOST}:{self._port}"
+
+    def wait(self) -> None:
+        """Wait until the person closes the window."""
+        self._process.wait()
+
+    def outlast(self, seconds: float) -> None:
+        """Wait; RecordingError if the process ends meanwhile: it listens before it has a window."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(seconds)
+        self._fail_if_ended()
+
+    def _listens(self) -> bool:
+        with socket.socket() as probe:
+            return probe.connect_ex((_HOST, self._port)) == 0
+
+    def _ask(self, question: Callable[[], _T]) -> _T:
+        """Ask the viewer something; a viewer that died meanwhile is the better explanation of a failure."""
+        try:
+            return question()
+        except Exception as error:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_DYING)
+            self._fail_if_ended()
+            raise RecordingError(f"the viewer does not answer: {error}") from error
+
+    def until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
+        """Poll until something is done; RecordingError if the process ends or time runs out before."""
+        end = time.monotonic() + limit
+        while not done():
+            self._fail_if_ended()
+            if time.monotonic() > end:
+                raise RecordingError(f"the viewer did not {what} within {limit:.0f} s")
+            time.sleep(_POLL)
+
+    def _fail_if_ended(self) -> None:
+        if self._process.poll() is None:
+            return
+        self._log.seek(0)
+        said = self._log.read()
+        raise RecordingError(f"the viewer could not start: {_reason(said)}")
+
+    def _end(self) -> None:
+        self._process.terminate()
+        try:
+            self._process.wait(_GRACE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._log.close()
+
+
+def start_live_viewer() -> str:
+    """Open a window that waits for a run, and outlives it; return the address to record to.
+
+    Raises
+    ------
+    RecordingError
+        If there is no screen, or the viewer cannot use it.
+    """
+    if sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+        raise RecordingError(_NO_SCREEN)
+    viewer = Viewer("--expect-data-soon")
+    viewer.outlast(_DYING)
+    return viewer.address
+
+
+def open_viewer(path: str | Path, at: float | None = None) -> None:
+    """Open a recording in a window, paused at a simulated time (s) if one is given; return when it is closed."""
+    recording = Recording.open(path)
+    moment = None if at is None else recording.moment(at)
+    with Viewer() as viewer:
+        viewer.show(recording)
+        if moment is not None:
+            viewer.go_to(recording, moment)
+        viewer.wait()
+
+
+def _reason(said: str) -> str:
+    """Say what a person can do about a viewer that ended, from its own words."""
+    lowered = said.lower()
+    if "wgpu" in lowered or "vulkan" in lowered or "graphics" in lowered or "adapter" in lowered:
+        return _VULKAN
+    if "display" in lowered or "winit" in lowered or "wayland" in lowered:
+        return _NO_SCREEN
+    return said.strip().splitlines()[-1] if said.strip() else "it ended without a word"
+
+
+def _binary() -> str:
+    """Find the viewer that belongs to the installed rerun-sdk, not one that happens to be on the PATH."""
+    spec = importlib.util.find_spec("rerun_cli")
+    for folder in (spec.submodule_search_locations or []) if spec else []:
+        for name in ("rerun", "rerun.exe"):
+            if (Path(folder) / name).is_file():
+                return str(Path(folder) / name)
+    raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind((_HOST, 0))
+        return int(probe.getsockname()[1])

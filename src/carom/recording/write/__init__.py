@@ -1,0 +1,1 @@
+"""Frames on their way into a file: encoder, batch queue, stream and durable sink."""

@@ -1,0 +1,112 @@
+"""`Writer`: makes an .rrd out of chunks of others."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+from carom.recording.rrd.index import Chunk, Container
+from carom.recording.schema.header import Scalar
+from carom.recording.write.claim import Claim
+from carom.recording.write.durable_sink import Outlet
+from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
+
+_FLUSH = 60.0  # s; a disk that takes longer has hung
+
+
+class Writer:
+    """Writes one file, under another name until it is whole: nobody ever finds half of it, nor loses the one before.
+
+    Leaving the context closes the file and gives it its name; leaving it with an exception removes what there is.
+    """
+
+    def __init__(self, path: Path, application_id: str, recording_id: str) -> None:
+        rr.set_strict_mode(True)
+        self.path = path
+        self._claim = Claim(path)
+        self._application = application_id
+        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self._outlet = Outlet(self._part, 0)
+        except RecordingError:
+            self._claim.release()
+            raise
+        end_earlier_streams()
+        # the name and the start of the recording are among the chunks to be copied
+        self._stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+        self._stream.set_sinks(rr.FileSink(self._outlet.entry))
+        self._outlet.opened()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close; RecordingError if what was sent is not all in the file."""
+        try:
+            self._stream.disconnect()
+            self._outlet.close()
+            if error is None:
+                self._fail_if_full()
+                self._check()
+                self._part.replace(self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
+            self._claim.release()
+
+    def send(self, chunk: Chunk) -> None:
+        """Send rows of an entity."""
+        for part in rerun_chunks(chunk.batch):
+            rr.send_chunks(part, recording=self._stream)
+
+    def send_columns(self, path: str, index: list[rr.TimeColumn], columns: rr.ComponentColumnList) -> None:
+        """Send rows of an entity that are made anew."""
+        self._stream.send_columns(path, index, columns)
+
+    def log(self, path: str, archetype: rr.AsComponents) -> None:
+        """Send what holds for the whole recording."""
+        self._stream.log(path, archetype, static=True)
+
+    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
+        """Send a recording property."""
+        self._stream.send_property(name, rr.AnyValues(True, **values))
+
+    def send_layout(self, layout: rrb.Blueprint) -> None:
+        """Send the layout that the file opens with."""
+        send_layout(self._stream, self._application, layout)
+
+    def flush(self) -> None:
+        """Wait until all that was sent is in the file; raise if it cannot be."""
+        self._stream.flush(timeout_sec=_FLUSH)
+        self._outlet.settle()
+        self._fail_if_full()
+
+    def _check(self) -> None:
+        if not Container.open(self._part).finished:
+            raise RecordingError(f"{self.path} was written, but did not get its end")
+
+    def _fail_if_full(self) -> None:
+        if self._outlet.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
+
+
+class StoredLayout(rrb.Blueprint):
+    """A layout as it was found in another file."""
+
+    def __init__(self, chunks: Iterable[Chunk]) -> None:
+        super().__init__(rrb.Horizontal())
+        self._chunks = list(chunks)
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        for chunk in self._chunks:
+            rr.send_chunks(rerun_chunks(chunk.batch), recording=stream)

@@ -1,0 +1,363 @@
+"""Frames → Rerun's columns.
+
+One :class:`Rows` is one entity's part of a batch: what `send_columns` takes, with the bytes of the arrays in it. A part
+of the model that the scene does not require has no entity here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
+from rerun import ComponentColumnList
+from rerun.components import LineStrip3DBatch
+
+from carom.physics.event import Event
+from carom.physics.frame import Frame, FrameStore
+from carom.recording.schema import checkpoint, palette
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import (
+    ANGULAR_ACCELERATION,
+    BODIES,
+    CHECKPOINT,
+    COLOURS,
+    CONTACTS,
+    DT,
+    DT_LIMIT,
+    ENERGY,
+    EVENTS,
+    FINGERPRINT,
+    INTEGRATION_ERROR,
+    LEDGER,
+    MOMENTUM,
+    OVERLAP,
+    PERIODIC_BOX,
+    PHASE,
+    PLANES,
+    RELATIVE_ERROR,
+    RELATIVE_OVERLAP,
+    STEP_CONTACTS,
+    SWEEPS,
+    TORQUE,
+    WALLS,
+)
+from carom.recording.view import arrows
+from carom.recording.write import encoding_kernels as encoding
+
+MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
+_VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
+_STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
+_INDEX_BYTES = 16  # a row's step and simulated time
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One entity's rows of a batch."""
+
+    path: str
+    steps: Sequence[int]
+    times: Sequence[float]  # s
+    columns: ComponentColumnList
+    bytes: int  # of the arrays in it, indices included
+
+
+def shape(header: Header) -> str:
+    """How bodies are drawn: "ellipsoids", "mesh" (many, turning) or "points" (many, not turning)."""
+    if header.bodies <= MOST_ELLIPSOIDS:
+        return "ellipsoids"
+    return "mesh" if header.has_orientation else "points"
+
+
+def arrow_length(header: Header, path: str) -> float:
+    """Return L_max (m) of the arrows at an entity."""
+    reach = arrows.TORQUE_REACH if path == TORQUE else arrows.ANGULAR_ACCELERATION_REACH
+    return arrows.longest(header.radius, reach)
+
+
+def surroundings(header: Header) -> list[str]:
+    """Entities of what stands still."""
+    parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
+    return [path for path, part in parts if part is not None]
+
+
+def energy_terms(header: Header) -> dict[str, tuple[str, int]]:
+    """Energy series that this scene has: attribute of `Energy` → (name in the legend, colour)."""
+    terms = {"translational": ("translational", palette.SKY)}
+    if header.spins:
+        terms["rotational"] = ("rotational", palette.ORANGE)
+    if header.gravitates:
+        terms["gravitational"] = ("gravitational", palette.PURPLE)
+    if header.has_field:
+        terms["field"] = ("uniform field", palette.GREEN)
+    return terms | {"total": ("total", palette.WHITE)}
+
+
+def ledger_terms(header: Header) -> dict[str, tuple[str, int]]:
+    """Ledger series that this scene has, like :func:`energy_terms`."""
+    if not header.collides:
+        return {}
+    terms = {"restitution": ("restitution: taken out", palette.SKY)}
+    if header.has_friction:
+        terms["friction"] = ("friction: taken out", palette.ORANGE)
+    if header.stabilises:
+        terms["stabilisation"] = ("stabilisation: put in", palette.VERMILION)
+    return terms
+
+
+class BatchEncoder:
+    """Turns batches of frames into rows, entity by entity.
+
+    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references.
+    """
+
+    def __init__(
+        self,
+        header: Header,
+        origin: FloatArray,
+        arrow_references: Mapping[str, float] | None = None,
+        last_state: Mapping[str, str] | None = None,
+    ) -> None:
+        self.header = header
+        self.origin = origin
+        self.arrow_references = dict(arrow_references or {})
+        self._last_state = dict(last_state or {})
+        self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+
+    def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
+        """All entities' rows of a batch, checkpoints apart; in a store its frames follow each other."""
+        position = _stacked("position", batch, store)
+        points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
+        encoding.cast_positions(position, self.origin, points)
+        yield self._bodies(batch, store, points)
+        if self.header.has_torque:
+            yield from self._arrows(batch, store, points)
+        if self.header.collides:
+            yield from self._collisions(batch, points)
+        yield from self._energies(batch)
+        yield _scalars(DT, batch, [frame.dt for frame in batch])
+        yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
+        yield from self._changes(PHASE, batch, lambda frame: frame.phase)
+        yield from _events(batch)
+        yield _fingerprints(batch)
+        yield self._momenta(batch)
+
+    def checkpoints(self, frames: Sequence[Frame]) -> Rows:
+        """Keep the exact state of some frames."""
+        encoded = checkpoint.encode([frame.checkpoint for frame in frames])
+        columns = [
+            column for name, (values, each) in encoded.items() for column in _any_column(name, values).partition(each)
+        ]
+        return _rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
+
+    def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
+        each = [self.header.bodies] * len(batch)
+        turned = None
+        if self.header.has_orientation:
+            turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
+            encoding.cast_orientations(_stacked("orientation", batch, store), turned)
+            turned = turned.reshape(-1, 4)
+        centres = points.reshape(-1, 3)
+        colours = self._node_colours(batch)
+        match shape(self.header):
+            case "ellipsoids":
+                columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turned, colors=colours)
+                size = _bytes(centres, turned, colours)
+            case "points":
+                columns = rr.Points3D.columns(positions=centres, colors=colours)
+                size = _bytes(centres, colours)
+            case _:
+                # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
+                scales = np.tile(np.repeat(self.header.radius, 3), len(batch)).reshape(-1, 3).astype(np.float32)
+                columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
+                size = _bytes(centres, turned, scales)
+        return _rows(BODIES, batch, columns.partition(each), size)
+
+    def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
+        if not self.header.body_colouring:
+            return None
+        nobody = np.full(self.header.bodies, -1, dtype=np.int64)
+        nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
+        return palette.node_colours(np.concatenate(nodes))
+
+    def _arrows(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Iterable[Rows]:
+        """Torques, and angular accelerations τ/I, of the bodies that feel any."""
+        torque = _stacked("torque", batch, store)
+        most = self.header.bodies * len(batch)
+        body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
+        each = np.zeros(len(batch), dtype=np.int64)
+        total = encoding.turning(torque, body, magnitude, each)
+        for path in (TORQUE, ANGULAR_ACCELERATION):
+            yield self._arrow_rows(path, batch, torque, points, each, body[:total], magnitude[:total])
+
+    def _arrow_rows(
+        self,
+        path: str,
+        batch: Sequence[Frame],
+        torque: FloatArray,
+        points: NDArray[np.float32],
+        each: NDArray[np.int64],
+        body: NDArray[np.uint32],
+        magnitude: FloatArray,
+    ) -> Rows:
+        """Arrows of one kind: ``each`` frame's bodies follow each other in ``body``, with their torques' magnitudes."""
+        inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
+        if len(body) and path not in self.arrow_references:
+            k = int(np.flatnonzero(each)[0])
+            first = magnitude[: each[k]] / inertia[body[: each[k]]]
+            self.arrow_references[path] = arrows.reference(first, self._natural_unit(path, batch[k]))
+        unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
+        origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
+        encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
+        columns = [
+            *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
+            *_any_column("body", body).partition(each),
+        ]
+        return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin, body))
+
+    def _natural_unit(self, path: str, frame: Frame) -> float:
+        """Estimate what takes a body's momentum, at its rim, in one step: no tiny torque or angular acceleration."""
+        if frame.dt <= 0:
+            return 0.0
+        drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
+        torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
+        return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
+
+    def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
+        """Draw the collision graphs' edges, and count them."""
+        graphs = [frame.contacts for frame in batch]
+        each = np.array([len(graph.pairs) for graph in graphs], dtype=np.int64)
+        colours = np.concatenate([graph.colours for graph in graphs])
+        strips, shown = np.empty((len(colours), 6), dtype=np.float32), np.empty(len(colours), dtype=np.uint32)
+        deepest = np.empty((len(batch), 2))
+        encoding.draw_edges(
+            each,
+            np.concatenate([graph.pairs for graph in graphs]),
+            np.concatenate([graph.normals for graph in graphs]),
+            np.concatenate([graph.overlaps for graph in graphs]),
+            colours,
+            points,
+            self.header.radius,
+            self._box,
+            np.array(palette.STAGES, dtype=np.uint32),
+            palette.SERIAL_STAGE,
+            np.uint32(palette.WHITE),
+            strips,
+            shown,
+            deepest,
+        )
+        columns = [
+            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
+            *rr.LineStrips3D.columns(colors=shown).partition(each),
+        ]
+        yield _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, shown))
+        yield _scalars(STEP_CONTACTS, batch, each)
+        yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
+        yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
+        yield _scalars(OVERLAP, batch, deepest[:, 0])
+        yield _scalars(RELATIVE_OVERLAP, batch, deepest[:, 1])
+
+    def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        energies = [frame.energy for frame in batch]
+        for term in energy_terms(self.header):
+            yield _scalars(f"{ENERGY}/{term}", batch, [getattr(energy, term) for energy in energies])
+        for term in ledger_terms(self.header):
+            yield _scalars(f"{LEDGER}/{term}", batch, [getattr(energy.ledger, term) for energy in energies])
+        error = [energy.integration_error for energy in energies]
+        yield _scalars(INTEGRATION_ERROR, batch, error)
+        relative = [energy.relative(energy.integration_error) for energy in energies]
+        yield _scalars(RELATIVE_ERROR, batch, relative)
+
+    def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
+        """Rows only where the state differs from the one before."""
+        changed = []
+        for frame in batch:
+            if self._last_state.get(path) != state(frame):
+                self._last_state[path] = state(frame)
+                changed.append(frame)
+        if changed:
+            names = [state(frame) for frame in changed]
+            yield _rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
+
+    def _momenta(self, batch: Sequence[Frame]) -> Rows:
+        linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
+        angular = [np.nan if f.angular_momentum_error is None else f.angular_momentum_error for f in batch]
+        arrays = {
+            "momentum": np.concatenate([frame.momentum for frame in batch]),
+            "momentum_error": np.array(linear),
+            "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
+            "angular_momentum_error": np.array(angular),
+        }
+        return _any_values(MOMENTUM, batch, arrays)
+
+
+def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
+    """Return one of the arrays of all frames, (frames, n, …): as it lies in the store, or else copied together."""
+    first = batch[0].slot
+    if store is not None and first is not None:
+        lying: FloatArray = getattr(store, name)[first : first + len(batch)]
+        return lying
+    return np.stack([getattr(frame, name) for frame in batch])
+
+
+def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:
+    array = np.asarray(values, dtype=np.float64)
+    return _rows(path, batch, rr.Scalars.columns(scalars=array), _bytes(array))
+
+
+def _fingerprints(batch: Sequence[Frame]) -> Rows:
+    bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
+    time = np.array([frame.time for frame in batch])
+    columns = [*_any_column("fingerprint", bits), *_any_column("time", time)]
+    return _rows(FINGERPRINT, batch, ComponentColumnList(columns), _bytes(bits, time))
+
+
+def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
+    events = [event for frame in batch for event in frame.events]
+    if events:
+        yield event_rows(events)
+
+
+def event_rows(events: Sequence[Event]) -> Rows:
+    """Return one row of the log for each event."""
+    log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+    columns = ComponentColumnList([*log, *_any_column("kind", [e.kind for e in events])])
+    size = sum(len(e.text) + len(e.level) + len(e.kind) for e in events) + _INDEX_BYTES * len(events)
+    return Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
+
+
+def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray]) -> Rows:
+    """Rows of float64 arrays, each holding the same number of values for every frame."""
+    count = len(frames)
+    columns = [
+        column
+        for name, array in arrays.items()
+        for column in _any_column(name, array).partition([len(array) // count] * count)
+    ]
+    return _rows(path, frames, ComponentColumnList(columns), _bytes(*arrays.values()))
+
+
+def _any_column(name: str, array: NDArray[np.generic] | list[str]) -> ComponentColumnList:
+    """Make a column of any type. As an Arrow array: a NumPy array would be walked value by value, in Python."""
+    return rr.AnyValues.columns(True, **{name: pa.array(array)})
+
+
+def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
+    """Make lines from the coordinates of their ends, ``(m, 6)``. Rerun's own conversion loops over them in Python."""
+    vectors = pa.FixedSizeListArray.from_arrays(pa.array(points.ravel()), type=_VECTOR)
+    offsets = pa.array(np.arange(0, 2 * len(points) + 1, 2, dtype=np.int32))
+    return LineStrip3DBatch(pa.ListArray.from_arrays(offsets, vectors, type=_STRIP))
+
+
+def _rows(path: str, frames: Sequence[Frame], columns: ComponentColumnList, size: int) -> Rows:
+    steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
+    return Rows(path, steps, times, columns, size + _INDEX_BYTES * len(frames))
+
+
+def _bytes(*arrays: NDArray[np.generic] | None) -> int:
+    return sum(array.nbytes for array in arrays if array is not None)

@@ -1,0 +1,148 @@
+"""The loops over bodies and contacts of a batch of frames: float64 state into the float32 that is drawn.
+
+They are kernels for the sake of the physics, not of speed as such: NumPy would hold the interpreter's lock meanwhile,
+and the physics wants it back after every kernel of its own. One call serves a whole batch: with one a frame, each of
+them took the lock from the physics once more, and that cost twice the work itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.kernel import long_kernel
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+ColourArray = NDArray[np.uint32]
+
+
+@long_kernel
+def cast_positions(position: FloatArray, origin: FloatArray, points: SingleArray) -> None:
+    """Write positions (frames, n, 3) relative to an origin."""
+    for f in range(position.shape[0]):
+        for i in range(position.shape[1]):
+            for k in range(3):
+                points[f, i, k] = np.float32(position[f, i, k] - origin[k])
+
+
+@long_kernel
+def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
+    """Write quaternions (frames, n, 4)."""
+    for f in range(orientation.shape[0]):
+        for i in range(orientation.shape[1]):
+            for k in range(4):
+                turned[f, i, k] = np.float32(orientation[f, i, k])
+
+
+@long_kernel
+def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray, each: IntArray) -> int:
+    """List the bodies with a torque that can be drawn, frame by frame, and its magnitude; return how many there are.
+
+    The largest component is the unit, so that no square overflows.
+
+    Parameters
+    ----------
+    torque
+        (frames, n, 3) N m.
+    each
+        (frames,), overwritten: how many bodies each frame lists.
+    """
+    found = 0
+    for f in range(torque.shape[0]):
+        before = found
+        for i in range(torque.shape[1]):
+            x, y, z = abs(torque[f, i, 0]), abs(torque[f, i, 1]), abs(torque[f, i, 2])
+            largest = max(x, y, z)
+            if largest > 0.0 and np.isfinite(x + y + z):
+                x, y, z = x / largest, y / largest, z / largest
+                body[found] = i
+                magnitude[found] = largest * np.sqrt(x * x + y * y + z * z)
+                found += 1
+        each[f] = found - before
+    return found
+
+
+@long_kernel
+def draw_arrows(
+    torque: FloatArray,
+    each: IntArray,
+    body: NDArray[np.uint32],
+    magnitude: FloatArray,
+    points: SingleArray,
+    radius: FloatArray,
+    unit: FloatArray,
+    l_max: float,
+    origin: SingleArray,
+    vector: SingleArray,
+) -> None:
+    """Write arrows along the torques of the bodies listed, by the law of `carom.recording.view.arrows`.
+
+    Parameters
+    ----------
+    unit
+        (n,) N m, the torque of each body whose arrow sticks out by half of ``l_max``.
+    """
+    c = 0
+    for f in range(len(each)):
+        for _ in range(each[f]):
+            i = body[c]
+            s = np.cbrt(magnitude[c] / unit[i])
+            length = (radius[i] + l_max * (1.0 - 1.0 / (1.0 + s))) / magnitude[c]
+            for k in range(3):
+                origin[c, k] = points[f, i, k]
+                vector[c, k] = np.float32(torque[f, i, k] * length)
+            c += 1
+
+
+@long_kernel
+def draw_edges(
+    each: IntArray,
+    pairs: IntArray,
+    normals: FloatArray,
+    overlaps: FloatArray,
+    colours: IntArray,
+    points: SingleArray,
+    radius: FloatArray,
+    box: FloatArray,
+    cycle: ColourArray,
+    serial: int,
+    serial_colour: np.uint32,
+    strips: SingleArray,
+    drawn: ColourArray,
+    deepest: FloatArray,
+) -> None:
+    """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
+
+    A line to a plane ends at the foot of the perpendicular.
+
+    Parameters
+    ----------
+    each
+        (frames,) contacts of each frame; they follow each other in ``pairs``.
+    deepest
+        (frames, 2), overwritten: the deepest overlap in m, and the deepest over the smaller radius.
+    """
+    c = 0
+    for f in range(len(each)):
+        deepest[f, 0] = deepest[f, 1] = 0.0
+        for _ in range(each[f]):
+            i, j = pairs[c, 0], pairs[c, 1]
+            smaller = radius[i]
+            if j < len(radius):
+                smaller = min(smaller, radius[j])
+            deepest[f, 0] = max(deepest[f, 0], overlaps[c])
+            deepest[f, 1] = max(deepest[f, 1], overlaps[c] / smaller)
+            for k in range(3):
+                start = points[f, i, k]
+                if j < len(radius):
+                    end = points[f, j, k]
+                    if box[k] > 0.0:
+                        end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
+                else:
+                    end = start + np.float32((radius[i] - overlaps[c]) * normals[c, k])
+                strips[c, k] = start
+                strips[c, 3 + k] = end
+            drawn[c] = serial_colour if colours[c] >= serial else cycle[colours[c] % len(cycle)]
+            c += 1

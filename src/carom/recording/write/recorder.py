@@ -1,0 +1,225 @@
+"""`Recorder`: takes frames from the physics and writes them to an .rrd in a thread of its own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.event import Event
+from carom.physics.frame import Frame, FrameStore
+from carom.recording.edit.continuation import Past
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema import checkpoint
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.view.blueprint import blueprint
+from carom.recording.view.camera import Extent, View
+from carom.recording.write.batch_queue import Mailbox
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.stream import Stream
+
+FloatArray = NDArray[np.float64]
+
+_BATCH_BYTES = 4_000_000  # a call costs 0.2 ms besides its data, whatever its size
+_BATCH_FRAMES = 2048
+_QUEUE_FRAMES = 512
+_BATCH_SECONDS = 1.0  # what a killed run may lose
+_QUEUE_BYTES = 32_000_000
+_FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: send a second one only if the eye's distance grew by more
+_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets its one blueprint at the end
+
+
+class Recorder:
+    """Writes one recording.
+
+    ``put`` only enqueues, and blocks while the mailbox is full: no frame is dropped, and none piles up. The first fault
+    (a full disk, say) closes the file as well as can be, and is raised by the next ``put`` and by ``finish``.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        header: Header,
+        *,
+        live: str | None = None,
+        queue_size: int | None = None,
+        past: Past | None = None,
+    ) -> None:
+        rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
+        self.path = Path(path)
+        self.header = header
+        self.frames = 0  # sent so far
+        self._past = past
+        frame_bytes = 300 * header.bodies + 2000
+        self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
+        self._clock = past.clock if past else Clock.fitting(header.duration, header.shortest_dt_hint)
+        room = queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
+        batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
+        self._mailbox: Mailbox[Frame] = Mailbox(room, batch, _BATCH_SECONDS)
+        self._store: FrameStore | None = None
+        # a slot comes round when its frame has been in the mailbox, in the batch being written, and been the last one
+        self._slots = max(room, batch) + batch + 2
+        self._plan = checkpoint.CheckpointPlan()
+        self._encoder: BatchEncoder | None = None
+        self._references: dict[str, float] = {}  # as sent
+        self._extent: Extent | None = None
+        self._framed = 0.0  # m, the eye's distance in the blueprint
+        self._last: Frame | None = None
+        self._last_checkpoint = -1
+        self._error: RecordingError | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def payload_bytes(self) -> int:
+        """Bytes of all arrays recorded so far, as handed to Rerun."""
+        return self._stream.payload_bytes
+
+    def store_for(self, bodies: Bodies) -> FrameStore:
+        """Return room for the arrays of frames on their way through this recorder, and for no longer."""
+        self._store = FrameStore(self._slots, bodies)
+        return self._store
+
+    def put(self, frame: Frame) -> None:
+        """Hand over a frame; wait while the mailbox is full. Raises what stopped the recorder, if anything did."""
+        self._mailbox.put(frame)
+
+    def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
+        """Write what is left, the last events and the outcome, close the file, and open it again to check it."""
+        if self._closed:
+            return
+        self._stop()
+        self._closed = True
+        if self._error is not None:
+            raise self._error
+        self._close(outcome, summary or {}, events)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close a recording that was not finished, saying so in it."""
+        if not self._closed and self._error is None:
+            reason = "interrupted" if error is None else f"interrupted: {type(error).__name__}: {error}"
+            self.finish(reason)
+        self._stop()
+        self._closed = True
+
+    def _stop(self) -> None:
+        """End the thread, after it has written what is in the mailbox."""
+        self._mailbox.close()
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._record()
+        except RecordingError as error:
+            self._fail(error)
+        except Exception as error:  # whatever it is, the physics must hear of it
+            self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
+
+    def _record(self) -> None:
+        while batch := self._mailbox.take():
+            self._write(batch)
+
+    def _write(self, batch: list[Frame]) -> None:
+        encoder = self._encoder or self._begin(batch[0])
+        for part in _unbroken(batch):
+            for rows in encoder.rows(part, self._store):
+                self._stream.send(rows, self._clock)
+        if encoder.arrow_references != self._references:  # a killed run says them, too
+            self._references = dict(encoder.arrow_references)
+            self._stream.send_property("arrows", self._references)
+        kept = self._plan.chosen(batch)
+        if kept:
+            self._stream.send(encoder.checkpoints(kept), self._clock)
+            self._last_checkpoint = kept[-1].step
+        self._look(batch, encoder.origin)
+        self._last = batch[-1]
+        self.frames += len(batch)  # even if the flush finds the disk full: the reserve has taken them
+        self._stream.flush()
+
+    def _begin(self, first: Frame) -> BatchEncoder:
+        """Send everything static, which needs the centre of mass of the first frame, and the past, if there is one."""
+        past, position = self._past, first.position
+        if past is not None:
+            position, origin = past.first_position(), past.origin
+            self._encoder = BatchEncoder(self.header, origin, past.arrow_references, past.last_state)
+        else:
+            origin = np.average(position, axis=0, weights=self.header.mass)
+            self._encoder = BatchEncoder(self.header, origin)
+        reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
+        self._extent = Extent(self.header.radius, position - origin)
+        self._stream.send_statics(self._clock, origin, reach)
+        self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
+        if past is not None:
+            self._stream.send_past(past)
+            self.frames = past.frames
+        return self._encoder
+
+    def _look(self, batch: list[Frame], origin: FloatArray) -> None:
+        """Follow where the bodies are; lay out what there is, early for a live viewer and for a run that is killed."""
+        assert self._extent is not None, "it begins with the first batch"
+        if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
+            self._send_blueprint(self._extent.view())
+        self._extent.see(batch, origin)
+
+    def _look_again(self) -> None:
+        """Frame the whole recording, if that differs from the first frame so much that one sees it."""
+        if self._extent is not None:
+            view = self._extent.view()
+            if view.follows or view.distance > _FRAMED_ANEW * self._framed:
+                self._send_blueprint(view)
+
+    def _send_blueprint(self, view: View) -> None:
+        self._stream.send_blueprint(blueprint(self.header, view))
+        self._framed = view.distance
+
+    def _fail(self, error: RecordingError) -> None:
+        """Close with what there is, and only then let the physics know."""
+        try:
+            self._close(str(error), {}, ())
+        except Exception as second:  # the first fault is the one to tell
+            error.add_note(f"closing it failed, too: {second}")
+        self._error = error
+        self._mailbox.fail(error)
+
+    def _close(self, outcome: str, summary: Mapping[str, Scalar], events: tuple[Event, ...]) -> None:
+        last, encoder = self._last, self._encoder
+        try:
+            if last is not None and encoder is not None:
+                if last.step != self._last_checkpoint:
+                    self._stream.send(encoder.checkpoints([last]), self._clock)
+                level = "INFO" if outcome == "completed" else "WARN"
+                for event in events:
+                    self._stream.send_event(event, self._clock)
+                self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}", "end"), self._clock)
+                self._look_again()
+            self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
+        finally:
+            self._stream.close()
+        self._check()
+
+    def _check(self) -> None:
+        """Open the closed file again and see whether all frames are in it."""
+        found = Recording.open(self.path).frames
+        if found != self.frames:
+            raise RecordingError(f"{self.path} holds {found} frames, but {self.frames} were written")
+
+
+def _unbroken(batch: list[Frame]) -> list[list[Frame]]:
+    """Split a batch where the frame store began again at its first slot."""
+    turn = next((k for k, frame in enumerate(batch) if k and frame.slot == 0), None)
+    return [batch] if turn is None else [batch[:turn], batch[turn:]]

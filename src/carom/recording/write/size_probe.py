@@ -1,0 +1,78 @@
+"""What a recording will take, found out by writing one batch of frames: bytes and time, entity by entity."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from carom.physics.frame import Frame
+from carom.physics.profile import Profile
+from carom.recording.schema.checkpoint import CheckpointPlan
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.statics import statics
+from carom.recording.write.stream import Stream
+
+BATCH_BYTES = 4_000_000  # as the recorder's, for a call costs 0.2 ms besides its data
+BATCH_FRAMES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """What an entity takes."""
+
+    once: int  # bytes, however long the recording is
+    bytes: float  # a frame, of the arrays
+    seconds: float  # a frame, in the recorder's thread
+
+
+def trial(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
+    """Write frames, over and over until they fill a batch, to a file that is then of no use.
+
+    Returns
+    -------
+    taken
+        For each entity, in the order in which they are written.
+    """
+    rr.set_strict_mode(True)
+    clock = Clock()
+    origin = np.average(frames[0].position, axis=0, weights=header.mass)
+    once = {
+        entity: sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
+        for entity, archetype in statics(header, clock, origin, 1.0)
+    }
+    count = max(1, min(BATCH_FRAMES, BATCH_BYTES // (40 * header.bodies + 500)))
+    batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
+    stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
+    try:
+        _send(batch, stream, BatchEncoder(header, origin), clock)  # loads what is loaded once
+        sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
+    finally:
+        stream.close()
+    seconds = profile.seconds()
+    return {
+        entity: Taken(once.get(entity, 0), sizes[entity] / count, seconds.get(entity, 0.0) / count)
+        for entity in dict.fromkeys([*once, *sizes])
+    }
+
+
+def _send(batch: list[Frame], stream: Stream, encoder: BatchEncoder, clock: Clock) -> tuple[Counter[str], Profile]:
+    """Send a batch as the recorder does; return the bytes of each entity, and its time."""
+    sizes, profile = Counter[str](), Profile()
+    profile.start()
+    for rows in encoder.rows(batch):
+        stream.send(rows, clock)
+        sizes[rows.path] += rows.bytes
+        profile.mark(rows.path)
+    kept = encoder.checkpoints(CheckpointPlan().chosen(batch))
+    stream.send(kept, clock)
+    sizes[kept.path] += kept.bytes
+    profile.mark(kept.path)
+    stream.flush()
+    return sizes, profile

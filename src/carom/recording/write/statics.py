@@ -1,0 +1,163 @@
+"""What is logged once and holds for the whole recording: texts, sizes, colours, names of series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from rerun.components import FillMode
+
+from carom.recording.schema import palette, paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.view.scene_text import scene_document
+from carom.recording.write import encoder as entities
+
+Static = tuple[str, rr.AsComponents]
+
+_THICK, _THIN = 0.16, 0.07  # of an arrow, in median body radii
+_EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
+_PLANE_REACH = 1.5  # of the distance to which the bodies begin
+_PLANE_LINES = 13  # in each direction
+_MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that one of thousands has
+
+
+def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+    """Everything static, entity by entity; ``reach`` is how far from the origin the bodies begin, in m."""
+    yield (
+        paths.SCENE,
+        rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
+    )
+    yield paths.SCENE_TOML, rr.TextDocument(header.scene_toml, media_type=rr.MediaType.TEXT)
+    yield paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
+    yield from _bodies(header)
+    yield from _surroundings(header, origin, reach)
+    yield (
+        paths.STATIC_STATE,
+        rr.AnyValues(
+            name=header.names,
+            group=header.group,
+            mass=header.mass,
+            radius=header.radius,
+            inertia=header.inertia,
+        ),
+    )
+    if header.has_torque:
+        yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
+        yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
+    if header.collides:
+        yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
+    yield from _series(header)
+    yield paths.PHASE, _states(palette.PHASES)
+    yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
+
+
+def _bodies(header: Header) -> Iterable[Static]:
+    colours = None if header.body_colouring else palette.body_colours(header.group)
+    radius = header.radius.astype(np.float32)
+    match entities.shape(header):
+        case "ellipsoids":
+            half_sizes = np.repeat(radius, 3).reshape(-1, 3)
+            see_through = header.has_orientation or header.collides
+            fill = FillMode.TransparentFillMajorWireframe if see_through else FillMode.Solid
+            yield (
+                paths.BODIES,
+                rr.Ellipsoids3D.from_fields(
+                    half_sizes=half_sizes,
+                    colors=colours,
+                    fill_mode=fill,
+                    line_radii=rr.Radius.ui_points(0.75),
+                    labels=header.names,
+                    show_labels=False,
+                ),
+            )
+        case "points":
+            yield paths.BODIES, rr.Points3D.from_fields(radii=radius, colors=colours)
+        case _:
+            yield paths.BODIES, _two_tone_sphere()
+
+
+def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+    """Draw what stands still: the box, and planes as grids of squares."""
+    for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.box)):
+        if size is not None:
+            yield (
+                path,
+                rr.Boxes3D(
+                    centers=[-origin],
+                    sizes=[size],
+                    colors=palette.GREY,
+                    radii=rr.Radius.ui_points(1.0),
+                    fill_mode=FillMode.MajorWireframe,
+                ),
+            )
+    if header.planes is not None:
+        planes = zip(header.planes.normal, header.planes.offset, strict=True)
+        grids = [_grid(normal, offset - normal @ origin, reach) for normal, offset in planes]
+        yield (
+            paths.PLANES,
+            rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),
+        )
+
+
+def _grid(normal: NDArray[np.float64], offset: float, reach: float) -> NDArray[np.float32]:
+    """Return lines (k, 2, 3) of a square grid on a plane, about the point nearest to the origin."""
+    across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    across /= np.linalg.norm(across)
+    along = np.cross(normal, across)
+    marks = np.linspace(-_PLANE_REACH * reach, _PLANE_REACH * reach, _PLANE_LINES)
+    ends = np.array([marks[0], marks[-1]])
+    one = marks[:, None, None] * across + ends[None, :, None] * along
+    other = marks[:, None, None] * along + ends[None, :, None] * across
+    return np.asarray(offset * normal + np.concatenate((one, other)), dtype=np.float32)
+
+
+def _two_tone_sphere() -> rr.Mesh3D:
+    """Make a unit sphere whose half is dark, so that turning shows."""
+    polar = np.linspace(0.0, np.pi, _MESH_RINGS + 1)
+    around = np.linspace(0.0, 2.0 * np.pi, 2 * _MESH_RINGS, endpoint=False)
+    theta, phi = np.meshgrid(polar, around, indexing="ij")
+    vertices = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    vertices = vertices.reshape(-1, 3).astype(np.float32)
+    ring, slot = np.meshgrid(np.arange(_MESH_RINGS), np.arange(len(around)), indexing="ij")
+    following = (slot + 1) % len(around)
+    a, b = ring * len(around) + slot, ring * len(around) + following
+    c, d = a + len(around), b + len(around)
+    triangles = np.concatenate([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)]).reshape(-1, 3)
+    light = vertices[:, 0] >= 0
+    return rr.Mesh3D(
+        vertex_positions=vertices,
+        triangle_indices=triangles.astype(np.uint32),
+        vertex_normals=vertices,
+        vertex_colors=np.where(light, np.uint32(palette.SKY), np.uint32(palette.BLUE)),
+    )
+
+
+def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
+    return rr.Arrows3D.from_fields(radii=thickness * float(np.median(header.radius)), colors=colour)
+
+
+def _series(header: Header) -> Iterable[Static]:
+    for term, (name, colour) in entities.energy_terms(header).items():
+        yield f"{paths.ENERGY}/{term}", _line(f"{name}", colour)
+    for term, (name, colour) in entities.ledger_terms(header).items():
+        yield f"{paths.LEDGER}/{term}", _line(f"{name}", colour)
+    yield paths.INTEGRATION_ERROR, _line("integration error", palette.YELLOW)
+    yield paths.RELATIVE_ERROR, _line("integration error / energy scale", palette.YELLOW)
+    yield paths.DT, _line("dt (s)", palette.SKY)
+    if header.collides:
+        yield paths.STEP_CONTACTS, _line("contacts", palette.VERMILION)
+        yield paths.COLOURS, _line("colours (stages)", palette.YELLOW)
+        yield paths.SWEEPS, _line("sweeps", palette.GREEN)
+        yield paths.OVERLAP, _line("deepest overlap (m)", palette.PURPLE)
+        yield paths.RELATIVE_OVERLAP, _line("deepest overlap / smaller radius", palette.PURPLE)
+
+
+def _line(name: str, colour: int) -> rr.SeriesLines:
+    return rr.SeriesLines(names=name, colors=colour)
+
+
+def _states(colours: dict[str, int]) -> rr.StateConfiguration:
+    return rr.StateConfiguration(values=list(colours), colors=np.array(list(colours.values()), dtype=np.uint32))

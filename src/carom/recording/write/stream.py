@@ -1,0 +1,157 @@
+"""`Stream`: Rerun's recording stream into a file and, if one listens, into a live viewer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from carom.physics.event import Event
+from carom.recording.edit.continuation import Past
+from carom.recording.errors import RecordingError
+from carom.recording.schema import checkpoint, paths
+from carom.recording.schema.application_id import application_id
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.write import encoder as entities
+from carom.recording.write.durable_sink import Outlet
+from carom.recording.write.encoder import Rows, event_rows
+from carom.recording.write.live import LiveView
+from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
+from carom.recording.write.statics import statics
+
+_FLUSH = 60.0  # s; a disk that takes longer has hung
+_ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
+_FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
+
+
+class Stream:
+    """Where rows go. Counts the bytes of the arrays, and notices when the disk is full."""
+
+    def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
+        self.path = path
+        self.payload_bytes = 0
+        self._batch_bytes = batch_bytes
+        self._header = header
+        self._indexed: tuple[Sequence[int], Sequence[float]] = ((), ())
+        self._index: list[rr.TimeColumn] = []
+        self._application = application_id(header)
+        self._live = None if live is None else LiveView(live, self._application, header.run_id)
+        # what is under way when the disk is found full, and the last checkpoint, must still fit
+        self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
+        self._outlet = Outlet(path, self._reserve)
+        end_earlier_streams()
+        self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
+        self._stream.set_sinks(rr.FileSink(self._outlet.entry))
+        self._outlet.opened()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether somebody watches."""
+        return self._live is not None
+
+    def send(self, rows: Rows, clock: Clock) -> None:
+        """Send one entity's rows."""
+        if (rows.steps, rows.times) != self._indexed:  # most entities of a batch have the same rows
+            self._indexed, self._index = (rows.steps, rows.times), clock.columns(rows.steps, rows.times)
+        for stream in self._streams():
+            stream.send_columns(rows.path, self._index, rows.columns)
+        self.payload_bytes += rows.bytes
+
+    def send_past(self, past: Past) -> None:
+        """Send what an earlier recording holds; raises if the disk is full."""
+        sent = 0
+        for chunk in past.chunks():
+            for stream in self._streams():
+                stream.send_chunks(rerun_chunks(chunk.batch))
+            size = chunk.batch.nbytes
+            self.payload_bytes += size
+            sent += size
+            if sent > self._batch_bytes:
+                sent = 0
+                self.flush()
+
+    def send_event(self, event: Event, clock: Clock) -> None:
+        """Send one line of the log."""
+        self.send(event_rows([event]), clock)
+
+    def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
+        """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
+        for stream in self._streams():
+            stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
+        self.send_property("carom", self._identity(clock, origin))
+        self.send_property("run", self._header.properties)
+        if self._header.member:
+            self.send_property("sweep", {"name": self._header.member.name, **self._header.member.parameters})
+        for path, archetype in statics(self._header, clock, origin, reach):
+            for stream in self._streams():
+                stream.log(path, archetype, static=True)
+            self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
+
+    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.float64]]) -> None:
+        """Send a recording property; an empty one is left out."""
+        for stream in self._streams():
+            if values:
+                stream.send_property(name, rr.AnyValues(True, **values))
+
+    def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
+        """Send a layout; the last one sent is the one that opens."""
+        for stream in self._streams():
+            send_layout(stream, self._application, layout)
+
+    def flush(self) -> None:
+        """Wait until all that was sent is in the file; raise if it cannot be."""
+        self._stream.flush(timeout_sec=_FLUSH)
+        self._outlet.settle()
+        self._outlet.reserve(self._reserve + _FOOTER_BYTES * self._outlet.messages)
+        if self._live is not None:
+            self._live.flush()
+        if self._outlet.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
+        if self._outlet.gone:
+            raise RecordingError(f"{self.path} was removed or renamed while it was written")
+        if self._outlet.full:
+            raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
+
+    def close(self) -> None:
+        """Write the footer and close the file. Raises if the end could not be written."""
+        self._stream.disconnect()
+        self._outlet.close()
+        if self._live is not None:
+            self._live.close()
+        if self._outlet.error is not None:
+            raise RecordingError(f"cannot finish {self.path}: {os.strerror(self._outlet.error.errno or 0)}")
+
+    def _streams(self) -> tuple[rr.RecordingStream, ...]:
+        return (self._stream, *(() if self._live is None else self._live.streams()))
+
+    def _identity(self, clock: Clock, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
+        header = self._header
+        identity: dict[str, Scalar | NDArray[np.float64]] = {
+            "schema_version": paths.SCHEMA_VERSION,
+            "title": header.title,
+            "bodies": header.bodies,
+            "seed": header.seed,
+            "spins": header.spins,
+            "has_orientation": header.has_orientation,
+            "has_torque": header.has_torque,
+            "has_friction": header.has_friction,
+            "gravitates": header.gravitates,
+            "collides": header.collides,
+            "stabilises": header.stabilises,
+            "has_field": header.has_field,
+            "body_colouring": header.body_colouring,
+            "duration": float(header.duration),
+            "time_scale": clock.scale,
+            "origin": origin,
+        }
+        if header.has_torque:
+            for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
+                identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
+        if header.box is not None:
+            identity["box"] = header.box
+        return identity

@@ -1,0 +1,107 @@
+"""The exact course of a few bodies: against what is known in closed form."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.experiment.work_precision.event_driven_reference import solve, why_not
+from carom.experiment.work_precision.trajectory import sample_times
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+from examples import pair, scene_of
+from published.test_two_body_bounce import AT_REST, BOUNCES
+
+
+def course(scene: Scene, tolerance: float = 1e-13) -> Any:
+    return solve(Space(scene), sample_times(scene), tolerance)
+
+
+def test_the_orbit_is_keplers() -> None:
+    # e = 0.5, from apocentre: the mean anomaly M = t + π gives the eccentric one by Newton, E - e sin E = M. Ten
+    # periods: the phase error is 3π times that of the period, 1e-13 a step of some hundred a period.
+    e = 0.5
+    planet = {
+        "mass": 1e-12,
+        "radius": 1e-3,
+        "position": [1 + e, 0, 0],
+        "velocity": [0, math.sqrt((1 - e) / (1 + e)), 0],
+    }
+    scene = scene_of(
+        [{"mass": 1.0, "radius": 1e-3}, planet],
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+        time={"duration": 20 * math.pi, "fixed_dt": 0.01},
+    )
+    run = course(scene).trajectory
+    anomaly = run.time + math.pi
+    E = anomaly.copy()
+    for _ in range(50):
+        E -= (E - e * np.sin(E) - anomaly) / (1 - e * np.cos(E))
+    expected = np.stack((e - np.cos(E), -math.sqrt(1 - e * e) * np.sin(E)), axis=1)  # pericentre at -x
+    found = run.position[:, 1, :2] - run.position[:, 0, :2]
+    # the planet's mass changes the period by 5e-13 of itself and the tolerance by some 1e-12; the phase, 20 π of it
+    assert np.abs(found - expected).max() <= 1e-9
+
+
+def test_the_bounces_come_when_kepler_says_and_the_course_ends_where_the_bodies_rest() -> None:
+    bodies = [{"position": [x, 0, 0], "radius": 2.0, "mass": 1.0} for x in (-10, 10)]
+    scene = scene_of(bodies, gravity={"constant": 1.0}, contact={"restitution": 0.5}, time={"duration": 100.0})
+    exact = course(scene)
+    assert np.allclose(exact.time[:4], BOUNCES, rtol=0, atol=5e-6), "published to five decimals"
+    assert "bodies 0 and 1 stay in contact" in exact.ended
+    assert exact.trajectory.time[-1] <= AT_REST < exact.trajectory.time[-1] + 0.5
+    # each flight is half as long as the one before; those from 4e-11 m of height on, 7e-5 s, are left out
+    assert abs(exact.time[-1] - AT_REST) <= 2e-4
+
+
+def test_a_bullet_of_a_million_radii_a_second_is_not_stepped_over() -> None:
+    target = {"position": [0.0, 0.0, 0.0], "radius": 1e-3, "mass": 1.0}
+    bullet = {"position": [-10.0, 1e-4, 0.0], "velocity": [1000.0, 0, 0], "radius": 1e-3, "mass": 1e-3}
+    exact = course(scene_of([target, bullet], gravity={"constant": 0.0}, time={"duration": 1.0}))
+    met = (10.0 - math.sqrt(4e-6 - 1e-8)) / 1000.0
+    # the gap is a difference of coordinates of 10 m: round-off 2e-15 m at 1000 m/s, and 2e-18 s of the clock
+    assert exact.time == pytest.approx([met], abs=1e-16)
+
+
+def test_friction_turns_the_spheres_as_the_impulse_law_says() -> None:
+    # stick or slide: the test is that angular momentum, spin included, is kept, and that Space finds the same
+    scene = pair(offset=0.5, contact={"restitution": 0.8}, time={"duration": 4.0, "max_dt": 1e-4})
+    exact = course(scene)
+    space = Space(scene)
+    for _ in space.run():
+        pass
+    assert len(exact.time) == 1
+    # found up to a step late, at 2 m/s: 2e-4 of the radius deeper, and the normal turns by as much
+    assert np.allclose(exact.trajectory.velocity[-1], space.state.velocity, rtol=0, atol=1e-3)
+
+
+def test_two_in_two_out() -> None:
+    scene = Scene.load("newtons-cradle")
+    exact = course(scene)
+    assert exact.trajectory.velocity[-1, :, 0].tolist() == [0.0] * 5 + [1.0, 1.0]
+    assert len(exact.time) == 10
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("cloud-collapse", "500 bodies"), ("marbles-in-a-box", "151 bodies"), ("kepler-orbits", "")],
+)
+def test_what_cannot_be_solved_exactly_says_why(name: str, reason: str) -> None:
+    assert why_not(Scene.load(name)).startswith(reason) and bool(why_not(Scene.load(name))) is bool(reason)
+
+
+def test_planes_and_boxes_are_refused() -> None:
+    assert "planes" in why_not(pair(plane=[{"point": [0, 0, -5]}]))
+    assert "periodic" in why_not(pair(domain={"boundary": "periodic", "size": [20.0, 20.0, 20.0]}))
+
+
+def test_a_sample_at_the_moment_of_a_contact_has_the_velocities_after_it() -> None:
+    # gap 2 m at 2 m/s: contact at 1 s, which is the fourth of eight samples; exact in binary
+    scene = pair(time={"duration": 2.0}, contact={"restitution": 1.0, "static_friction": 0.0})
+    exact = solve(Space(scene), np.arange(1, 9) / 4)
+    assert exact.time == [1.0]
+    assert exact.trajectory.velocity[:, 0, 0].tolist() == [1.0] * 3 + [-1.0] * 5

@@ -1,0 +1,127 @@
+"""What is drawn: positions, arrows and edges in float32, as the recording's documentation says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.recording.schema import palette
+from carom.recording.write import encoding_kernels as encoding
+
+FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
+
+
+def arrow_vectors(
+    magnitude: NDArray[np.float64], radius: NDArray[np.float64], unit: float, l_max: float
+) -> SingleArray:
+    n = len(magnitude)
+    torque = magnitude[:, None] * np.array([0.0, 0.6, 0.8])
+    body, found = np.empty(n, dtype=np.uint32), np.empty(n)
+    each = np.zeros(1, dtype=np.int64)
+    assert encoding.turning(torque[None], body, found, each) == n
+    origin, vector = np.empty((2, n, 3), dtype=np.float32)
+    points = np.zeros((1, n, 3), dtype=np.float32)
+    encoding.draw_arrows(torque[None], each, body, found, points, radius, np.full(n, unit), l_max, origin, vector)
+    return vector
+
+
+def test_the_length_of_an_arrow_can_be_turned_back_into_the_magnitude() -> None:
+    magnitude = np.logspace(-4, 4, 9)
+    vector = arrow_vectors(magnitude, np.full(9, 0.5), unit=2.0, l_max=3.0)
+    u = (np.linalg.norm(vector, axis=1) - 0.5) / 3.0
+    # Lengths are float32: 6e-8 of them, magnified by d(ln m)/du up to 3/u(1 - u).
+    np.testing.assert_allclose(2.0 * (u / (1 - u)) ** 3, magnitude, rtol=2e-4)
+
+
+def test_every_arrow_sticks_out_of_its_sphere_and_none_is_longer_than_the_longest() -> None:
+    radius = np.array([1.0, 2.0, 0.1, 5.0])
+    vector = arrow_vectors(np.array([1e-3, 1.0, 1e3, 1e200]), radius, unit=1.0, l_max=4.0)
+    sticking_out = np.linalg.norm(vector, axis=1) - radius
+    assert np.all(sticking_out > 0.08 * 4.0)
+    assert np.all(sticking_out <= 4.0 * 1.000001)
+
+
+def test_only_torques_that_can_be_drawn_are_listed() -> None:
+    torque = np.array([[0.0, 0.0, 0.0], [3e-200, 4e-200, 0.0], [np.nan, 0, 0], [np.inf, 0, 0], [3e200, 0.0, 4e200]])
+    body, magnitude = np.empty(10, dtype=np.uint32), np.empty(10)
+    each = np.zeros(2, dtype=np.int64)
+    assert encoding.turning(np.stack((torque, 0.0 * torque[:1].repeat(5, axis=0))), body, magnitude, each) == 2
+    assert each.tolist() == [2, 0], "two in the first frame, none in the second"
+    assert body[:2].tolist() == [1, 4]
+    np.testing.assert_allclose(magnitude[:2], [5e-200, 5e200], rtol=1e-15)
+
+
+def test_edges_go_to_the_nearest_image_in_the_colour_of_their_stage() -> None:
+    points = np.array([[-4.5, 0, 0], [4.5, 0, 0]], dtype=np.float32)
+    stages = np.arange(palette.SERIAL_STAGE + 2)
+    pairs = np.tile([0, 1], (len(stages), 1))
+    strips, colours = np.empty((len(stages), 6), dtype=np.float32), np.empty(len(stages), dtype=np.uint32)
+    box = np.array([10.0, 10.0, 10.0])
+    draw_edges(pairs, stages, points, box, strips, colours)
+    assert strips[0].tolist() == [-4.5, 0, 0, -5.5, 0, 0]
+    assert np.all(colours[1 : palette.SERIAL_STAGE] != colours[: palette.SERIAL_STAGE - 1])
+    assert set(colours[palette.SERIAL_STAGE :].tolist()) == {palette.WHITE}
+
+
+def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
+    points = np.array([[0.0, 0.0, 0.75]], dtype=np.float32)
+    strips, colours = np.empty((1, 6), dtype=np.float32), np.empty(1, dtype=np.uint32)
+    draw_edges(np.array([[0, 1]]), np.array([0]), points, np.zeros(3), strips, colours, overlap=0.25)
+    assert strips[0].tolist() == [0, 0, 0.75, 0, 0, 0]
+
+
+def draw_edges(
+    pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0
+) -> FloatArray:
+    """Draw the contacts of one frame, with normals straight down where they matter; return the deepest overlaps."""
+    down = np.tile([0.0, 0.0, -1.0], (len(pairs), 1))
+    deepest = np.empty((1, 2))
+    encoding.draw_edges(
+        np.array([len(pairs)]),
+        pairs,
+        down,
+        np.full(len(pairs), overlap),
+        stages,
+        points[None],
+        np.ones(len(points)),
+        box,
+        np.array(palette.STAGES, dtype=np.uint32),
+        palette.SERIAL_STAGE,
+        np.uint32(palette.WHITE),
+        strips,
+        colours,
+        deepest,
+    )
+    return deepest
+
+
+def test_positions_far_from_the_origin_keep_their_differences() -> None:
+    position = np.array([[1e9, 0.0, 0.0], [1e9 + 0.25, 0.0, 0.0]])
+    points = np.empty((1, 2, 3), dtype=np.float32)
+    encoding.cast_positions(position[None], np.array([1e9, 0.0, 0.0]), points)
+    assert points[0, :, 0].tolist() == [0.0, 0.25]
+
+
+def test_the_deepest_overlap_of_each_frame_counts_against_the_smaller_radius() -> None:
+    pairs, overlaps = np.array([[0, 1], [1, 2]]), np.array([0.2, 0.1])
+    deepest = np.empty((3, 2))
+    encoding.draw_edges(
+        np.array([2, 0, 0]),
+        pairs,
+        np.zeros((2, 3)),
+        overlaps,
+        np.zeros(2, dtype=np.int64),
+        np.zeros((3, 3, 3), dtype=np.float32),
+        np.array([2.0, 1.0, 0.1]),
+        np.zeros(3),
+        np.array(palette.STAGES, dtype=np.uint32),
+        palette.SERIAL_STAGE,
+        np.uint32(palette.WHITE),
+        np.empty((2, 6), dtype=np.float32),
+        np.empty(2, dtype=np.uint32),
+        deepest,
+    )
+    assert deepest.tolist() == [[0.2, 1.0], [0.0, 0.0], [0.0, 0.0]]
