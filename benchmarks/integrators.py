@@ -16,7 +16,7 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.experiment.work_precision.reference import scale_of
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.scene.requirements import pull_fraction
+from carom.plan.features import pull_fraction
 from carom.scene.schema import Scene
 
 SEEDS = range(1, 9)

@@ -19,9 +19,9 @@ import numpy as np
 from carom.experiment.warmup import warm_up
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
+from carom.plan.limits import refuse_impossible
 from carom.scene.bundled import bundled_scenes
 from carom.scene.error import SceneError
-from carom.scene.limits import refuse_impossible
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

@@ -18,11 +18,11 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
+from carom.plan.features import frame_interval
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint
 from carom.scene.bundled import bundled_scenes
-from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
 from crafted import changed, mapped
 from examples import cloud

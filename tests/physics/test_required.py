@@ -13,9 +13,9 @@ from hypothesis import given, settings
 
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.parts import PARTS
-from carom.scene.requirements import require
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 from scenes import Document, documents, scene_from

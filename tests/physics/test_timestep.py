@@ -13,7 +13,7 @@ from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
 from carom.physics.team import Team
 from carom.physics.timestep import BLOCK, SOME, Timestep
-from carom.scene.requirements import PAIRS_UP_TO
+from carom.plan.features import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
 from examples import kinetic_energy_of, random_bodies
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from carom.plan.limits import refuse_impossible
 from carom.scene.bundled import bundled_scenes, starter
 from carom.scene.error import SceneError
-from carom.scene.limits import refuse_impossible
 from carom.scene.load import scene_from_text
 from carom.scene.placement import place
 from carom.scene.schema import Scene

@@ -8,10 +8,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.scene.error import SceneError
-from carom.scene.nearest import suggestion
-from carom.scene.parts import PARTS
-from carom.scene.requirements import (
+from carom.plan.features import (
     cfl,
     frame_interval,
     gravity_method,
@@ -22,6 +19,9 @@ from carom.scene.requirements import (
     target_dx,
     timing,
 )
+from carom.scene.error import SceneError
+from carom.scene.nearest import suggestion
+from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 

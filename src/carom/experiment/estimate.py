@@ -17,11 +17,11 @@ from carom.physics.gravity.method import gravity_of
 from carom.physics.schedule import every
 from carom.physics.space import WARM_UP_STEPS, Space
 from carom.physics.team import Team
+from carom.plan.features import Requirements, frame_interval
+from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents
 from carom.recording.write.size_probe import Taken, trial
-from carom.scene.limits import memory_estimate
 from carom.scene.parts import Part
-from carom.scene.requirements import Requirements, frame_interval
 from carom.scene.schema import Scene
 
 TRIAL_SECONDS = 1.0

@@ -13,13 +13,13 @@ from carom.experiment.restore import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
+from carom.plan.features import frame_interval
 from carom.recording.edit.continuation import Past
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
 from carom.scene.command import command
-from carom.scene.requirements import frame_interval
 from carom.scene.schema import Scene
 
 UNDER_WAY = ".resumed.rrd"  # what the new recording is called until it is whole

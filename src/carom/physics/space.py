@@ -35,12 +35,12 @@ from carom.physics.schedule import Schedule, at, every
 from carom.physics.status import StepStatus
 from carom.physics.team import Team, cores
 from carom.physics.timestep import Timestep
+from carom.plan.features import frame_interval, integrator, require
+from carom.plan.limits import refuse_impossible
+from carom.plan.step_limits import StepLimits, step_limits, wider_limits
 from carom.scene.halfspace import half_spaces
-from carom.scene.limits import refuse_impossible
 from carom.scene.placement import Start, place
-from carom.scene.requirements import frame_interval, integrator, require
 from carom.scene.schema import Scene
-from carom.scene.step_limits import StepLimits, step_limits, wider_limits
 
 FloatArray = NDArray[np.float64]
 

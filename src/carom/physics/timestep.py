@@ -30,8 +30,8 @@ from carom.physics.kernel import kernel, long_kernel
 from carom.physics.momentum import centre_velocity
 from carom.physics.pull_time import PullTime
 from carom.physics.team import SOLO, Team
+from carom.plan.step_limits import HELD_PART
 from carom.scene.schema import Time
-from carom.scene.step_limits import HELD_PART
 
 FloatArray = NDArray[np.float64]
 # |a|max, m/s²; dt_v, s, of the fastest body and of every body, infinite at rest; |a|max of what contacts do not hold,

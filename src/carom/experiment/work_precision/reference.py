@@ -1,13 +1,13 @@
-"""What the settings of a scene are held against: the exact course of a few bodies, or the scene itself, refined.
+"""What the settings of a scene are measured against: the exact course of a few bodies, or the scene itself, refined.
 
-A few bodies in open space are solved exactly (`event_driven_reference.py`), and twice more as a check: both checks start at the distance
-of rounding, so that they show what chaos makes of it, and one has a tolerance ten times looser. Other scenes are run
-with ever smaller steps, each half of the one before; where nothing pulls, so that flight is free and only the moments
-of impacts can be wrong, with times of impact. The last is the reference, and the one before it the check.
+A few bodies in open space are solved exactly (`event_driven_reference.py`), and twice more as checks. Both checks start
+displaced by rounding errors, so that they show how fast chaos separates the runs; one has a tolerance ten times looser.
+Other scenes are run with ever smaller steps, each half of the one before. Where nothing pulls, flight is exact and only
+the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one before
+it the check.
 
-The reference is trusted up to the *horizon*, where a check is first off by more than a thousandth of the size of the
-system, and there to within the largest error of a check. Beyond it every trajectory is as good as another, and only
-statistics mean anything.
+The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
+system, and there to within the largest error of a check. Beyond it only statistics can be compared.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from carom.experiment.work_precision.error_measures import NAMES, Errors, Scale,
 from carom.experiment.work_precision.event_driven_reference import TIGHTEST, solve, why_not
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
+from carom.plan.features import cfl, gravity_method, pull_fraction, require, target_dx
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import cfl, gravity_method, pull_fraction, require, target_dx
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from carom.experiment.work_precision.reference import refined
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
+from carom.plan.features import gravity_method, integrator, require, smoothing, timing
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.requirements import gravity_method, integrator, require, smoothing, timing
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
 

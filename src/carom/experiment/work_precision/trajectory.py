@@ -19,7 +19,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.requirements import frame_interval
+from carom.plan.features import frame_interval
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

@@ -30,8 +30,8 @@ from carom.physics.error import PhysicsError
 from carom.physics.kernel import long_kernel
 from carom.physics.profile import Profile
 from carom.physics.team import Team
+from carom.plan.features import Requirements
 from carom.scene.halfspace import HalfSpaces
-from carom.scene.requirements import Requirements
 from carom.scene.schema import Contact
 
 FloatArray = NDArray[np.float64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from carom.plan.features import Requirements
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.scene.requirements import Requirements
 
 ONCE = "once, however long it is"
 

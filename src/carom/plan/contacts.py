@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from carom.plan.pulls import field, gravity
 from carom.scene.parts import Part
-from carom.scene.pulls import field, gravity
 from carom.scene.schema import Scene
 
 

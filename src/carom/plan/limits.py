@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 
+from carom.plan.features import ONE_DRIFT, gravity_method, integrator, require
 from carom.scene.error import SceneError
-from carom.scene.requirements import ONE_DRIFT, gravity_method, integrator, require
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up

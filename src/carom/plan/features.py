@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from carom.scene import contacts, pulls
+from carom.plan import contacts, pulls
 from carom.scene.error import SceneError
 from carom.scene.parts import Part
 from carom.scene.schema import Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from carom.scene.requirements import (
+from carom.plan.features import (
     FREE_CFL,
     MANY,
     STEP_PER_BODY,
