@@ -9,10 +9,11 @@ import numpy as np
 
 from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.energy import Energy, EnergyBaseline, Ledger, Origin
+from carom.physics.energy import Energy, EnergyBaseline, Origin
 from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint_of
 from carom.physics.frame import Frame
+from carom.physics.ledger import Ledger
 from carom.physics.moments import Moment, Moments
 from carom.physics.momentum import MomentumBaseline
 from carom.physics.watch import WatchTally

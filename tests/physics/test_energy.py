@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from carom.experiment.expectation import judge
-from carom.physics.energy import Energy, EnergyAccount, Ledger
+from carom.physics.energy import Energy, EnergyAccount
 from carom.physics.event import Event
+from carom.physics.ledger import Ledger
 from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.space import Space

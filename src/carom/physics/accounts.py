@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
-from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline, Ledger
+from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
+from carom.physics.ledger import Ledger
 from carom.physics.moments import Moments
 from carom.physics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.names import Names

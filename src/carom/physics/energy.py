@@ -16,45 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.load import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.kernel import kernel
+from carom.physics.ledger import Ledger
 from carom.physics.momentum import centre_velocity
 
 FloatArray = NDArray[np.float64]
 
 CANCELLED = 1e-8  # of their magnitudes: a sum of which no more is left is as good as 0 in scenes written by people
-
-
-@dataclass(frozen=True, slots=True)
-class Ledger:
-    """Energy moved by contacts since the start of the run, summed from the impulses themselves, in joules.
-
-    Dissipation counts positive when energy left the bodies; stabilisation counts positive when it entered them.
-    """
-
-    restitution: float = 0.0  # taken out by the normal impulses
-    friction: float = 0.0  # taken out by the tangential impulses
-    stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
-
-    def plus(self, contacts: FloatArray) -> Ledger:
-        """Return the ledger after a step, given the contacts' own, (m, 3) J."""
-        step = np.zeros(3)
-        _sum_rows(contacts, step)
-        return Ledger(
-            self.restitution + float(step[RESTITUTION]),
-            self.friction + float(step[FRICTION]),
-            self.stabilisation + float(step[STABILISATION]),
-        )
-
-    @property
-    def balance(self) -> float:
-        """What left less what entered."""
-        return self.restitution + self.friction - self.stabilisation
-
-    @property
-    def taken_out(self) -> float:
-        """What left, without entries of the wrong sign."""
-        return max(0.0, self.restitution) + max(0.0, self.friction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,10 +161,3 @@ def _terms(
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
         rotational += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
     return translational, internal, rotational, field
-
-
-@kernel
-def _sum_rows(rows: FloatArray, total: FloatArray) -> None:
-    for c in range(len(rows)):
-        for k in range(3):
-            total[k] += rows[c, k]

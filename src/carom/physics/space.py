@@ -16,7 +16,7 @@ from carom.physics.contact.bearing import NOTHING_BORNE
 from carom.physics.contact.flight import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
-from carom.physics.energy import Energy, Ledger
+from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.fingerprint import fingerprint
@@ -24,6 +24,7 @@ from carom.physics.finite import refuse_infinities, refuse_lost_turns
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, uses_forces_at_end, wrap
+from carom.physics.ledger import Ledger
 from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.pace import PaceTally, PaceWatch

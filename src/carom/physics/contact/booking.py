@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import BEFORE, DRIFT, FRICTION, KICK, LEDGER, RESTITUTION, SPINS, STABILISATION
+from carom.physics.contact.load import BEFORE, DRIFT, KICK, LEDGER, SPINS
 from carom.physics.kernel import kernel
+from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]

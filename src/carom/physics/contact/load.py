@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-RESTITUTION, FRICTION, STABILISATION = 0, 1, 2  # columns of a contact's ledger
-
 # What is wanted at every visit of a contact stands in two cache lines, and what is not in two others.
 # hot:  n, ρ_i, ρ_j, 1/(1/m_i + 1/m_j), the mass that a tangential impulse moves, how fast it may close (infinite:
 #       left alone);   λ_n, λ_t, and s, what the last sweep changed of them
@@ -39,34 +37,6 @@ DT, DRIFT, KICK, BIAS, ALPHA, BETA, NEGLIGIBLE, TOLERANCE = range(8)
 CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts by a sweep
 PUSH_MOST, PULL_MOST = 1, 2  # N s, by conjugate gradients: the largest impulse that pushes, and that pulls
 FASTEST, RESTING = 1, 2  # by the first one over impacts; in the end the sums of the columns of the ledger
-
-
-CACHE_LINE = 64  # bytes
-
-
-def rows(count: int, columns: int) -> FloatArray:
-    """Return zeros, (count, columns), that begin with a cache line: each row is then in as few of them as can be."""
-    room = np.zeros(count * columns + CACHE_LINE // 8)
-    first = -room.ctypes.data % CACHE_LINE // 8
-    return room[first : first + count * columns].reshape(count, columns)
-
-
-class Room:
-    """Room for rows, kept from step to step: what is given back and asked for anew costs page faults."""
-
-    def __init__(self, columns: int) -> None:
-        self._columns = columns
-        self._rows = rows(0, columns)
-
-    def take(self, count: int) -> FloatArray:
-        """Return so many rows, with whatever stands in them; those taken before are no longer anybody's."""
-        if count > len(self._rows):
-            self._rows = rows(count + count // 4, self._columns)
-        return self._rows[:count]
-
-    def holds(self, taken: FloatArray) -> bool:
-        """Tell whether rows were taken from here."""
-        return np.may_share_memory(self._rows, taken)
 
 
 class Load(NamedTuple):

@@ -28,19 +28,17 @@ from carom.physics.contact.load import (
     CHANGE,
     FASTEST,
     FOUND,
-    FRICTION,
     IMPACTS_ONLY,
     LEDGER,
     OVERLAP,
     REST,
     RESTING,
-    RESTITUTION,
     SPINS,
-    STABILISATION,
     SWEEP,
 )
 from carom.physics.contact.paths import ROUNDING
 from carom.physics.kernel import kernel, long_kernel
+from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.machine import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]

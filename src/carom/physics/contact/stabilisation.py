@@ -20,8 +20,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST, STABILISATION
+from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST
 from carom.physics.kernel import kernel, long_kernel
+from carom.physics.ledger import STABILISATION
 from carom.physics.machine import AHEAD, atomic_add, prefetch
 
 FloatArray = NDArray[np.float64]

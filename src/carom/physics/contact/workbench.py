@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import Room, aligned_empty
 from carom.physics.bodies import Bodies
 from carom.physics.contact.crew import HELP, HOLDING, IMPACTS, PUSHES, work
 from carom.physics.contact.load import (
@@ -32,8 +33,6 @@ from carom.physics.contact.load import (
     SEARCH,
     SPINS,
     Load,
-    Room,
-    rows,
 )
 from carom.physics.contact.meeting import meet
 from carom.physics.contact.motion import pack, those_that_touch, unpack
@@ -81,15 +80,15 @@ class Workbench:
         self._box = box
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
-        self._hot = Room(HOT), Room(HOT)
-        self._cold = Room(COLD)
-        self._search = Room(SEARCH)
-        self._normals = Room(3)
+        self._hot = Room(columns=HOT), Room(columns=HOT)
+        self._cold = Room(columns=COLD)
+        self._search = Room(columns=SEARCH)
+        self._normals = Room(columns=3)
         self._piles = Piles(len(bodies.ends.velocity), team)
         self.stages = stages_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._who = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
         self._fastest = 0.0  # m/s, at which a contact closed before the impulses
-        self._motion = rows(len(bodies.ends.velocity), MOTION)
+        self._motion = aligned_empty(len(bodies.ends.velocity), columns=MOTION)
         self._island = np.empty(len(self._motion), dtype=np.int64)
         self._work_of_islands = np.empty((len(self._motion), 2))
         self._flags = np.zeros(6, dtype=np.int64)

@@ -22,6 +22,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import CACHE_LINE
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.team import SOLO, Team
 
@@ -29,7 +30,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 LANES = 32
-CACHE_LINE = 64  # bytes
 PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder wants the other core
 SLABS = 16  # of equal work, each with sums of its own: so many threads can share a sum of `PARALLEL_FROM` bodies
 
@@ -82,7 +82,8 @@ def _slabs(blocks: int, count: int) -> IntArray:
 def _lanes(count: int) -> FloatArray:
     """Allocate floats that begin on a cache line: lanes that straddle two of them take twice as long.
 
-    Not inlined: a dozen copies of it would take half a second to compile.
+    Made inside of the kernel, so that the compiler knows that lanes do not overlap. Not inlined: a dozen copies of it
+    would take half a second to compile.
     """
     buffer = np.empty(count + CACHE_LINE // 8)
     start = (CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8

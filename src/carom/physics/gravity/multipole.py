@@ -21,13 +21,6 @@ BOXES_AT_A_TIME = 64  # some 10 µs
 FEW = 4  # bodies at most that are taken one by one: hardly slower than their moments, and exact
 
 
-def rows_of_moments(boxes: int) -> FloatArray:
-    """Allocate (boxes, 8) floats, each row a cache line."""
-    buffer = np.empty(8 * boxes + 7)
-    start = -buffer.ctypes.data % 64 // 8
-    return buffer[start : start + 8 * boxes].reshape(boxes, 8)
-
-
 @long_kernel
 def expand(
     lo: int,

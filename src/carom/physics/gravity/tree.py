@@ -13,9 +13,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import aligned_empty
 from carom.physics.gravity.boxes import GROUP, Boxes
 from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
-from carom.physics.gravity.multipole import expand, rows_of_moments
+from carom.physics.gravity.multipole import expand
 from carom.physics.gravity.walk import pull
 from carom.physics.team import SOLO, Team
 
@@ -43,7 +44,7 @@ class TreeGravity:
         self._team = team if n >= PARALLEL_FROM else SOLO
         self._boxes = Boxes(mass, self._team)
         self._centre = np.empty((self._boxes.most, 4))
-        self._moment = rows_of_moments(self._boxes.most)
+        self._moment = aligned_empty(self._boxes.most, columns=8)
         self._potential = np.zeros(n)
         self._turn = np.zeros(1, np.int64)  # how many things were taken in turn
         size, most = self._team.size, self._boxes.most

@@ -1,0 +1,63 @@
+"""The energy ledger: what contacts took out of the bodies and put into them, term by term.
+
+Kernels write each term of a contact into a field of its name; arrays of all terms have a column for each, in this
+order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.kernel import kernel
+
+FloatArray = NDArray[np.float64]
+
+RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
+TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same, as fields of records
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """Energy moved by contacts since the start of the run, summed from the impulses themselves, in joules.
+
+    Dissipation counts positive when energy left the bodies; stabilisation counts positive when it entered them.
+    """
+
+    restitution: float = 0.0  # taken out by the normal impulses
+    friction: float = 0.0  # taken out by the tangential impulses
+    stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
+
+    def plus(self, contacts: FloatArray) -> Ledger:
+        """Return the ledger after a step, given the contacts' own, (m, 3) J."""
+        step = np.zeros(3)
+        _sum_rows(contacts, step)
+        return Ledger(
+            self.restitution + float(step[RESTITUTION]),
+            self.friction + float(step[FRICTION]),
+            self.stabilisation + float(step[STABILISATION]),
+        )
+
+    @property
+    def balance(self) -> float:
+        """What left less what entered."""
+        return self.restitution + self.friction - self.stabilisation
+
+    @property
+    def taken_out(self) -> float:
+        """What left, without entries of the wrong sign."""
+        return max(0.0, self.restitution) + max(0.0, self.friction)
+
+
+def terms_of(records: NDArray[np.void]) -> FloatArray:
+    """Return the terms that records hold, (m, 3) J."""
+    return np.stack([records[name] for name in TERMS], axis=-1)
+
+
+@kernel
+def _sum_rows(rows: FloatArray, total: FloatArray) -> None:
+    for c in range(len(rows)):
+        for k in range(3):
+            total[k] += rows[c, k]
