@@ -17,12 +17,12 @@ from carom.experiment.work_precision.reference import scale_of
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.plan.features import pull_fraction
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 
 SEEDS = range(1, 9)
 COUNTS = (2, 3, 5, 8, 10, 14, 20)
 STEPS = (1.0, 2.0, 4.0)
-SUMS = {"leapfrog": 1, "yoshida4": 3}  # of forces, a step
 
 
 def cluster(count: int, seed: int) -> Scene:
@@ -51,7 +51,7 @@ def measure(scene: Scene, exact: Trajectory, integrator: str, factor: float) -> 
     """Return rms error of the positions over the size, largest of the energy, and force sums."""
     run = follow(Space(with_step(scene, integrator, factor), 1), sample_times(scene))
     apart, _ = scale_of(scene, exact).apart(run, exact)
-    return float(np.sqrt(np.mean(apart**2))), run.energy_error, float(run.steps * SUMS[integrator])
+    return float(np.sqrt(np.mean(apart**2))), run.energy_error, float(run.steps * INTEGRATORS[integrator].force_sums)
 
 
 def ratios(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

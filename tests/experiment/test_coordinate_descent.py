@@ -27,7 +27,7 @@ PRICES = {  # of a step; costs are computed from them, so that a search is the s
 @pytest.fixture(autouse=True)
 def priced(monkeypatch: pytest.MonkeyPatch) -> None:
     def cost(study: Study, result: Result) -> float:
-        order_four = integrator(result.setting.apply(study.scene)) == "yoshida4"
+        order_four = integrator(result.setting.apply(study.scene)).name == "yoshida4"
         chosen = {*result.setting.overrides, *(["time.integrator=yoshida4"] if order_four else [])}
         return math.prod(PRICES.get(override, 1.0) for override in chosen) * result.steps
 

@@ -16,6 +16,7 @@ from carom.physics.contact.graph import CollisionGraph
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 from examples import cloud, momentum_of, pair, scene_of
 
@@ -95,7 +96,7 @@ def test_the_integration_error_of_a_collapse_falls_with_the_square_of_the_step()
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("leapfrog", 2), ("leapfrog-dkd", 2), ("yoshida4", 4)])
+@pytest.mark.parametrize(("integrator", "order"), [(name, each.order) for name, each in INTEGRATORS.items()])
 def test_each_integrator_has_its_order(integrator: str, order: int) -> None:
     errors = []
     for steps in (400, 800):

@@ -23,7 +23,7 @@ from carom.physics.fingerprint import fingerprint
 from carom.physics.finite import refuse_infinities, refuse_lost_turns
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.method import gravity_of
-from carom.physics.integrator import SUBSTEPS, add_field, drift, kick, uses_forces_at_end, wrap
+from carom.physics.integrator import add_field, drift, kick, wrap
 from carom.physics.ledger import Ledger
 from carom.physics.moments import Moments
 from carom.physics.names import Names
@@ -102,8 +102,8 @@ class Space:
         self._fixed = np.flatnonzero(start.fixed)
         # where something stands still, speeds count from it, and the field does not pull all alike
         self._falling = np.zeros(3) if scene.anchored else self._field
-        self._substeps = SUBSTEPS[integrator(scene)]
-        self.ends_with_forces = uses_forces_at_end(self._substeps)
+        self._substeps = integrator(scene).substeps
+        self.ends_with_forces = integrator(scene).ends_with_forces
         self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
         self._timestep = self._make_timestep(step_limits(scene))

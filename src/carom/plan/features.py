@@ -12,6 +12,7 @@ from typing import Literal
 
 from carom.plan import contacts, pulls
 from carom.scene.error import SceneError
+from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -32,7 +33,6 @@ PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular 
 PULL_FRACTION = 0.02  # of the time that the largest acceleration tells of: of two equal bodies it is twice the pair's
 SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
 
-ONE_DRIFT = ("euler", "leapfrog")  # a step of these drifts once, and forward: impacts have a place on the way
 LATE_CFL = 0.5  # of its radius a body may cross in a step, where impacts wait for the step's end
 FREE_CFL = 1.0  # likewise, where they do not wait and nothing pulls: shorter steps only cost more (docs/trade.md)
 
@@ -174,8 +174,8 @@ def _contradiction(scene: Scene, name: str) -> str:
             return 'contact.stabilisation = "none"; set it to "split"'
         case "time-of-impact" if scene.contact.timing == "end-of-step":
             return 'contact.timing = "end-of-step"; set it to "time-of-impact"'
-        case "time-of-impact" if integrator(scene) not in ONE_DRIFT:
-            return f'a step of {integrator(scene)} is more than one drift; set time.integrator = "leapfrog"'
+        case "time-of-impact" if not integrator(scene).drifts_once:
+            return f'a step of {integrator(scene).name} is more than one drift; set time.integrator = "leapfrog"'
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
     return ""
@@ -236,7 +236,7 @@ def _why_late(scene: Scene) -> str:
         return "no contact is possible"
     if contacts.load(scene) and not contacts.field_presses(scene):
         return "the bodies' own gravity presses contacts together"
-    return "" if chosen in ONE_DRIFT else f"a step of {chosen} is more than one drift"
+    return "" if chosen.drifts_once else f"a step of {chosen.name} is more than one drift"
 
 
 def _impact_time(scene: Scene, contact: Part) -> Part:
@@ -268,11 +268,11 @@ def _starts_spinning(scene: Scene) -> bool:
     )
 
 
-def integrator(scene: Scene) -> Literal["euler", "leapfrog", "leapfrog-dkd", "yoshida4"]:
+def integrator(scene: Scene) -> Integrator:
     """Decide how the motion is integrated: order four where nothing in it is sudden (docs/trade.md)."""
-    if scene.time.integrator != "auto":
-        return scene.time.integrator
-    return "yoshida4" if _is_smooth(scene) else "leapfrog"
+    if scene.time.integrator != AUTO:
+        return INTEGRATORS[scene.time.integrator]
+    return INTEGRATORS["yoshida4" if _is_smooth(scene) else "leapfrog"]
 
 
 def _is_smooth(scene: Scene) -> bool:
@@ -283,8 +283,8 @@ def _is_smooth(scene: Scene) -> bool:
 
 
 def _integrator(scene: Scene) -> Part:
-    name, chosen = "integrator", integrator(scene)
-    if scene.time.integrator != "auto":
+    name, chosen = "integrator", integrator(scene).name
+    if scene.time.integrator != AUTO:
         return Part(name, True, f'time.integrator = "{chosen}"')
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")

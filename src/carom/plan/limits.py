@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from carom.plan.features import ONE_DRIFT, gravity_method, integrator, require
+from carom.plan.features import gravity_method, integrator, require
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -39,20 +39,21 @@ def refuse_impossible(scene: Scene) -> None:
 def _refuse_times_of_impact(scene: Scene) -> None:
     """Refuse times of impact where a step is more than one drift."""
     chosen = integrator(scene)
-    if chosen not in ONE_DRIFT and require(scene).impact_time.modelled:
-        why = "goes back in time within each step" if chosen == "yoshida4" else "drifts twice in each step"
+    if not chosen.drifts_once and require(scene).impact_time.modelled:
+        why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
         raise SceneError(
-            f'contact.timing = "time-of-impact" with time.integrator = "{chosen}", which {why}; '
+            f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
             'take "leapfrog", or the timing "end-of-step"'
         )
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
     """Refuse drift-kick-drift where bodies may rest on each other: they are held against the forces at the end."""
-    if scene.time.integrator == "leapfrog-dkd" and require(scene).resting.modelled:
+    chosen = integrator(scene)
+    if not chosen.holds_contacts and require(scene).resting.modelled:
         raise SceneError(
-            'time.integrator = "leapfrog-dkd" where bodies may press on each other: its forces are those of the middle '
-            'of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'
+            f'time.integrator = "{chosen.name}" where bodies may press on each other: its forces are those of the '
+            'middle of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'
         )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from carom.scene.integrators import AUTO, INTEGRATORS, described
 from carom.scene.parts import PARTS, unknown
 from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
@@ -44,6 +45,10 @@ NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _S
 Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # without a unit: there are no others to choose
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
+if TYPE_CHECKING:
+    IntegratorName = str
+else:
+    IntegratorName = Literal[(AUTO, *INTEGRATORS)]
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 
@@ -86,10 +91,9 @@ class Time(Section):
         "every-body", description="the bodies whose radius and speed limit the step: all, or the fastest body alone"
     )
     fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
-    integrator: Literal["auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4"] = Field(
-        "auto",
-        description="semi-implicit Euler, leapfrog (order 2), leapfrog as drift-kick-drift (not where contacts may "
-        "press) or Yoshida's (order 4); auto is Yoshida's where up to 100 bodies pull each other and cannot touch, "
+    integrator: IntegratorName = Field(
+        AUTO,
+        description=f"{described()}; auto is Yoshida's where up to 100 bodies pull each other and cannot touch, "
         "else leapfrog",
     )
 

@@ -11,6 +11,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.plan.features import gravity_method, integrator, require, smoothing, timing
 from carom.scene.error import SceneError
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
@@ -72,9 +73,9 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
     forces, located = parts.pulls, parts.impact_time.modelled
     found: dict[str, tuple[str, ...]] = {}
     if not parts.contact.modelled:
-        found["time.integrator"] = ("euler", "leapfrog", "leapfrog-dkd", "yoshida4")
+        found["time.integrator"] = tuple(INTEGRATORS)
     elif forces:
-        found["time.integrator"] = ("euler", "leapfrog", "yoshida4")
+        found["time.integrator"] = tuple(name for name, each in INTEGRATORS.items() if each.holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
         if forces or not located:  # else next to nothing is left to the end of the step
@@ -98,7 +99,7 @@ def _in_effect(scene: Scene) -> dict[str, str]:
     """Return the values that the knobs have in a scene, with those that it leaves to be decided."""
     contact, gravity = scene.contact, scene.gravity
     return {
-        "time.integrator": integrator(scene),
+        "time.integrator": integrator(scene).name,
         "time.velocity_limit": scene.time.velocity_limit,
         "time.smoothing": f"{smoothing(scene):g}",
         "contact.solver": contact.solver,

@@ -1,0 +1,86 @@
+"""The integrators: one table, from which the scene's key, the checks, the step and the comparisons take what they need.
+
+A step is a row of substeps, each a kick with the old forces, a drift and a kick with the new forces, for parts of dt:
+
+    v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
+
+Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift is the same with the
+halves exchanged: on a Kepler orbit its energy swings by a quarter as much, but its forces are those of the middle of
+the step. Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
+(Yoshida 1990, Phys. Lett. A 150, 262).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+AUTO = "auto"  # in time.integrator: the scene decides
+
+
+class Substep(NamedTuple):
+    """Parts of dt: a kick with the old forces, a drift, a kick with the new forces."""
+
+    before: float
+    drift: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Integrator:
+    """How the motion between contacts is integrated."""
+
+    name: str  # the value of time.integrator
+    title: str  # for people
+    order: int  # of the error over a fixed time in dt
+    substeps: tuple[Substep, ...]
+
+    @property
+    def ends_with_forces(self) -> bool:
+        """Whether a kick uses the forces at the end of a step: its own last one, or the first of the next step."""
+        return self.substeps[-1].after != 0.0 or self.substeps[0].before != 0.0
+
+    @property
+    def holds_contacts(self) -> bool:
+        """Whether contacts may rest: they are held against the forces at the end of the step."""
+        return self.ends_with_forces
+
+    @property
+    def steps_back(self) -> bool:
+        """Whether a substep goes back in time."""
+        return any(substep.drift < 0.0 for substep in self.substeps)
+
+    @property
+    def drifts_once(self) -> bool:
+        """Whether a step is one drift forward: impacts then have a place on the way."""
+        return len(self.substeps) == 1
+
+    @property
+    def force_sums(self) -> int:
+        """How often forces are summed in a step."""
+        return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1
+
+
+_W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
+_W0 = 1.0 - 2.0 * _W1
+
+INTEGRATORS = {
+    integrator.name: integrator
+    for integrator in (
+        Integrator("euler", "semi-implicit Euler", 1, (Substep(1.0, 1.0, 0.0),)),
+        Integrator("leapfrog", "leapfrog", 2, (Substep(0.5, 1.0, 0.5),)),
+        Integrator(
+            "leapfrog-dkd",
+            "leapfrog as drift-kick-drift (not where contacts may press)",
+            2,
+            (Substep(0.0, 0.5, 1.0), Substep(0.0, 0.5, 0.0)),
+        ),
+        Integrator("yoshida4", "Yoshida's", 4, tuple(Substep(0.5 * w, w, 0.5 * w) for w in (_W1, _W0, _W1))),
+    )
+}
+
+
+def described() -> str:
+    """List the integrators with their orders, for the description of the scene's key."""
+    *others, last = (f"{each.title} (order {each.order})" for each in INTEGRATORS.values())
+    return f"{', '.join(others)} or {last}"
