@@ -1,0 +1,32 @@
+"""Short runs of all scenes by all methods have the bits that are stored: a refactoring moves none of them.
+
+Where a change of the physics is meant to move bits, `python tests/golden/fingerprints.py` stores the new ones.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from golden.fingerprints import golden_scenes, moved, stored
+
+THREADS = 2  # they were stored with one: the bits are the same on any number
+STORED = stored()
+
+
+@pytest.mark.parametrize("name", sorted(STORED))
+def test_the_bits_of_a_scene_are_the_stored_ones_by_every_method(name: str) -> None:
+    changes = [moved(name, overrides, case, THREADS) for overrides, case in STORED[name].items()]
+    assert not any(changes), "\n".join(filter(None, changes))
+
+
+def test_every_scene_is_stored() -> None:
+    assert set(STORED) == set(golden_scenes())
+
+
+@pytest.mark.parametrize(
+    ("what", "scenes"),
+    [("touching", 35), ("in_flight", 20), ("held", 18), ("sweeps", 35)],
+)
+def test_enough_scenes_come_across_contacts_in_the_steps_that_are_run(what: str, scenes: int) -> None:
+    across = [name for name, cases in STORED.items() if any(case[what] for case in cases.values())]
+    assert len(across) >= scenes, across
