@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.broad_phase.hierarchical_grid import Grid
+from carom.physics.contact.broad_phase.search import KdTree
 from carom.physics.contact.graph import colour_contacts
-from carom.physics.contact.grid import Grid
 from carom.physics.contact.load import IMPULSE
-from carom.physics.contact.search import KdTree
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
 from carom.physics.team import Team

@@ -10,14 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.physics.contact.broad_phase.hierarchical_grid import FEW, Grid
+from carom.physics.contact.broad_phase.search import KdTree
 from carom.physics.contact.graph import (
     OVERFLOW,
     CollisionGraph,
     colour_bodies,
     colour_contacts,
 )
-from carom.physics.contact.grid import FEW, Grid
-from carom.physics.contact.search import KdTree
 from carom.physics.contact.stages import PIECE, stages_of
 from examples import bench_of, random_bodies
 
@@ -123,7 +123,7 @@ def test_grids_find_what_trees_find(
     for box in (np.zeros(3), np.array([4.0, 6.0, 20.0]) * radius.max()):
         if box[0] == 0.0:
             position[0] += far
-        with mock.patch("carom.physics.contact.grid.FEW", few):
+        with mock.patch("carom.physics.contact.broad_phase.hierarchical_grid.FEW", few):
             grid, trees = Grid(radius, box), KdTree(radius, box)
         assert np.array_equal(grid.pairs(position, stretch), trees.pairs(position, stretch))
         moved = position + rng.normal(0.0, 0.1, position.shape)

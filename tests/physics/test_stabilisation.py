@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.grid import Grid
+from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.contact.grid import Grid
+from carom.physics.contact.broad_phase.hierarchical_grid import Grid
+from carom.physics.contact.broad_phase.search import PlaneSearch
 from carom.physics.contact.load import IMPULSE
-from carom.physics.contact.search import PlaneSearch
 from carom.physics.contact.workbench import SHARED_FROM
 from carom.physics.space import Space
 from carom.physics.team import Team, sharing_all

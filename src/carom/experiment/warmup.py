@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.run import run
-from carom.physics.contact.grid import FEW
+from carom.physics.contact.broad_phase.hierarchical_grid import FEW
 from carom.physics.kernel import Compilations, cache_folder
 from carom.physics.team import load_helpers, sharing_all
 from carom.scene.schema import Scene

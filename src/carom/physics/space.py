@@ -13,7 +13,7 @@ from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.bearing import NOTHING_BORNE
-from carom.physics.contact.flight import NO_IMPACTS, Impacts
+from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
 from carom.physics.energy import Energy

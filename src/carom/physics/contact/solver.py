@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.load import (
     APART,
     APPROACH,
@@ -36,7 +37,6 @@ from carom.physics.contact.load import (
     SPINS,
     SWEEP,
 )
-from carom.physics.contact.paths import ROUNDING
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.machine import AHEAD, prefetch

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.bearing import borne
-from carom.physics.contact.flight import NO_IMPACTS, Flight, Impacts
+from carom.physics.contact.broad_phase.search import PlaneSearch, search_by
+from carom.physics.contact.continuous.drift import NO_IMPACTS, Flight, Impacts
+from carom.physics.contact.continuous.event_loop import MOST
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
-from carom.physics.contact.impact import MOST
 from carom.physics.contact.lasting import Hold
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_coordinate, largest_square
-from carom.physics.contact.search import PlaneSearch, search_by
 from carom.physics.contact.sighting import NOTHING, Sighting
 from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import Stages, stages_of

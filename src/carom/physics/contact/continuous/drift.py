@@ -13,12 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.agenda import put
-from carom.physics.contact.grid import Grid
-from carom.physics.contact.impact import AFTER, APPROACH, COLUMNS, LEDGER, NORMAL, REST, TIME, foresee, resolve
-from carom.physics.contact.paths import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
+from carom.physics.contact.broad_phase.hierarchical_grid import Grid
+from carom.physics.contact.broad_phase.search import Search
+from carom.physics.contact.continuous.event_loop import (
+    AFTER,
+    APPROACH,
+    COLUMNS,
+    LEDGER,
+    NORMAL,
+    REST,
+    TIME,
+    foresee,
+    resolve,
+)
+from carom.physics.contact.continuous.event_queue import put
+from carom.physics.contact.continuous.trajectories import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
 from carom.physics.contact.rest import pile_speeds
-from carom.physics.contact.search import Search
 from carom.physics.integrator import SOME, drift
 from carom.physics.kernel import kernel
 from carom.physics.team import Team

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
+from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
 from carom.physics.kernel import kernel, long_kernel
 from carom.physics.machine import atomic_add
 from carom.physics.team import SOLO, Team

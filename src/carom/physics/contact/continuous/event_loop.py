@@ -14,9 +14,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.agenda import put
-from carom.physics.contact.encounter import meeting, meeting_in_box
-from carom.physics.contact.paths import AHEAD, CLOCK, DT, EXHAUSTED, KICK, ROUNDING, STRAYS, Paths, advance, strays
+from carom.physics.contact.continuous.event_queue import put
+from carom.physics.contact.continuous.time_of_impact import meeting, meeting_in_box
+from carom.physics.contact.continuous.trajectories import (
+    AHEAD,
+    CLOCK,
+    DT,
+    EXHAUSTED,
+    KICK,
+    ROUNDING,
+    STRAYS,
+    Paths,
+    advance,
+    strays,
+)
 from carom.physics.kernel import inner, long_kernel
 from carom.physics.rotation import turn
 

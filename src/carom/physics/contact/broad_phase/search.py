@@ -7,8 +7,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.contact.graph import first_of
-from carom.physics.contact.grid import Grid
 from carom.physics.contact.load import BLOCK
 from carom.physics.kernel import long_kernel
 from carom.physics.team import SOLO, Team

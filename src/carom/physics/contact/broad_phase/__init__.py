@@ -1,0 +1,1 @@
+"""Broad phase: which pairs of spheres, and which spheres and planes, are near enough to touch."""

@@ -1,0 +1,1 @@
+"""Continuous collision detection: impacts resolved at their own times within a drift."""
