@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +11,13 @@ from numpy.typing import NDArray
 
 from carom.experiment.environment import versions
 from carom.physics.frame import Frame
-from carom.recording.edit.continuation import CLOSING
 from carom.recording.edit.selection import Selection
 from carom.recording.read.recording import Recording
 from carom.recording.read.rows import RecordedRows, checkpoints_of, rows_of
 from carom.recording.rrd.index import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.event_kinds import CLOSING
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
@@ -91,7 +90,7 @@ class FrameCheck:
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
         }
         events = recording.events().to_pylist()
-        self._events = [(row[STEP], row["level"], row["text"]) for row in events if not re.search(CLOSING, row["text"])]
+        self._events = [(row[STEP], row["level"], row["text"]) for row in events if row["kind"] not in CLOSING]
         self._same_words = recording.versions == versions()
         self._colours_bodies = header.body_colouring
         self._checkpoints = set(recording.checkpoint_steps)

@@ -16,7 +16,6 @@ from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
-from carom.physics.event import Event
 from carom.recording.edit import bundle
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
@@ -114,13 +113,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
 
 def _warnings(recording: Recording) -> list[tuple[float, str]]:
     """Return times and texts of what was logged about the energy."""
-    told = recording.warnings()
-    return [(event.time, event.text) for event in told if event.kind.startswith("energy") or _was_of_energy(event)]
-
-
-def _was_of_energy(event: Event) -> bool:
-    """Tell a warning about the energy in a recording of before events had kinds."""
-    return not event.kind and event.text.startswith("Energy rose")
+    return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith("energy")]
 
 
 def _cut(recording: Recording, moment: float, path: Path) -> None:

@@ -9,13 +9,13 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.recording.read import tables
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.event_kinds import CLOSING, kind_of
 from carom.recording.schema.timelines import STEP
-
-CLOSING = r"^end: | of the run[,:.]"  # events that are written when a run ends: this one has not
 
 
 class Past:
@@ -50,12 +50,18 @@ class Past:
             batch = chunk.batch
             kept = pc.less_equal(batch[STEP], self.step)
             if chunk.entity_path == paths.EVENTS:
-                texts = pc.list_element(batch["TextLog:text"], 0)
-                kept = pc.and_(kept, pc.invert(pc.match_substring_regex(texts, CLOSING)))
+                kept = pc.and_(kept, pc.invert(_closes(chunk)))
             if pc.all(kept).as_py():
                 yield chunk
             elif pc.any(kept).as_py():
                 yield Chunk(chunk.entity_path, batch.filter(kept))
+
+
+def _closes(chunk: Chunk) -> pa.BooleanArray:
+    """Tell of each event whether it was written because the run ended."""
+    texts = tables.flat(chunk, "TextLog:text", tables.EVENTS["TextLog:text"]).to_pylist()
+    kinds = tables.optional_text(chunk, "kind").to_pylist()
+    return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())
 
 
 def _last(table: pa.Table, step: int) -> str:

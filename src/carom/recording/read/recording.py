@@ -21,6 +21,7 @@ from carom.recording.read.tables import Column
 from carom.recording.rrd.index import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
+from carom.recording.schema.event_kinds import CLOSING, kind_of
 from carom.recording.schema.properties import checked
 from carom.recording.schema.timelines import SIM_TIME, STEP
 
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
 _PROPERTIES = "__properties"
-_END = "end: "  # how the last event of a recording begins
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -224,9 +224,15 @@ class Recording:
 
     @_named
     def events(self) -> pa.Table:
-        """Columns step, sim_time, level, text, kind (empty in recordings older than kinds), in the order of steps."""
+        """Columns step, sim_time, level, text and kind, in the order of steps.
+
+        Recordings made before events had kinds say only of some, by their texts, which kind they are.
+        """
         table = self._table(paths.EVENTS, tables.EVENTS, optional=("kind",))
         table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
+        told = zip(table["kind"].to_pylist(), table["text"].to_pylist(), strict=True)
+        kinds = pa.array([kind_of(kind, text) for kind, text in told], pa.string())
+        table = table.set_column(table.column_names.index("kind"), "kind", kinds)
         return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))  # those of the end look back
 
     def warnings(self, until: int | None = None) -> list[Event]:
@@ -241,9 +247,7 @@ class Recording:
         return [
             event
             for event in found
-            if event.level == "WARN"
-            and not (event.kind == "end" or event.text.startswith(_END))
-            and (until is None or event.step <= until)
+            if event.level == "WARN" and event.kind not in CLOSING and (until is None or event.step <= until)
         ]
 
     @_named

@@ -74,7 +74,7 @@ def table(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], opt
         steps.append(own)
         times.append(np.array(batch[SIM_TIME].cast(pa.int64()).to_numpy()))
         for name, column in columns.items():
-            values = _optional(chunk, name) if name in optional else flat(chunk, name, column)
+            values = optional_text(chunk, name) if name in optional else flat(chunk, name, column)
             text += values.nbytes if pa.types.is_string(column.type) else 0
             if text > _MOST_TEXT:
                 raise DamageError(f"more than {_MOST_TEXT} bytes of text at /{path}")
@@ -89,8 +89,8 @@ def table(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], opt
     return pa.table(joined)
 
 
-def _optional(chunk: Chunk, name: str) -> pa.Array:
-    """Copy texts that rows of older recordings do not have."""
+def optional_text(chunk: Chunk, name: str) -> pa.Array:
+    """Copy the texts of a component, "" where rows of older recordings lack it. DamageError if they are no texts."""
     if name not in chunk.components:
         return pa.array([""] * chunk.batch.num_rows, pa.string())
     if chunk.batch[name].type.value_type != pa.string():

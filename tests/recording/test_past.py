@@ -1,0 +1,58 @@
+"""What a resumed run takes over from the recording of the run before it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import rerun as rr
+
+from carom.physics.event import Event
+from carom.recording import entities, paths
+from carom.recording.past import Past
+from carom.recording.recorder import Recorder
+from carom.recording.recording import Recording
+from merry import Merry
+
+LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
+FRAMES = 20
+
+
+def recorded(path: Path, merry: Merry, event: Event) -> Recording:
+    """Record a run with one event on its way, one extreme, and an end."""
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(FRAMES):
+            recorder.put(replace(frame, events=(event,) if frame.step == event.step else ()))
+        recorder.finish("interrupted: stopped by the user", {}, (LARGEST,))
+    return Recording.open(path)
+
+
+def texts_carried_over(recording: Recording) -> list[str]:
+    chunks = [chunk for chunk in Past(recording, FRAMES - 1).chunks() if chunk.entity_path == paths.EVENTS]
+    return [row[0] for chunk in chunks for row in chunk.batch["TextLog:text"].to_pylist()]
+
+
+@pytest.mark.parametrize("text", ["end: of a long fall", "This is 9 times the pace of the run: it crawls."])
+def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
+    text: str, tmp_path: Path, merry: Merry
+) -> None:
+    event = Event(5, 0.25, "WARN", text, "pace")
+    assert texts_carried_over(recorded(tmp_path / "run.rrd", merry, event)) == [text]
+
+
+def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
+    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def without_kinds(events: Sequence[Event]) -> entities.Rows:
+        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+        return entities.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+
+    monkeypatch.setattr(entities, "event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.stream.event_rows", without_kinds)
+    event = Event(5, 0.25, "WARN", "Energy rose by 2e-3 of the energy scale.", "energy-rise")
+    recording = recorded(tmp_path / "old.rrd", merry, event)
+    assert [(event.kind, event.text) for event in recording.warnings()] == [("energy-rise", event.text)]
+    assert recording.events()["kind"].to_pylist() == ["energy-rise", "extreme", "end"]
+    assert texts_carried_over(recording) == [event.text]
