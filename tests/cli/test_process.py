@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
+import re
 import signal
 import subprocess
 import sys
@@ -102,6 +104,33 @@ def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: boo
     assert os.waitstatus_to_exitcode(status) == 1
     who = "SIGHUP" if closed else "the user"
     assert Recording.open(path).outcome.startswith(f"interrupted: stopped by {who}")
+
+
+def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: Path) -> None:
+    scene = ["elastic-gas", "--set", "time.duration=20", "--set", "record.every=0.01"]  # some seconds of work
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(tmp_path)
+        os.environ |= {"TERM": "xterm", "COLUMNS": "200", "PYTHONIOENCODING": "utf-8"}
+        os.execv(sys.executable, command("run", *scene, "-o", "x.rrd"))
+    written = b""
+    with contextlib.suppress(OSError):  # EIO: the command has closed its end
+        while part := os.read(terminal, 10_000):
+            written += part
+    _, status = os.waitpid(child, 0)
+    os.close(terminal)
+    screen = written.decode()
+    assert os.waitstatus_to_exitcode(status) == 0, screen
+    assert_silent(screen)
+    progress = re.findall(r"([━╌]{24}) +\d+%  t = [\d.e-]+ s  step (\d+) .*? contacts  energy error [\d.e+-]+", screen)
+    steps = [int(step) for _, step in progress]
+    assert len(set(steps)) > 3 and steps == sorted(steps)
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.outcome == "completed"
+    summary = screen.rpartition(progress[-1][0])[2]
+    assert re.search(r"outcome +\S*completed", summary)
+    assert f"{recording.summary()['steps']} steps, 20 s simulated" in summary
+    assert f"{recording.frames} frames" in summary
 
 
 def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:

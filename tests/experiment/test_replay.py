@@ -18,6 +18,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.plan.features import frame_interval
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -134,8 +135,8 @@ def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_replay_that_is_interrupted_says_how_far_it_got(tmp_path: Path) -> None:
     recording = carom.run(cloud(), tmp_path / "cloud.rrd")
 
-    def interrupt(space: Space) -> None:
-        if space.step == 30:
+    def interrupt(status: StepStatus) -> None:
+        if status.step == 30:
             raise KeyboardInterrupt
 
     result = replay(recording, watch=interrupt, dense=tmp_path / "dense.rrd")

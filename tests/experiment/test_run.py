@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -86,6 +87,35 @@ def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
     assert outcome.status == "expectation missed"
     assert "max_overlap" in outcome.reason
     assert Recording.open(outcome.path).outcome.startswith("expectation missed: max_overlap")
+
+
+def test_a_run_that_is_watched_without_a_pause_records_what_one_alone_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    alone = carom.run(cloud(), tmp_path / "alone.rrd")
+    monkeypatch.setattr("carom.experiment.run.POLL", 0.0)
+    seen: list[StepStatus] = []
+    outcome = simulate(Space(cloud()), tmp_path / "watched.rrd", watch=seen.append)
+    watched = Recording.open(outcome.path)
+    assert watched.fingerprints().equals(alone.fingerprints())
+    assert watched.steps().equals(alone.steps())
+    assert watched.events().equals(alone.events())
+    steps = [status.step for status in seen]
+    assert len(set(steps)) > 10 and steps == sorted(steps)
+
+
+def test_a_watcher_that_fails_ends_the_run_with_a_closed_recording(tmp_path: Path) -> None:
+    space = Space(cloud(time={"duration": 3000.0}))
+
+    def fail(status: StepStatus) -> None:
+        raise ZeroDivisionError("of the watcher")
+
+    with pytest.raises(ZeroDivisionError):
+        simulate(space, tmp_path / "x.rrd", watch=fail)
+    assert "physics" not in {thread.name for thread in threading.enumerate()}
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.outcome == "failed: ZeroDivisionError: of the watcher"
+    assert recording.fingerprints()["step"][-1].as_py() == space.step
 
 
 def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp_path: Path) -> None:

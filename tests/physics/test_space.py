@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.physics.contact.graph import CollisionGraph
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.physics.status import StepStatus
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 from examples import cloud, momentum_of, pair, scene_of
@@ -452,22 +452,25 @@ def test_the_profile_accounts_for_every_part_of_the_step() -> None:
     assert {"timestep", "integrate", "search", "gravity", "response", "energy"} <= set(space.profile.seconds())
 
 
-def graph_bytes(graph: CollisionGraph) -> bytes:
-    return b"".join(array.tobytes() for array in (graph.pairs, graph.normals, graph.overlaps, graph.colours))
+def test_every_status_that_another_thread_reads_is_that_of_a_finished_step() -> None:
+    scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"log_freq": 7, "every": 0.1})
+    alone = Space(scene)
+    published = {alone.status}
 
+    def note(step: int, before: float, time: float) -> bool:
+        published.add(alone.status)
+        return step % 11 == 0
 
-def test_contacts_read_from_another_thread_during_a_run_are_those_of_a_finished_step() -> None:
-    scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"log_freq": 1000})  # a check puts the graph together
-    alone = {frame.step: graph_bytes(frame.contacts) for frame in Space(scene).run()}
-    assert len(set(alone.values())) > 200, "contacts that change from step to step"
+    bits = [frame.fingerprint for frame in alone.run(schedule=note)]
+    published.add(alone.status)
     space, ended = Space(scene), threading.Event()
-    read: set[bytes] = set()
+    read: set[StepStatus] = set()
     faults: list[Exception] = []
 
     def reader() -> None:
         while not ended.is_set():
             try:
-                read.add(graph_bytes(space.contacts))
+                read.add(space.status)
             except Exception as fault:
                 faults.append(fault)
 
@@ -475,16 +478,15 @@ def test_contacts_read_from_another_thread_during_a_run_are_those_of_a_finished_
     sys.setswitchinterval(1e-6)  # s: threads take turns within every step
     thread.start()
     try:
-        sparse = space.run(schedule=lambda step, before, time: step % 7 == 0)  # so does a frame
-        recorded = {frame.step: graph_bytes(frame.contacts) for frame in sparse}
+        beside = [frame.fingerprint for frame in space.run(schedule=lambda step, before, time: step % 11 == 0)]
     finally:
         ended.set()
         sys.setswitchinterval(interval)
         thread.join()
     assert not faults
     assert len(read) > 10, "the reader gets its turn"
-    assert read <= set(alone.values())
-    assert recorded == {step: alone[step] for step in recorded}
+    assert read <= published
+    assert beside == bits
 
 
 def test_a_status_read_during_a_step_is_that_of_the_step_before() -> None:

@@ -14,7 +14,7 @@ from carom.experiment.environment import versions
 from carom.experiment.frame_check import FrameCheck, Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.restore import checkpoint_before, recorded_scene, space_of
-from carom.experiment.run import header_of
+from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
@@ -26,7 +26,6 @@ from carom.recording.write.recorder import Recorder
 TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
 
 Consent = Callable[[float], bool]  # s that the rest will take → whether to go on
-Watcher = Callable[[Space], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ def replay(
     dense: Path | None = None,
     force: bool = False,
     consent: Consent = lambda seconds: True,
-    watch: Watcher = lambda space: None,
+    watch: Watcher = lambda status: None,
 ) -> Replay:
     """Run a recording again, from the last checkpoint before the window to its end.
 
@@ -103,7 +102,7 @@ def replay(
     consent
         Asked once, after a second of stepping, whether the time that the rest will take is all right.
     watch
-        Called with the space after every frame.
+        Called after every frame with where the run stands.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def replay(
         schedule = at(run.fingerprints) if recorder is None else every(0.0)
         try:
             for frame in space.run(schedule=schedule):
-                watch(space)
+                watch(space.status)
                 run.see(frame)
                 if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > checkpoint.step):
                     recorder.put(frame)

@@ -169,6 +169,7 @@ def _simulate(
         _wait(physics, watch, interrupts)
         status, reason = physics.ending(interrupts)
     except Exception as error:
+        physics.stop()
         with contextlib.suppress(RecordingError):
             recorder.finish(f"failed: {type(error).__name__}: {error}")
         raise
@@ -210,6 +211,11 @@ class _Physics:
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._thread.start()
+
+    def stop(self) -> None:
+        """End after the step under way, and wait until it has."""
+        self.space.stop()
+        self._thread.join()
 
     def wait(self, seconds: float) -> bool:
         """Wait for the end; tell whether it has come."""
@@ -267,9 +273,9 @@ def header_of(space: Space) -> Header:
         run_id=str(uuid.uuid4()),
         names=space.names,
         group=space.groups,
-        mass=state.mass,
-        radius=state.radius,
-        inertia=state.inertia,
+        mass=state.mass.copy(),
+        radius=state.radius.copy(),
+        inertia=state.inertia.copy(),
         spins=needs.spin.modelled,
         has_orientation=needs.orientation.modelled,
         has_torque=needs.torque.modelled,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -52,7 +51,7 @@ WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
 class Space:
     """Bodies in motion: the reference engine's public calls, and what people need besides.
 
-    While one thread steps, others may read ``status`` and ``contacts`` and call ``stop``, nothing else.
+    One thread steps it. Meanwhile another thread may read ``status`` and call ``stop``, nothing else.
 
     Parameters
     ----------
@@ -116,8 +115,6 @@ class Space:
         self._events: list[Event] = []
         self._phase = Phase(len(self.state), scene.anchored or bool(self._field.any()))
         self._stopping = False
-        self._stepping = threading.RLock()  # held through each step
-        self._readers = threading.Lock()  # held by a thread that waits for the end of the step under way
         potential = self._warm_up()
         self._pace = PaceWatch(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
         self._take_stock(potential, checked=True)
@@ -131,21 +128,12 @@ class Space:
 
     @property
     def contacts(self) -> CollisionGraph:
-        """The contacts of the last finished step, put together when somebody looks.
-
-        A thread that asks during a step of another waits for the end of that step.
-        """
-        if not self._stepping.acquire(blocking=False):
-            with self._readers:
-                self._stepping.acquire()
-        try:
-            return self._seen_contacts()
-        finally:
-            self._stepping.release()
+        """The contacts of the last step, for the thread that steps: built when first asked for."""
+        return self._contact.seen.graph if self._contact else empty_graph()
 
     @property
     def status(self) -> StepStatus:
-        """Where the run stood at the end of the last finished step."""
+        """Where the run stood at the end of the last finished step; any thread may read it."""
         return StepStatus(*self._published)
 
     @property
@@ -217,10 +205,6 @@ class Space:
         What is not kept, the torques of the step before and its contacts as they are shown, is empty until the next
         step.
         """
-        with self._stepping:
-            self._restore(checkpoint)
-
-    def _restore(self, checkpoint: Checkpoint) -> None:
         state, books = self.state, checkpoint.books
         state.position[:] = checkpoint.position
         state.velocity[:] = checkpoint.velocity
@@ -343,13 +327,10 @@ class Space:
         )
 
     def _publish(self) -> None:
-        """Let other threads know where the run stands."""
+        """Replace the status that other threads read: they see that of the step before, or this one."""
         contacts = self._contact.tally.contacts if self._contact else 0
         # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
         self._published = (self.step, self.time, self.dt, self.dt_limit, contacts, self._accounts.energy)
-
-    def _seen_contacts(self) -> CollisionGraph:
-        return self._contact.seen.graph if self._contact else empty_graph()
 
     def _make_timestep(self, limits: StepLimits) -> Timestep:
         scene, fraction = self.scene, limits.pull_fraction
@@ -379,12 +360,8 @@ class Space:
 
     def _advance(self, end: float, checked: bool, schedule: Schedule) -> bool:
         """Do one step; tell whether a frame is due after it, by the schedule or because it was the last."""
-        if self._readers.locked():
-            with self._readers:  # without this a thread that waits would hardly ever get its turn
-                pass
-        with self._stepping:
-            due = self._step(end, checked, schedule)
-            self._publish()
+        due = self._step(end, checked, schedule)
+        self._publish()
         return due
 
     def _step(self, end: float, checked: bool, schedule: Schedule) -> bool:

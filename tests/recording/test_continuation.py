@@ -10,10 +10,11 @@ import pytest
 import rerun as rr
 
 from carom.physics.event import Event
-from carom.recording import entities, paths
-from carom.recording.past import Past
-from carom.recording.recorder import Recorder
-from carom.recording.recording import Recording
+from carom.recording.edit.continuation import Past
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.write import encoder
+from carom.recording.write.recorder import Recorder
 from merry import Merry
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
@@ -45,12 +46,12 @@ def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
 def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
     tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_kinds(events: Sequence[Event]) -> entities.Rows:
+    def without_kinds(events: Sequence[Event]) -> encoder.Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return entities.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+        return encoder.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
 
-    monkeypatch.setattr(entities, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.stream.event_rows", without_kinds)
+    monkeypatch.setattr(encoder, "event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
     event = Event(5, 0.25, "WARN", "Energy rose by 2e-3 of the energy scale.", "energy-rise")
     recording = recorded(tmp_path / "old.rrd", merry, event)
     assert [(event.kind, event.text) for event in recording.warnings()] == [("energy-rise", event.text)]
