@@ -25,7 +25,7 @@ from carom.physics.contact.graph import colour_contacts
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
-from carom.physics.team import Team
+from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start
 from measurement import medians, save

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
-from carom.physics.kernel import long_kernel
-from carom.physics.team import Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import Team
 from measurement import medians, merge
 
 FloatArray = NDArray[np.float64]

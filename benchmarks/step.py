@@ -23,9 +23,9 @@ import numpy as np
 import rebound
 from numpy.typing import NDArray
 
-from carom.physics.kernel import long_kernel
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
-from carom.physics.team import Team
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
 from measurement import forget_peak, medians, peak_megabytes, save

@@ -11,7 +11,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import colour_contacts
 from carom.physics.contact.stages import stages_of
 from carom.physics.contact.workbench import Workbench
-from carom.physics.team import Team
+from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start
 from carom.scene.schema import Scene

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.gravity.direct import DirectGravity
-from carom.physics.team import Team
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 

@@ -17,18 +17,18 @@ from typing import Any
 import pytest
 
 import carom
-from carom.physics import kernel_cache
-from carom.physics.kernel_cache import CHECKSUM
-from carom.physics.sources import imports_of
+from carom.physics.parallel import kernel_cache
+from carom.physics.parallel.kernel_cache import CHECKSUM
+from carom.physics.parallel.sources import imports_of
 
 COUNT = 8
-KERNELS = "from carom.physics.kernel import kernel\nfrom pack.part import {part}\n" + "".join(
+KERNELS = "from carom.physics.parallel.jit import kernel\nfrom pack.part import {part}\n" + "".join(
     f"@kernel\ndef f{k}(x: float) -> float:\n    return {{part}}(x) + {k}.0\n" for k in range(COUNT)
 )
-PART = "from carom.physics.kernel import inner\n@inner\ndef {part}(x: float) -> float:\n    return {factor} * x\n"
+PART = "from carom.physics.parallel.jit import inner\n@inner\ndef {part}(x: float) -> float:\n    return {factor} * x\n"
 CALL = f"""
 import json
-from carom.physics.kernel import Compilations, cache_folder
+from carom.physics.parallel.jit import Compilations, cache_folder
 from pack import kernels
 with Compilations() as compilations:
     values = [getattr(kernels, f"f{{k}}")(1.0) for k in range({COUNT})]

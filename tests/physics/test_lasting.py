@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.lasting import Hold
 from carom.physics.contact.load import HOT, IMPULSE
+from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
-from carom.physics.team import SOLO
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
 

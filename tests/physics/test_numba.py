@@ -11,7 +11,7 @@ from numba.core import caching, config, event, serialize
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
 
-from carom.physics.kernel import Compilations
+from carom.physics.parallel.jit import Compilations
 
 
 def double(x: float) -> float:

@@ -168,14 +168,7 @@ MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.cr
 RESTING = {"contact.rest._write_speeds", "contact.rest.largest_square"}
 PUSHING = {"contact.stabilisation.work_of_pushes"}  # the pushes themselves are a phase of contact.crew.work
 FIELD, STEP = {"integrator._add"}, {"timestep._limits"}
-TIMING = (
-    "contact.flight",
-    "contact.paths",
-    "contact.impact.",
-    "contact.encounter",
-    "contact.agenda",
-    "contact.rest.pile",
-)
+OPTIONAL = ("contact.continuous.", "gravity.multipole.", "gravity.walk.", "gravity.boxes.")  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
 LATE = {"timing": "end-of-step"}
@@ -192,9 +185,20 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
 @pytest.mark.parametrize(("sections", "absent"), [case[1:] for case in CHOICES], ids=[case[0] for case in CHOICES])
 def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections, absent: set[str]) -> None:
     contact = LATE | sections.get("contact", {})  # impacts on the way have kernels of their own
-    document = json.dumps(WHOLE | sections | {"contact": contact})
-    done = subprocess.run([sys.executable, "-c", KERNELS, document], capture_output=True, text=True, check=True)
-    loaded = set(json.loads(done.stdout))
+    loaded = kernels_of(WHOLE | sections | {"contact": contact})
     assert ALL - loaded == absent
-    others = ("gravity.tree", "gravity.walk", "gravity.boxes", *TIMING)
-    assert not any(name.startswith(others) for name in loaded)
+    assert not any(name.startswith(OPTIONAL) for name in loaded)
+
+
+def test_times_of_impact_and_the_tree_load_kernels_of_their_own() -> None:
+    gravity = WHOLE["gravity"] | {"method": "tree"}
+    loaded = kernels_of(WHOLE | {"contact": {"timing": "time-of-impact"}, "gravity": gravity})
+    for module in OPTIONAL:
+        assert any(name.startswith(module) for name in loaded), f"{module} has no kernels, or another name"
+
+
+def kernels_of(document: Sections) -> set[str]:
+    """Run a scene in a process of its own; return the kernels that it compiled or loaded."""
+    arguments = [sys.executable, "-c", KERNELS, json.dumps(document)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout))

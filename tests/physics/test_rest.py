@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from carom.physics.contact.load import COLD, REST
 from carom.physics.contact.rest import Piles
+from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.space import Space
-from carom.physics.team import SOLO, Team
 from examples import scene_of
 
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.contact.broad_phase.search import PlaneSearch
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.workbench import SHARED_FROM
+from carom.physics.parallel.thread_team import Team, sharing_all
 from carom.physics.space import Space
-from carom.physics.team import Team, sharing_all
 from carom.scene.halfspace import HalfSpaces
 from examples import bench_of, random_bodies, scene_of
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from carom.physics.error import PhysicsError
+from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
-from carom.physics.team import Team
 from carom.physics.timestep import BLOCK, SOME, Timestep
 from carom.plan.features import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from carom.physics.gravity.boxes import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
+from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
-from carom.physics.team import Team
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of
 
 def announce_compilation(say: Callable[[str], None] | None = None) -> None:
     """Say so, on stderr unless told how, when kernels are compiled, once."""
-    from carom.physics.kernel import cache_folder, on_compilation
+    from carom.physics.parallel.jit import cache_folder, on_compilation
 
     text = "Compiling kernels, once on this machine (about half a minute) …"
     if not cache_folder():

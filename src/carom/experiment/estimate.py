@@ -14,9 +14,9 @@ from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of
 from carom.physics.frame import Frame
 from carom.physics.gravity.method import gravity_of
+from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import every
 from carom.physics.space import WARM_UP_STEPS, Space
-from carom.physics.team import Team
 from carom.plan.features import Requirements, frame_interval
 from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents

@@ -10,8 +10,8 @@ from typing import Any
 
 from carom.experiment.run import run
 from carom.physics.contact.broad_phase.hierarchical_grid import FEW
-from carom.physics.kernel import Compilations, cache_folder
-from carom.physics.team import load_helpers, sharing_all
+from carom.physics.parallel.jit import Compilations, cache_folder
+from carom.physics.parallel.thread_team import load_helpers, sharing_all
 from carom.scene.schema import Scene
 
 # Together they need every kernel; a new one that none of them needs belongs here, too (a test looks).

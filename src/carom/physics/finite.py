@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.error import PhysicsError
-from carom.physics.kernel import long_kernel
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
 

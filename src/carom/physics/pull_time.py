@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 from carom.plan.features import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 

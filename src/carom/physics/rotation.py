@@ -14,8 +14,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel, long_kernel
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.jit import inline, kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 

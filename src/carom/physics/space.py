@@ -27,13 +27,13 @@ from carom.physics.ledger import Ledger
 from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.pace import PaceTally, PaceWatch
+from carom.physics.parallel.thread_team import Team, cores
 from carom.physics.phase import Phase
 from carom.physics.profile import Profile
 from carom.physics.pull_time import PullTime
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.status import StepStatus
-from carom.physics.team import Team, cores
 from carom.physics.timestep import Timestep
 from carom.plan.features import frame_interval, integrator, require
 from carom.plan.limits import refuse_impossible

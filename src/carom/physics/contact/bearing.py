@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.lasting import Hold
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import BEFORE, DRIFT, KICK, LEDGER, SPINS
-from carom.physics.kernel import kernel
 from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.machine import AHEAD, prefetch
+from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

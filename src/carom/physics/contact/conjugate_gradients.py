@@ -43,7 +43,7 @@ from carom.physics.contact.load import (
     TOLERANCE,
 )
 from carom.physics.contact.velocity import bend, give
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

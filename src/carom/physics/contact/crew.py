@@ -45,8 +45,8 @@ from carom.physics.contact.overshoot import scale_back
 from carom.physics.contact.solver import CONVERGED, strike
 from carom.physics.contact.stabilisation import push
 from carom.physics.contact.sweep import HELD, aim, begin, go, press, relax
-from carom.physics.kernel import inline, inner, long_kernel
-from carom.physics.team import (
+from carom.physics.parallel.jit import inline, inner, long_kernel
+from carom.physics.parallel.thread_team import (
     END,
     PATIENCE,
     REST,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel
-from carom.physics.machine import lowest_bit
+from carom.physics.parallel.intrinsics import lowest_bit
+from carom.physics.parallel.jit import kernel
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

@@ -37,9 +37,9 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.graph import first_of
 from carom.physics.contact.load import HOT, IMPULSE
-from carom.physics.kernel import long_kernel
-from carom.physics.machine import AHEAD, prefetch
-from carom.physics.team import Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline
+from carom.physics.parallel.jit import inline
 
 Records = NDArray[np.void]
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import OVERLAP
-from carom.physics.kernel import long_kernel
+from carom.physics.parallel.jit import long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import long_kernel
-from carom.physics.team import Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

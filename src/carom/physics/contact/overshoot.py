@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.load import BEFORE
 from carom.physics.contact.rest import root_of
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

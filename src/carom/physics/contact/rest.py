@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import REST
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.machine import atomic_load, atomic_max, atomic_replace
-from carom.physics.team import Team
+from carom.physics.parallel.atomics import atomic_load, atomic_max, atomic_replace
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

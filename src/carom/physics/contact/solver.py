@@ -37,9 +37,9 @@ from carom.physics.contact.load import (
     SPINS,
     SWEEP,
 )
-from carom.physics.kernel import kernel, long_kernel
 from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.machine import AHEAD, prefetch
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

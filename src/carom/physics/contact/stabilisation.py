@@ -21,9 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST
-from carom.physics.kernel import kernel, long_kernel
 from carom.physics.ledger import STABILISATION
-from carom.physics.machine import AHEAD, atomic_add, prefetch
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

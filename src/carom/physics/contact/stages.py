@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.graph import OVERFLOW
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 IntArray = NDArray[np.int64]
 

@@ -37,8 +37,8 @@ from carom.physics.contact.load import (
     SPINS,
 )
 from carom.physics.contact.velocity import bend, give
-from carom.physics.kernel import kernel
-from carom.physics.machine import AHEAD, prefetch
+from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

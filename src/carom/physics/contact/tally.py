@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Ends
 from carom.physics.contact.load import APART, APPROACH, BLOCK, COLD, FOUND, HOT, IMPULSE, LEDGER, REST
 from carom.physics.contact.sighting import Sighting
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

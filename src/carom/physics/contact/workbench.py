@@ -41,8 +41,8 @@ from carom.physics.contact.solver import CONVERGED, look_for_closing
 from carom.physics.contact.stabilisation import count_crowds, parts_undone, work_of_pushes
 from carom.physics.contact.stages import Stages, stages_of
 from carom.physics.contact.tally import Tally
-from carom.physics.kernel import long_kernel
-from carom.physics.team import ALONE, Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
 
 FloatArray = NDArray[np.float64]

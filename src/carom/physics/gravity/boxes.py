@@ -18,9 +18,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.machine import atomic_add, atomic_load, atomic_store
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.atomics import atomic_add, atomic_load, atomic_store
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from carom.physics.gravity.direct import DirectGravity
 from carom.physics.gravity.tree import TreeGravity
-from carom.physics.team import Team
+from carom.physics.parallel.thread_team import Team
 from carom.plan.features import gravity_method
 from carom.scene.schema import Scene
 

@@ -18,7 +18,7 @@ from carom.physics.gravity.boxes import GROUP, Boxes
 from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.gravity.multipole import expand
 from carom.physics.gravity.walk import pull
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 

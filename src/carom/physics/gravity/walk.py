@@ -15,8 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import long_kernel
-from carom.physics.machine import atomic_add, prefetch_to_read
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.prefetch import prefetch_to_read
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

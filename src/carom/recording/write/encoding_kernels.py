@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import long_kernel
+from carom.physics.parallel.jit import long_kernel
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]

@@ -25,9 +25,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inline, kernel, long_kernel
-from carom.physics.machine import AHEAD, atomic_add, prefetch
-from carom.physics.team import Team
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import inline, kernel, long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.machine import atomic_add
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

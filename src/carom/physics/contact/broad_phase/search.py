@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.contact.graph import first_of
 from carom.physics.contact.load import BLOCK
-from carom.physics.kernel import long_kernel
-from carom.physics.team import SOLO, Team
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.neighbours import overlapping_pairs
 

@@ -30,8 +30,8 @@ from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.trajectories import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
 from carom.physics.contact.rest import pile_speeds
 from carom.physics.integrator import SOME, drift
-from carom.physics.kernel import kernel
-from carom.physics.team import Team
+from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 
 FloatArray = NDArray[np.float64]

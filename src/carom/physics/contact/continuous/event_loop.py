@@ -28,7 +28,7 @@ from carom.physics.contact.continuous.trajectories import (
     advance,
     strays,
 )
-from carom.physics.kernel import inner, long_kernel
+from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.rotation import turn
 
 FloatArray = NDArray[np.float64]

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.kernel import kernel
+from carom.physics.parallel.jit import kernel
 
 
 @kernel

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.kernel import inner, kernel, long_kernel
 from carom.physics.momentum import centre_velocity
+from carom.physics.parallel.jit import inner, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

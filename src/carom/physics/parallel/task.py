@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from carom.physics.machine import instruction
+from carom.physics.parallel.intrinsics import instruction
 
 WORD = ir.IntType(64)
 PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does, of the job at an address, a piece of some number

@@ -27,7 +27,7 @@ import xxhash
 from numba.core import caching, config, serialize
 from numba.core.compiler import CompileResult
 
-from carom.physics.sources import sources_of
+from carom.physics.parallel.sources import sources_of
 
 CHECKSUM = 16  # bytes, before the others
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3])

@@ -13,7 +13,7 @@ import numba
 from numba import types
 from numba.core import event
 
-from carom.physics import kernel_cache
+from carom.physics.parallel import kernel_cache
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -65,7 +65,7 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 def cache_folder() -> str:
     """Return the folder in which the compiled kernels of this package are kept; empty if none is writable."""
-    return str(kernel_cache.cache_folder(Path(__file__).parent) or "")
+    return str(kernel_cache.cache_folder(Path(__file__).parents[1]) or "")
 
 
 class Compilations(event.Listener):

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.job import address_of, c_function, call, do, kind_of, lay_out
-from carom.physics.kernel import kernel, long_kernel
-from carom.physics.machine import atomic_add, atomic_load, atomic_store
+from carom.physics.parallel.atomics import atomic_add, atomic_load, atomic_store
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.task import address_of, c_function, call, do, kind_of, lay_out
 
 IntArray = NDArray[np.int64]
 

@@ -1,0 +1,45 @@
+"""Prefetching: cache lines fetched before they are needed.
+
+The two bodies of a contact lie anywhere in memory, and the processor cannot guess where those of the next contacts do.
+Told sixteen contacts ahead, it has them in time: 10⁵ bodies of random numbering cost 40 instead of 150 ns a contact and
+iteration, as little as bodies in the order of a lattice.
+
+Rejected: sorting the bodies along a space-filling curve, which gains nothing more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+
+from carom.physics.parallel.intrinsics import element_address, instruction
+
+AHEAD = 16  # contacts; 8 are as good in the cache, and cost 45 instead of 38 ns where the bodies do not fit into it
+
+
+@instruction
+def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
+    """Fetch the cache line of an element of a (k, l) array, which will be written to."""
+    return types.void(rows, types.intp, types.intp), _fetch(to_write=True)
+
+
+@instruction
+def prefetch_to_read(typing: Any, rows: Any, row: Any, column: Any) -> Any:
+    """Fetch the cache line of an element of a (k, l) array; other cores keep it, too."""
+    return types.void(rows, types.intp, types.intp), _fetch(to_write=False)
+
+
+def _fetch(*, to_write: bool) -> Callable[..., Any]:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        address = element_address(context, builder, signature, args[0], args[1:])
+        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+        fetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+        near, data = word(3), word(1)
+        builder.call(fetch, [builder.bitcast(address, byte), word(int(to_write)), near, data])
+        return context.get_dummy_value()
+
+    return generate
