@@ -30,7 +30,7 @@ BODIES = 12  # to a side of the heap; 16 of the gas
 
 WORKER = """
 import json, sys, time
-from carom.physics.fingerprint import fingerprint
+from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 space = Space(Scene.from_dict(json.loads(sys.stdin.readline())), 1)

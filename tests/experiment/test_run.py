@@ -16,7 +16,7 @@ import carom
 from carom.experiment.expectation import judge
 from carom.experiment.resume import continuation
 from carom.experiment.run import simulate
-from carom.physics.moments import Moment, Moments
+from carom.physics.diagnostics.extremes import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from carom.experiment.expectation import judge
+from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyWatch
+from carom.physics.diagnostics.extremes import Moments
 from carom.physics.energy import Energy, EnergyAccount
 from carom.physics.event import Event
 from carom.physics.ledger import Ledger
-from carom.physics.moments import Moments
 from carom.physics.names import Names
 from carom.physics.space import Space
-from carom.physics.watch import MOST_WARNINGS, EnergyWatch
 from carom.scene.schema import Expect
 from examples import pair, random_bodies, scene_of
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.physics.pace import PaceWatch
+from carom.physics.diagnostics.pace import PaceWatch
 
 
 def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:

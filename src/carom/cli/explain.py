@@ -63,7 +63,7 @@ def explain(
 def _steps(cost: Cost, duration: float) -> str:
     """Say how many steps there will be, what sets them, and what would make them longer."""
     from carom.cli.units import duration_text
-    from carom.physics.pace import REMEDY
+    from carom.physics.diagnostics.pace import REMEDY
 
     seconds = cost.seconds / cost.steps
     if cost.looked_until >= duration:

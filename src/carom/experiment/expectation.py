@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.physics.moments import Moment, Moments
+from carom.physics.diagnostics.extremes import Moment, Moments
 from carom.scene.schema import Scene
 
 

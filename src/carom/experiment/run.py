@@ -17,9 +17,9 @@ from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import claimed_output
+from carom.physics.diagnostics.extremes import Moment, Moments
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.physics.moments import Moment, Moments
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.edit.continuation import Past

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carom.experiment.expectation import Verdict
 from carom.experiment.run import Outcome, Watcher, simulate
-from carom.physics.moments import Moment
+from carom.physics.diagnostics.extremes import Moment
 from carom.physics.space import Space
 from carom.scene.bundled import EXTREMES, extreme_scenes
 from carom.scene.error import SceneError

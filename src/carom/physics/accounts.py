@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.graph import CollisionGraph
+from carom.physics.diagnostics.energy_monitor import EnergyWatch, Suspects, WatchTally
+from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.ledger import Ledger
-from carom.physics.moments import Moments
-from carom.physics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.names import Names
-from carom.physics.watch import EnergyWatch, Suspects, WatchTally
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.memory import ContactMemory
+from carom.physics.diagnostics.energy_monitor import WatchTally
+from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.fingerprint import fingerprint_of
+from carom.physics.diagnostics.momentum import MomentumBaseline
+from carom.physics.diagnostics.pace import PaceTally
 from carom.physics.energy import Energy, EnergyBaseline
-from carom.physics.fingerprint import fingerprint_of
-from carom.physics.moments import Moments
-from carom.physics.momentum import MomentumBaseline
-from carom.physics.pace import PaceTally
-from carom.physics.watch import WatchTally
 
 FloatArray = NDArray[np.float64]
 

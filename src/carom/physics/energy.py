@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.ledger import Ledger
-from carom.physics.momentum import centre_velocity
 from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]

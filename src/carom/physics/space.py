@@ -15,21 +15,21 @@ from carom.physics.contact.bearing import NOTHING_BORNE
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.stage import ContactStage
+from carom.physics.diagnostics.activity import Phase
+from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.fingerprint import fingerprint
+from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
+from carom.physics.diagnostics.pace import PaceTally, PaceWatch
+from carom.physics.diagnostics.profile import Profile
 from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.physics.fingerprint import fingerprint
-from carom.physics.finite import refuse_infinities, refuse_lost_turns
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.gravity.method import gravity_of
 from carom.physics.integrator import add_field, drift, kick, wrap
 from carom.physics.ledger import Ledger
-from carom.physics.moments import Moments
 from carom.physics.names import Names
-from carom.physics.pace import PaceTally, PaceWatch
 from carom.physics.parallel.thread_team import Team, cores
-from carom.physics.phase import Phase
-from carom.physics.profile import Profile
 from carom.physics.pull_time import PullTime
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.bearing import NOTHING_BORNE
-from carom.physics.momentum import centre_velocity
+from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.pull_time import PullTime

@@ -26,10 +26,10 @@ from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import Stages, stages_of
 from carom.physics.contact.tally import NONE
 from carom.physics.contact.workbench import TOUCHING, Workbench
+from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
-from carom.physics.profile import Profile
 from carom.plan.features import Requirements
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.schema import Contact

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from carom.physics.diagnostics.profile import Profile
 from carom.physics.frame import Frame
-from carom.physics.profile import Profile
 from carom.recording.schema.checkpoint import CheckpointPlan
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.momentum import centre_velocity
+from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]

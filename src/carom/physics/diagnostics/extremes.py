@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from carom.physics.contact.tally import Tally
+from carom.physics.diagnostics.momentum import Momentum
 from carom.physics.energy import Energy
 from carom.physics.event import Event
-from carom.physics.momentum import Momentum
 from carom.physics.names import Names
 
 

@@ -1,0 +1,1 @@
+"""What a run says about itself: energy, momentum, extremes, activity, fingerprints, and where the time goes."""
