@@ -1,0 +1,96 @@
+"""Two recordings of schema 2 that every later version must read, replay with the same bits, and clip.
+
+`tray.rrd` has spins, friction, contacts at rest, planes and walls; `cloud.rrd` has gravity and impacts resolved at
+their own times. Never record them again for a change of the format. Where a change of the physics is meant to move
+bits, record them again with a version that writes schema 2, in this folder's `scenes`:
+
+    carom run tray.toml -o tray.rrd --threads 1 --set record.every=0.2 --set time.duration=0.8 --set group.0.count=12
+    carom run cloud.toml -o cloud.rrd --threads 1 --set contact.timing=time-of-impact --set record.every=0.1 \
+        --set time.duration=0.5 --set group.0.count=24
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carom.recording.read.recording import Recording
+from command import carom
+
+RECORDINGS = Path(__file__).parent / "recordings"
+NAMES = ("cloud", "tray")
+
+INSPECTED: dict[str, dict[str, Any]] = {
+    "cloud": {
+        "scene": {"title": "Golden: a cloud that presses itself together"},
+        "bodies": 24,
+        "frames": 6,
+        "steps": 163,
+        "sim_time": 0.5,
+        "outcome": "completed",
+    },
+    "tray": {
+        "scene": {"title": "Golden: spheres thrown into a tray"},
+        "bodies": 13,
+        "frames": 5,
+        "steps": 40,
+        "sim_time": 0.8,
+        "outcome": "completed",
+    },
+}
+CONTACTS = {
+    "cloud": {"total": 449, "max_overlap": 0.0012498816572560343, "impacts": 272, "impacts_counted": "each"},
+    "tray": {"total": 88, "max_overlap": 0.011761696365108952, "impacts": 61, "impacts_counted": "each"},
+}
+CLIPPED = {  # frames and steps between 0.15 and 0.45 s
+    "cloud": {"frames": 3, "first_step": 56, "last_step": 126, "replays_from": 56},
+    "tray": {"frames": 2, "first_step": 10, "last_step": 20, "replays_from": 0},
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with copies of the recordings."""
+    for name in NAMES:
+        shutil.copy(RECORDINGS / f"{name}.rrd", tmp_path)
+    return tmp_path
+
+
+def told(folder: Path, *arguments: str) -> dict[str, Any]:
+    """What a command that succeeds prints as JSON."""
+    done = carom(*arguments, "--json", cwd=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recording_of_schema_2_is_stored(name: str) -> None:
+    assert Recording.open(RECORDINGS / f"{name}.rrd").info["schema_version"] == 2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recording_of_schema_2_inspects_as_on_the_day_it_was_made(name: str, folder: Path) -> None:
+    inspected = told(folder, "inspect", f"{name}.rrd")
+    assert inspected.items() >= INSPECTED[name].items()
+    assert inspected["contacts"] == CONTACTS[name]
+    assert len(inspected["warnings"]) == 1 and inspected["warnings"][0]["kind"] == "limit"
+    assert inspected["moments"].keys() == {"contacts", "energy_error", "impact", "overlap"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
+    replayed = told(folder, "replay", f"{name}.rrd", "--threads", "2")
+    assert replayed["same"] and replayed["compared"] == INSPECTED[name]["frames"] and not replayed["not_compared"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_clip_of_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
+    clipped = told(folder, "clip", f"{name}.rrd", "--from", "0.15", "--to", "0.45", "-o", "clip.rrd")
+    assert clipped.items() >= CLIPPED[name].items()
+    replayed = told(folder, "replay", "clip.rrd")
+    assert replayed["same"] and replayed["compared"] == CLIPPED[name]["frames"]
