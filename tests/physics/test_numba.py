@@ -7,9 +7,12 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core import caching, config, event, serialize
+from llvmlite import ir
+from numba import types
+from numba.core import caching, callconv, cgutils, config, event, serialize
 from numba.core.compiler import CompileResult
 from numba.core.dispatcher import Dispatcher
+from numba.extending import intrinsic
 
 from carom.physics.parallel.jit import Compilations
 
@@ -116,6 +119,106 @@ def test_compilations_are_told_as_events() -> None:
 
 def test_the_address_of_compiled_code_can_be_asked(result: Any) -> None:
     assert result.library.get_pointer_to_function(result.fndesc.llvm_func_name) > 0
+
+
+def test_compiled_code_is_found_by_the_types_of_its_arguments(compiled: Any) -> None:
+    (found,) = compiled.overloads.values()
+    assert found.signature.args == (types.float64,)
+
+
+def test_a_kernel_that_only_kernels_call_needs_no_wrapper() -> None:
+    options: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True}
+    compile_as: Any = numba.njit  # whose stub does not know all options
+    inner = compile_as(no_cpython_wrapper=True, **options)(double)
+    inlined = compile_as(inline="always", **options)(double)
+
+    def call(x: float) -> Any:
+        return inner(x) / inlined(0.0)
+
+    assert compile_as(**options)(call)(1.0) == np.inf, "as NumPy divides by zero"
+    assert inner.targetoptions["no_cpython_wrapper"] is inner.targetoptions["no_cfunc_wrapper"] is True
+
+
+def test_the_type_of_a_literal_can_be_widened() -> None:
+    unliteral: Any = types.unliteral
+    assert unliteral(numba.typeof(1)) == unliteral(types.literal(1)) == types.int64  # type: ignore[no-untyped-call]
+
+
+@intrinsic
+def exchange(typing: Any, words: Any, word: Any, expected: Any, value: Any) -> Any:
+    """Take the address of an element and change it, as `parallel.intrinsics` and `parallel.atomics` do."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        view = context.make_array(words)(context, builder, args[0])
+        address: Any = cgutils.get_item_pointer(  # type: ignore[no-untyped-call]
+            context, builder, words, view, [args[1]]
+        )
+        builder.cmpxchg(address, args[2], args[3], "seq_cst")
+        builder.atomic_rmw("add", address, args[3], "seq_cst")
+        word = builder.load_atomic(address, "seq_cst", 8)
+        builder.store_atomic(builder.add(word, word), address, "seq_cst", 8)
+        members = [builder.ptrtoint(address, ir.IntType(64)), word]
+        return context.make_tuple(builder, signature.return_type, members)
+
+    pair: Any = types.UniTuple
+    return pair(types.int64, 2)(words, types.intp, types.int64, types.int64), generate
+
+
+def test_an_intrinsic_takes_the_address_of_an_element_and_changes_it_at_once() -> None:
+    change: Any = exchange  # Numba fills in its first argument
+
+    def call(words: Any) -> Any:
+        return change(words, 1, 7, 20)
+
+    words = np.array([3, 7, 5])
+    outer: Any = numba.njit(call)
+    assert outer(words) == (words.ctypes.data + words.itemsize, 40)
+    assert words.tolist() == [3, 80, 5]
+
+
+@intrinsic
+def call_by_address(typing: Any, address: Any, arguments: Any) -> Any:
+    """Call a kernel as `parallel.task` does, with the members of a tuple that is laid out in memory; pass on what it raises."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        untyped: Any = cgutils
+        layout = ir.LiteralStructType([context.get_value_type(arguments)])
+        place = untyped.alloca_once(builder, layout)
+        builder.store(args[1], untyped.gep_inbounds(builder, place, 0, 0))
+        members = untyped.unpack_tuple(builder, builder.load(untyped.gep_inbounds(builder, place, 0, 0)))
+        convention, kinds = context.call_conv, tuple(arguments)
+        kernel = builder.inttoptr(args[0], convention.get_function_type(types.none, kinds).as_pointer())
+        status, _ = convention.call_function(builder, kernel, types.none, kinds, members)
+        with builder.if_then(status.is_error):
+            code = builder.trunc(builder.sext(status.code, ir.IntType(64)), callconv.errcode_t)
+            info = builder.inttoptr(builder.ptrtoint(status.excinfoptr, ir.IntType(64)), callconv.excinfo_ptr_t)
+            convention.return_status_propagate(builder, convention._get_return_status(builder, code, info))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, arguments), generate
+
+
+def test_code_at_an_address_is_called_and_what_it_raises_is_passed_on() -> None:
+    def fill(places: Any, value: float) -> None:
+        if value < 0.0:
+            raise ValueError("negative", value)
+        places[0] = value
+
+    filling: Any = numba.njit(fill)
+    filling(np.zeros(1), 1.0)
+    (found,) = filling.overloads.values()
+    address = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+
+    call_it: Any = call_by_address  # Numba fills in its first argument
+
+    def call(address: int, arguments: Any) -> None:
+        call_it(address, arguments)
+
+    outer, places = numba.njit(call), np.zeros(1)
+    outer(address, (places, 3.0))
+    assert places[0] == 3.0
+    with pytest.raises(ValueError, match=r"negative.*-2\.0"):
+        outer(address, (places, -2.0))
 
 
 def test_the_folder_that_the_environment_names_is_in_the_configuration() -> None:

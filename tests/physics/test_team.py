@@ -1,7 +1,9 @@
-"""Threads share out the contacts of a step, and nobody can tell from the result how many there were."""
+"""Threads share the work of a step: same bits for any number of them, and an exception of one reaches the caller."""
 
 from __future__ import annotations
 
+import threading
+import time
 from typing import Any
 
 import numba
@@ -13,7 +15,8 @@ from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.contact.broad_phase.search import PlaneSearch
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.workbench import SHARED_FROM
-from carom.physics.parallel.thread_team import Team, sharing_all
+from carom.physics.parallel.atomics import atomic_load, atomic_store
+from carom.physics.parallel.thread_team import END, Team, claim, dismiss, finish, is_over, post, sharing_all, wait
 from carom.physics.space import Space
 from carom.scene.halfspace import HalfSpaces
 from examples import bench_of, random_bodies, scene_of
@@ -128,6 +131,88 @@ def test_a_kernel_is_divided_among_arguments_of_any_type() -> None:
             for step in (2, 2.0):
                 team.divide(len(visits), 10, visit, visits, step)
             assert np.all(visits == 4)
+
+
+PATIENT = 10**10  # looks at a flag, several seconds, before a kernel of a test goes on without it
+
+
+@numba.njit(nogil=True)
+def raise_at_the_end(lo: int, hi: int, visits: NDArray[Any], flags: NDArray[Any]) -> None:
+    """Raise in the last piece, which a helper takes: the leader is kept in the first one until then."""
+    for i in range(lo, hi):
+        visits[i] += 1
+    if hi == len(visits):
+        atomic_store(flags, 0, 1)
+        raise ValueError("in element", hi - 1)
+    looks = 0
+    while lo == 0 and atomic_load(flags, 0) == 0 and looks < PATIENT:
+        looks += 1
+
+
+def test_an_exception_in_a_piece_that_a_helper_does_reaches_the_caller() -> None:
+    team = Team(2)
+    for _ in range(3):
+        visits, flags = np.zeros(1000, dtype=np.int64), np.zeros(1, dtype=np.int64)
+        with pytest.raises(ValueError) as raised:
+            team.divide(len(visits), 10, raise_at_the_end, visits, flags)
+        assert raised.value.args == ("in element", 999)
+        assert np.all(visits == 1), "the other pieces are done"
+    again = np.zeros(1000)
+    team.divide(len(again), 10, visit, again, 1.0)
+    assert np.all(again == 1.0), "the team goes on"
+
+
+@numba.njit(nogil=True)
+def wait_for_flag(lo: int, hi: int, flags: NDArray[Any]) -> None:
+    atomic_store(flags, 0, 1)
+    looks = 0
+    while atomic_load(flags, 1) == 0 and looks < PATIENT:
+        looks += 1
+
+
+def test_a_second_thread_that_leads_a_team_is_refused_while_the_first_one_does() -> None:
+    team, flags, visits = Team(2), np.zeros(2, dtype=np.int64), np.zeros(1000)
+    first = threading.Thread(target=team.divide, args=(1000, 10, wait_for_flag, flags))
+    first.start()
+    while flags[0] == 0:
+        time.sleep(0.001)
+    try:
+        with pytest.raises(RuntimeError, match="two threads use one team at once"):
+            team.divide(len(visits), 10, visit, visits, 1.0)
+        with pytest.raises(RuntimeError, match="two threads use one team at once"), team.gathered(share, False, 0):
+            pass
+    finally:
+        flags[1] = 1
+        first.join()
+    team.divide(len(visits), 10, visit, visits, 1.0)
+    assert np.all(visits == 1.0)
+
+
+@numba.njit(nogil=True)
+def share(board: NDArray[Any], leads: bool, fault: int) -> int:
+    """Lead a phase of two pieces, which the helpers do, or be a helper; the leader fails at -1, a helper at 1."""
+    if leads:
+        post(board, 2)
+        if fault < 0:
+            raise ValueError("of the leader")
+        wait(board, 2)
+        dismiss(board)
+    else:
+        while not is_over(board):
+            if claim(board):
+                if fault > 0:
+                    raise ValueError("of a helper")
+                finish(board)
+    return END
+
+
+def test_an_exception_of_a_helper_that_was_called_reaches_the_leader_who_waits_for_it() -> None:
+    team = Team(2)
+    for fault, who in ((1, "of a helper"), (-1, "of the leader")):
+        with pytest.raises(ValueError, match=who), team.gathered(share, False, fault) as board:
+            share(board, True, fault)
+        with team.gathered(share, False, 0) as board:  # its helper has been dismissed, and helps again
+            share(board, True, 0)
 
 
 def test_work_is_shared_where_it_would_not_be_worth_it_if_all_is_to_be() -> None:

@@ -289,8 +289,10 @@ class Workbench:
         """Do a job, with the team if it is worth it; return the number of sweeps."""
         edges, independent, load = self.stages.edges, self.stages.independent, self._load
         shared = len(load.pairs) >= SHARED_FROM
-        board = self._team.gather(work, HELP, edges, independent, load, 0) if shared else ALONE
-        return work(board, job, edges, independent, load, most_sweeps)
+        if not shared:
+            return work(ALONE, job, edges, independent, load, most_sweeps)
+        with self._team.gathered(work, HELP, edges, independent, load, 0) as board:
+            return work(board, job, edges, independent, load, most_sweeps)
 
 
 @long_kernel

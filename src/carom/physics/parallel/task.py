@@ -14,12 +14,13 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
+from numba.core import callconv, cgutils
 
 from carom.physics.parallel.intrinsics import instruction
 
 WORD = ir.IntType(64)
 PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does, of the job at an address, a piece of some number
+FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job: error code and its exception, if a piece failed
 
 
 def address_of(kernel: Callable[..., None], kind: int) -> int:
@@ -47,7 +48,7 @@ def kind_of(typing: Any, arguments: Any) -> Any:
 
 @instruction
 def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -> Any:
-    """Lay a job out, which is there until the caller returns: the parts, so many, of [0, count) that a kernel does.
+    """Lay out a job, valid until the caller returns: a kernel to be called on [0, count), cut into pieces.
 
     Returns
     -------
@@ -57,10 +58,10 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
     kinds = (types.int64, types.int64, *arguments)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        layout = ir.LiteralStructType([WORD, WORD, WORD, context.get_value_type(arguments)])
+        layout = ir.LiteralStructType([WORD] * ARGUMENTS + [context.get_value_type(arguments)])
         job = cgutils.alloca_once(builder, layout)  # type: ignore[no-untyped-call]
-        for k, value in enumerate(args):
-            builder.store(value, cgutils.gep_inbounds(builder, job, 0, k))  # type: ignore[no-untyped-call]
+        for k, value in enumerate((WORD(0), WORD(0), *args)):
+            builder.store(value, _member(builder, job, k))
         doer = _doer(context, builder.module, layout, kinds)
         addresses = [builder.ptrtoint(pointer, WORD) for pointer in (doer, job)]
         return context.make_tuple(builder, signature.return_type, addresses)
@@ -70,23 +71,51 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
 
 
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
-    """Write the function that calls the kernel of a job with lo and hi of a piece, and with its arguments."""
+    """Write the function that calls the kernel of a job with lo and hi of a piece, and with its arguments.
+
+    It notes in the job the first exception that the kernel raises, for `raise_fault`.
+    """
     doer = ir.Function(module, PIECE, module.get_unique_name("do_a_piece"))
     doer.linkage = "internal"
     builder = ir.IRBuilder(doer.append_basic_block())
     job = builder.inttoptr(doer.args[0], layout.as_pointer())
     kernel, count, pieces, arguments = (
-        builder.load(cgutils.gep_inbounds(builder, job, 0, k))  # type: ignore[no-untyped-call]
-        for k in range(4)
+        builder.load(_member(builder, job, k)) for k in (KERNEL, COUNT, PIECES, ARGUMENTS)
     )
     edges = [builder.add(doer.args[1], WORD(k)) for k in (0, 1)]
     edges = [builder.sdiv(builder.mul(count, edge), pieces) for edge in edges]
     convention = context.call_conv
     callee = builder.inttoptr(kernel, convention.get_function_type(types.none, kinds).as_pointer())
     members = cgutils.unpack_tuple(builder, arguments)  # type: ignore[no-untyped-call]
-    convention.call_function(builder, callee, types.none, kinds, [*edges, *members])
+    status, _ = convention.call_function(builder, callee, types.none, kinds, [*edges, *members])
+    with builder.if_then(status.is_error, likely=False):
+        code = builder.sext(status.code, WORD)
+        noted = builder.cmpxchg(_member(builder, job, FAULT), WORD(0), code, "seq_cst")
+        with builder.if_then(builder.extract_value(noted, 1)):
+            builder.store(builder.ptrtoint(status.excinfoptr, WORD), _member(builder, job, INFO))
     builder.ret_void()
     return doer
+
+
+def _member(builder: Any, job: Any, k: int) -> Any:
+    return cgutils.gep_inbounds(builder, job, 0, k)  # type: ignore[no-untyped-call]
+
+
+@instruction
+def raise_fault(typing: Any, job: Any) -> Any:
+    """Raise the exception that a piece of a job raised, if one did; all pieces must be done."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = builder.inttoptr(args[0], WORD.as_pointer())
+        code, info = (builder.load_atomic(builder.gep(words, [WORD(k)]), "seq_cst", 8) for k in (FAULT, INFO))
+        convention = context.call_conv
+        with builder.if_then(builder.icmp_signed("!=", code, WORD(0)), likely=False):
+            info = builder.inttoptr(info, callconv.excinfo_ptr_t)
+            status = convention._get_return_status(builder, builder.trunc(code, callconv.errcode_t), info)
+            convention.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return types.void(types.int64), generate
 
 
 @instruction

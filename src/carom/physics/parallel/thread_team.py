@@ -29,11 +29,12 @@ from numpy.typing import NDArray
 
 from carom.physics.parallel.atomics import atomic_add, atomic_load, atomic_store
 from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.task import address_of, c_function, call, do, kind_of, lay_out
+from carom.physics.parallel.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
 
 IntArray = NDArray[np.int64]
 
 LEFT, BACK, DONE, OVER, CALLS, DOER = 0, 8, 16, 24, 32, 40  # words of the board, each in a cache line of its own
+FAILED = OVER + 1  # whether a helper has
 JOB = DOER + 1  # only the leader writes to either
 WORDS = 48
 PATIENCE = 5000  # looks at the board, some 20 µs, before a helper without work gives its core away
@@ -46,7 +47,7 @@ NAP = 50e-6  # s, for how long
 
 
 class Team:
-    """Helpers for kernels that share their work.
+    """Helpers for kernels that share their work. One thread at a time may lead them.
 
     Parameters
     ----------
@@ -64,10 +65,14 @@ class Team:
         self._awake = [True] + [False] * (threads - 1)
         self._answered = [0] * threads  # the last call that each has heard
         self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
-        self._call: Callable[[], None] | None = None
+        self._call: _Call | None = None
+        self._leading = threading.Lock()
 
-    def gather(self, help_out: Callable[..., int], *work: Any) -> IntArray:
-        """Let helpers begin on a board of their own, and return it; it is empty if there are none.
+    @contextmanager
+    def gathered(self, help_out: Callable[..., int], *work: Any) -> Iterator[IntArray]:
+        """Let helpers begin on a board of their own, and hand it out; it is empty if there are none.
+
+        The leader dismisses them, or an exception does. One that a helper raises is raised here.
 
         Parameters
         ----------
@@ -75,12 +80,19 @@ class Team:
             Kernel called with the board and ``work`` until it returns `END`; after `REST` not at once.
         """
         if self._pool is None:
-            return ALONE
-        board = np.zeros(WORDS, dtype=np.int64)
-        self._call = lambda: _help(help_out, board, *work)
-        self._board[CALLS] += 1
-        self._rouse()
-        return board
+            yield ALONE
+            return
+        self._lead_alone()
+        try:
+            call = self._call = _Call(help_out, work)
+            self._board[CALLS] += 1
+            self._rouse()
+            try:
+                yield call.board
+            finally:
+                call.end()
+        finally:
+            self._leading.release()
 
     def divide(self, count: int, grain: int, work: Callable[..., None], *arguments: Any) -> None:
         """Call a kernel, whose first arguments are lo and hi, on parts that make up [0, count).
@@ -90,20 +102,32 @@ class Team:
         grain
             So many take some 10 µs: fewer are not worth a part of their own.
         work
-            Raises nothing, and lets go of the interpreter.
+            Lets go of the interpreter. An exception that it raises on any part is raised here when all are done.
         """
         if self._pool is None or count < self.least * grain:  # asked first: of a few bodies all of it is calls
             work(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
-            self._rouse()
-            code, kind = self._code.get(work, (0, 0))
-            kind = _lead(self._board, code, kind, count, pieces, arguments)
-            if kind != SHARED:
-                work(0, 0, *arguments)
-                code = address_of(work, kind)
-                self._code[work] = code, kind
-                _lead(self._board, code, kind, count, pieces, arguments)
+            self._lead_alone()
+            try:
+                self._share(work, count, pieces, arguments)
+            finally:
+                self._leading.release()
+
+    def _share(self, work: Callable[..., None], count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
+        self._rouse()
+        code, kind = self._code.get(work, (0, 0))
+        kind = _lead(self._board, code, kind, count, pieces, arguments)
+        if kind != SHARED:
+            work(0, 0, *arguments)
+            code = address_of(work, kind)
+            self._code[work] = code, kind
+            _lead(self._board, code, kind, count, pieces, arguments)
+
+    def _lead_alone(self) -> None:
+        """Become the leader. RuntimeError while another thread is: the two would share one board."""
+        if not self._leading.acquire(blocking=False):
+            raise RuntimeError("two threads use one team at once: a Space may be used by one thread at a time")
 
     def _rouse(self) -> None:
         """Wake the helpers that are asleep."""
@@ -120,7 +144,7 @@ class Team:
             if _look(self._board, self._answered[who], OFFER):
                 self._answered[who] = int(self._board[CALLS])
                 if self._call:
-                    self._call()
+                    self._call.help()
             else:
                 with self._falling_asleep:
                     self._awake[who] = self._is_wanted(who)
@@ -135,12 +159,31 @@ ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without h
 SOLO = Team(1)
 
 
-def _help(help_out: Callable[..., int], *work: Any) -> None:
-    while (then := help_out(*work)) != END:
-        if then == REST:
-            time.sleep(NAP)
-        else:
-            _offer_core()
+class _Call:
+    """What helpers of a team are called to, on a board of its own."""
+
+    def __init__(self, help_out: Callable[..., int], work: tuple[Any, ...]) -> None:
+        self.board: IntArray = np.zeros(WORDS, dtype=np.int64)
+        self._help_out, self._work = help_out, work
+        self._fault: BaseException | None = None
+
+    def help(self) -> None:
+        """Help until dismissed. An exception is kept for the leader, who would wait for the piece for ever."""
+        try:
+            while (then := self._help_out(self.board, *self._work)) != END:
+                if then == REST:
+                    time.sleep(NAP)
+                else:
+                    _offer_core()
+        except BaseException as fault:
+            self._fault = fault
+            _fail(self.board)
+
+    def end(self) -> None:
+        """Dismiss the helpers, and raise what one of them raised."""
+        dismiss(self.board)
+        if self._fault is not None:
+            raise self._fault from None
 
 
 def _offer_core() -> None:
@@ -189,9 +232,15 @@ def finish(board: IntArray) -> None:
 
 @kernel
 def wait(board: IntArray, pieces: int) -> None:
-    """Wait until all pieces of the phase are done."""
+    """Wait until all pieces of the phase are done. RuntimeError if a helper failed and will not finish its piece."""
     while atomic_load(board, DONE) < pieces:
-        pass
+        if atomic_load(board, FAILED) != 0:
+            raise RuntimeError("a helper failed")
+
+
+@kernel
+def _fail(board: IntArray) -> None:
+    atomic_store(board, FAILED, 1)
 
 
 @long_kernel
@@ -202,6 +251,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
         return needed
     board[DOER], board[JOB] = lay_out(code, count, pieces, arguments)
     _take_part(board, pieces)
+    raise_fault(board[JOB])
     return SHARED
 
 
