@@ -59,7 +59,7 @@ def lattice(side: int, spacing: float, height: float) -> list[dict[str, Any]]:
 
 def scenes() -> dict[str, dict[str, Any]]:
     gas, heap = 16, BODIES
-    common = {"time": {"duration": 1e6, "fixed_dt": 0.02}, "record": {"every": 1e6, "log_freq": 10**6}}
+    common = {"time": {"duration": 1e6, "fixed_dt": 0.02}, "record": {"every": 1e6, "check_every": 10**6}}
     smooth = {"static_friction": 0.0}
     return {
         "gas": {

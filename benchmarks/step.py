@@ -56,7 +56,7 @@ def in_carom(n: int, walls: bool, friction: float, threads: int) -> Space:
         "contact": {"restitution": 1.0, "static_friction": friction, "kinetic_friction": friction, **LATE},
         "domain": {"boundary": "walls", "size": [side] * 3} if walls else {},
         "time": {"duration": 1e6, "fixed_dt": DT},
-        "record": {"every": 1e6, "log_freq": 10**6},
+        "record": {"every": 1e6, "check_every": 10**6},
     }
     return Space(Scene.from_dict(scene), threads)
 
@@ -192,7 +192,7 @@ def in_open_space(n: int, threads: int, constant: float) -> Space:
         "gravity": {"constant": constant},
         "contact": {"restitution": 1.0, "static_friction": 0.5, "kinetic_friction": 0.5, **LATE},
         "time": {"duration": 1e6, "fixed_dt": DT},
-        "record": {"every": 1e6, "log_freq": 10**6},
+        "record": {"every": 1e6, "check_every": 10**6},
     }
     space = Space(Scene.from_dict(scene), threads, start)
     for _ in range(5):

@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 def scene_of(bodies: list[dict[str, Any]], **sections: Any) -> Scene:
     """Build a scene of explicit bodies in which every step is recorded and checked, unless told otherwise."""
-    sections.setdefault("record", {"every": "step", "log_freq": 1})
+    sections.setdefault("record", {"every": "step", "check_every": 1})
     return Scene.from_dict({"body": bodies, **sections})
 
 
@@ -39,7 +39,7 @@ def cloud(count: int = 40, **sections: Any) -> Scene:
         "seed": 4,
         "time": {"duration": 3.0, "max_dt": 0.02, "cfl": 0.1},
         "gravity": {"constant": 1.0},
-        "record": {"every": "step", "log_freq": 1},
+        "record": {"every": "step", "check_every": 1},
         "group": [
             {
                 "count": count,

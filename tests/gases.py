@@ -56,7 +56,7 @@ def gas(cells: int, packing: float, seed: int, spin_temperature: float = 0.0, **
             {
                 "gravity": {"constant": 0.0},
                 "domain": {"boundary": "periodic", "size": [size] * 3},
-                "record": {"log_freq": 1_000_000},
+                "record": {"check_every": 1_000_000},
                 "body": [
                     {"radius": DIAMETER / 2, "mass": MASS, "position": x, "velocity": v, "angular_velocity": w}
                     for x, v, w in zip(position.tolist(), velocity.tolist(), spin.tolist(), strict=True)

@@ -136,7 +136,9 @@ def document(rng: random.Random) -> Document:
         "time": some(time_keys, 0.3),
         "gravity": some(gravity),
         "contact": some(contact, 0.3),
-        "record": some({"log_freq": lambda: rng.choice((1, 10)), "every": lambda: rng.choice(("step", number()))}, 0.2),
+        "record": some(
+            {"check_every": lambda: rng.choice((1, 10)), "every": lambda: rng.choice(("step", number()))}, 0.2
+        ),
     }
     boundary = rng.choice(("open", "open", "periodic", "periodic", "walls"))
     if boundary != "open":

@@ -47,7 +47,7 @@ def pour(count: int, width: float, friction: float, settling: float, until: floa
                     "sweeps": sweeps,
                 },
                 "domain": {"boundary": "walls", "size": size},
-                "record": {"log_freq": 1_000_000},
+                "record": {"check_every": 1_000_000},
                 "group": [
                     {"count": count, "radius": DIAMETER / 2, "mass": 1.0, "region": {"shape": "box", "size": size}}
                 ],

@@ -97,7 +97,7 @@ def documents(
             "sweeps": draw(choices(1, 8, 40)),
             "allow_overlap": overlapping,
         },
-        "record": {"every": "step", "log_freq": 1},
+        "record": {"every": "step", "check_every": 1},
     }
     if pulls:
         # Bodies that overlap without softening pull each other without bound: there the model ends (physics.md, 16).
@@ -229,7 +229,7 @@ def smooth_documents(draw: DrawFn, *, steps: int, integrators: tuple[str, ...]) 
             "uniform": _list(draw(vectors) * (L * rate * rate)),
         },
         "contact": {"enabled": False},
-        "record": {"every": "step", "log_freq": 1},
+        "record": {"every": "step", "check_every": 1},
     }
 
 
@@ -278,7 +278,7 @@ def impact_documents(draw: DrawFn) -> Document:
             "timing": draw(_timings("leapfrog")),
             "colouring": draw(choices("contacts", "bodies")),
         },
-        "record": {"every": "step", "log_freq": 1},
+        "record": {"every": "step", "check_every": 1},
     }
 
 

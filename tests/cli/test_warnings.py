@@ -16,7 +16,7 @@ from command import carom
 THROWN_APART = """
 time = { duration = 0.1, fixed_dt = 0.01 }
 gravity = { constant = 0.0 }
-record = { log_freq = 1 }
+record = { check_every = 1 }
 contact = { stabilisation = "baumgarte", allow_overlap = true, timing = "end-of-step" }
 
 [[body]]

@@ -15,7 +15,7 @@ from examples import scene_of
 
 G = 9.81  # m/s²
 FALLING = {"uniform": [0.0, 0.0, -G]}
-SPARSE = {"every": 1.0, "log_freq": 50}
+SPARSE = {"every": 1.0, "check_every": 50}
 
 
 def column(masses: list[float], gap: float = 0.0, **sections: Any) -> Scene:

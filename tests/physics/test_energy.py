@@ -20,7 +20,7 @@ from carom.physics.space import Space
 from carom.scene.schema import Expect
 from examples import pair, random_bodies, scene_of
 
-SPARSE = {"every": 1e9, "log_freq": 1_000_000}  # one frame at the start, one at the end
+SPARSE = {"every": 1e9, "check_every": 1_000_000}  # one frame at the start, one at the end
 
 
 def binary(eccentricity: float, **sections: Any) -> Space:

@@ -22,7 +22,7 @@ FloatArray = NDArray[np.float64]
 G = 9.81  # m/s²
 FALLING = {"constant": 0.0, "uniform": [0.0, 0.0, -G]}
 TOUCHING = [{"position": [-1, 0, 0], "mass": 1.0}, {"position": [1, 0, 0], "mass": 1.0}]
-SPARSE = {"every": 10.0, "log_freq": 100}
+SPARSE = {"every": 10.0, "check_every": 100}
 
 
 def end_of(scene: Scene) -> Space:
@@ -56,7 +56,7 @@ def test_a_stack_of_twenty_stands(restitution: float) -> None:
         gravity=FALLING,
         contact={"restitution": restitution},
         time={"duration": 30.0, "max_dt": 0.01},
-        record={"every": 1.0, "log_freq": 10},
+        record={"every": 1.0, "check_every": 10},
     )
     space = Space(scene)
     for frame in space.run():
@@ -77,7 +77,7 @@ def test_the_same_stack_does_not_stand_on_stages_alone() -> None:
         gravity=FALLING,
         contact={"solver": "staged"},
         time={"duration": 30.0, "max_dt": 0.01},
-        record={"every": 1.0, "log_freq": 10},
+        record={"every": 1.0, "check_every": 10},
     )
     space = end_of(scene)
     assert space.moments.overlap is not None and space.moments.overlap.value > 0.1
@@ -220,7 +220,7 @@ def test_a_pile_that_lasts_keeps_momentum_and_comes_to_rest(seed: int, mu: float
         count=20,
         time={"duration": 30.0, "max_dt": 0.02},
         contact={"restitution": 0.2, "static_friction": mu, "kinetic_friction": mu},
-        record={"every": 1.0, "log_freq": 10},
+        record={"every": 1.0, "check_every": 10},
     )
     space = end_of(scene)
     assert space.moments.momentum_error is not None and space.moments.momentum_error.value <= 1e-12

@@ -178,7 +178,7 @@ def test_an_intrinsic_takes_the_address_of_an_element_and_changes_it_at_once() -
 
 @intrinsic
 def call_by_address(typing: Any, address: Any, arguments: Any) -> Any:
-    """Call a kernel as `parallel.task` does, with the members of a tuple that is laid out in memory; pass on what it raises."""
+    """Call a kernel as `parallel.task` does, with the members of a tuple in memory; pass on what it raises."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         untyped: Any = cgutils

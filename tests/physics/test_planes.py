@@ -138,7 +138,7 @@ def walled_gas(count: int, **contact: Any) -> Scene:
             "gravity": WEIGHTLESS,
             "contact": contact,
             "domain": {"boundary": "walls", "size": [6.0, 7.0, 8.0]},
-            "record": {"every": 1.0, "log_freq": 10},
+            "record": {"every": 1.0, "check_every": 10},
             "group": [
                 {
                     "count": count,

@@ -143,7 +143,7 @@ def gas(duration: float, count: int = 300, **contact: Any) -> Scene:
             "gravity": {"constant": 0.0},
             "contact": {"restitution": 1.0, "static_friction": 0.0, **contact},
             "domain": {"boundary": "periodic", "size": [9.0, 9.0, 9.0]},
-            "record": {"every": 0.1, "log_freq": 10},
+            "record": {"every": 0.1, "check_every": 10},
             "group": [
                 {
                     "count": count,
@@ -205,8 +205,8 @@ def test_a_run_repeats_bit_for_bit() -> None:
 
 
 def test_recording_more_or_less_often_changes_no_bit() -> None:
-    sparse = Space(cloud(record={"every": 1.0, "log_freq": 1000}))
-    dense = Space(cloud(record={"every": "step", "log_freq": 1}))
+    sparse = Space(cloud(record={"every": 1.0, "check_every": 1000}))
+    dense = Space(cloud(record={"every": "step", "check_every": 1}))
     last(sparse), last(dense)
     assert sparse.fingerprint() == dense.fingerprint()
 
@@ -453,7 +453,7 @@ def test_the_profile_accounts_for_every_part_of_the_step() -> None:
 
 
 def test_every_status_that_another_thread_reads_is_that_of_a_finished_step() -> None:
-    scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"log_freq": 7, "every": 0.1})
+    scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"check_every": 7, "every": 0.1})
     alone = Space(scene)
     published = {alone.status}
 

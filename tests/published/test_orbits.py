@@ -119,7 +119,7 @@ def test_the_pythagorean_three_bodies_meet_as_closely_as_szebehely_and_peters_fo
                 "smoothing": 1.0,
                 "integrator": "yoshida4",
             },
-            record={"log_freq": 1_000_000},
+            record={"check_every": 1_000_000},
         )
     )
     assert space.energy().total == pytest.approx(-12.8166667, abs=5e-8)

@@ -6,7 +6,8 @@ Commands import what they need when they run, so that `carom --help` does not wa
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+import warnings
+from typing import Annotated, Any
 
 import typer
 
@@ -79,6 +80,23 @@ app.command("repair", cls=Command)(repair.repair)
 app.command("warmup", cls=Command)(warmup.warmup)
 
 
+def _say_old_names_once() -> None:
+    """Let a warning of an old name in a scene be one line, once; other warnings look as Python shows them."""
+    show, said = warnings.showwarning, set[str]()
+
+    def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        from carom.cli.text import say
+        from carom.scene.renamed import OldNameWarning
+
+        if not issubclass(category, OldNameWarning):
+            show(message, category, *place, **more)
+        elif str(message) not in said:
+            said.add(str(message))
+            say(f"carom: {message}", err=True)
+
+    warnings.showwarning = say_once
+
+
 def main() -> None:
     """Run the command.
 
@@ -86,6 +104,7 @@ def main() -> None:
     traceback.
     """
     keep_freed_memory()
+    _say_old_names_once()
     try:
         app()
     except OSError as error:

@@ -26,8 +26,9 @@ def run(
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: recordings/SCENE.rrd.")
     ] = None,
     overrides: SetOption = None,
-    log_freq: Annotated[
-        int | None, typer.Option("--log-freq", metavar="N", help="Steps between energy checks.", min=1)
+    check_every: Annotated[
+        int | None,
+        typer.Option("--check-every", "--log-freq", metavar="N", help="Steps between energy checks.", min=1),
     ] = None,
     live: LiveOption = False,
     threads: ThreadsOption = None,
@@ -38,8 +39,8 @@ def run(
     from carom.scene.schema import Scene
 
     changes = list(overrides or [])
-    if log_freq is not None:
-        changes.append(f"record.log_freq={log_freq}")
+    if check_every is not None:
+        changes.append(f"record.check_every={check_every}")
     loaded = Scene.load(scene, changes)
     path = output or _default_path(scene)
 

@@ -162,7 +162,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     for mark, spent in space.profile.seconds().items():
         part, otherwise = MARKS[mark]
         seconds[part if part in modelled else otherwise] += spent / space.step
-    checks = 1.0 / space.scene.record.log_freq
+    checks = 1.0 / space.scene.record.check_every
     if needs.potential.modelled:
         more = _more_for_the_potential(space)
         seconds["potential"] = more * min(1.0, checks + frames / steps)

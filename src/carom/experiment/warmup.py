@@ -24,7 +24,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
         "contact": {"allow_overlap": True, "sweeps": 1},
         "time": {"duration": 0.2, "max_dt": 0.02},
-        "record": {"every": "step", "log_freq": 2},
+        "record": {"every": "step", "check_every": 2},
     },
     "points that pull each other": {
         "body": _PAIR,

@@ -162,14 +162,14 @@ class Space:
         Parameters
         ----------
         iteration
-            Number of the step; every ``record.log_freq``-th checks the energy.
+            Number of the step; every ``record.check_every``-th checks the energy.
 
         Raises
         ------
         PhysicsError
             If the state is no longer finite.
         """
-        self._advance(np.inf, checked=iteration % self.scene.record.log_freq == 0, schedule=at(()))
+        self._advance(np.inf, checked=iteration % self.scene.record.check_every == 0, schedule=at(()))
 
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
@@ -257,7 +257,7 @@ class Space:
         yield self.frame(store)
         shown = self.step
         while self.time < end and not self._stopping:
-            checked = (self.step + 1) % self.scene.record.log_freq == 0
+            checked = (self.step + 1) % self.scene.record.check_every == 0
             if self._advance(end, checked, schedule):
                 yield self.frame(store)
                 shown = self.step
@@ -389,7 +389,7 @@ class Space:
             self._phase.see(0, 0.0)
         if checked:
             self._take_stock(potential, checked)
-        if self._pace and self.step % self.scene.record.log_freq == 0:
+        if self._pace and self.step % self.scene.record.check_every == 0:
             crawls = self._pace.look(self.step, self.time, *self._timestep.target(state, self._borne()))
             if crawls:
                 self._log(crawls)

@@ -210,11 +210,11 @@ def _tree(scene: Scene) -> Part:
 def _potential(scene: Scene, gravity: Part) -> Part:
     if not gravity.modelled:
         return Part("potential", False, "nothing pulls")
-    return Part("potential", True, f"every {scene.record.log_freq} steps and at frames")
+    return Part("potential", True, f"every {scene.record.check_every} steps and at frames")
 
 
 def _energy(scene: Scene) -> Part:
-    return Part("energy", True, f"every {scene.record.log_freq} steps and at frames; the ledger")
+    return Part("energy", True, f"every {scene.record.check_every} steps and at frames; the ledger")
 
 
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:

@@ -7,6 +7,7 @@ import difflib
 import itertools
 import re
 import tomllib
+import warnings
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from carom.scene.error import SceneError
 from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
+from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, other_name
 from carom.scene.schema import ABOUT_THE_END, Scene, Time
 from carom.scene.toml_text import toml_text
 
@@ -50,7 +52,21 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
         Naming file, line and key.
     """
     path = _find(source)
-    return scene_from_text(_read(path), str(path), overrides)
+    text = _read(path)
+    scene = scene_from_text(text, str(path), overrides)
+    _warn_of_old_names(text, str(path), overrides)
+    return scene
+
+
+def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
+    """Give an `OldNameWarning` for each key that has a new name, in the file and in the overrides."""
+    places = _Places(source, text, {})
+    if any(str(old[-1]) in text for old in RENAMED):
+        for old in old_names(_parse(text, source)):
+            warnings.warn(f"{places.of(old)}{advice(old)}", OldNameWarning, stacklevel=4)
+    for override in overrides:
+        if (key := _keys(override)) in RENAMED:
+            warnings.warn(f"--set {override}: {advice(key)}", OldNameWarning, stacklevel=4)
 
 
 def scene_from_text(text: str, source: str, overrides: list[str] | None = None) -> Scene:
@@ -76,7 +92,13 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
     if not overrides:
         return _validate(data, text, _Places(source, text, {}))
     document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
-    overridden = {_apply_override(document, override): override for override in overrides}
+    overridden: dict[KeyPath, str] = {}
+    for override in overrides:
+        path = _apply_override(document, override)
+        other = other_name(path)
+        if other in overridden:
+            raise SceneError(f"--set {overridden[other]} and --set {override}: two names of one key; give one of them")
+        overridden[path] = override
     _keep_promised_duration(document, data, overridden)
     effective = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
     return _validate(_parse(effective, source), effective, _Places(source, text, overridden))
@@ -179,7 +201,7 @@ def _what_to_do_with(recording: Path) -> str:
 def _apply_override(document: Any, override: str) -> KeyPath:
     """Set one key of the document, keeping its comments; return the path that was set."""
     dotted, separator, text = override.partition("=")
-    keys = tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.strip().split("."))
+    keys = _keys(override)
     if not separator or not all(key != "" for key in keys):
         raise SceneError(f"--set {override}: expected key=value, such as contact.restitution=0.8")
     if len(keys) > DEEPEST:
@@ -199,9 +221,17 @@ def _apply_override(document: Any, override: str) -> KeyPath:
             raise SceneError(f"--set {override}: {where} is a value, not a section")
     try:
         node[keys[-1]] = _parse_value(text.strip())
+        if other := other_name(keys):
+            node.pop(other[-1], None)
     except (KeyError, IndexError, TypeError, ValueError):
         raise SceneError(f"--set {override}: there is no {dotted.strip()} in the scene") from None
     return keys
+
+
+def _keys(override: str) -> KeyPath:
+    """Return the path of the key that an override sets."""
+    dotted = override.partition("=")[0].strip()
+    return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
 
 
 def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:

@@ -7,11 +7,13 @@ group; unknown keys are refused.
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -218,10 +220,27 @@ class Record(Section):
     every: Literal["auto", "step"] | Positive = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
     )
-    log_freq: Count = Field(100, description="steps between energy checks, besides those of frames; 1 or more")
+    check_every: Count = Field(
+        100,
+        validation_alias=AliasChoices("check_every", "log_freq"),
+        description="steps between energy checks, besides those of frames; 1 or more",
+    )
     energy_tolerance: Positive = Field(
         1e-3, description="rise of the energy, over the energy scale, that logs a warning"
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_one_name_of_each_key(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "log_freq" in given and "check_every" in given:
+            raise ValueError("log_freq is the old name of check_every: give one of the two")
+        return given
+
+    @property
+    def log_freq(self) -> int:
+        """The old name of ``check_every``."""
+        warnings.warn("Record.log_freq is now called check_every", DeprecationWarning, stacklevel=2)
+        return self.check_every
 
 
 def _constant_as_range(value: Any) -> Any:

@@ -1,0 +1,34 @@
+"""Keys of a scene that have a new name; the old one is still read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from carom.scene.lines import KeyPath
+
+RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old to new
+
+
+class OldNameWarning(FutureWarning):
+    """A scene uses the old name of a key."""
+
+
+def other_name(path: KeyPath) -> KeyPath | None:
+    """Return the old name of a key, or the new one of an old name; None for one that was never renamed."""
+    return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
+
+
+def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
+    """Find the old names among the keys of a scene."""
+    for old in RENAMED:
+        node: Any = scene
+        for key in old:
+            node = node.get(key) if isinstance(node, Mapping) else None
+        if node is not None:
+            yield old
+
+
+def advice(old: KeyPath) -> str:
+    """Say what an old name is called now."""
+    return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"
