@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import impacts
-from carom.physics.contact.continuous.event_loop import MOST
+from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
@@ -277,7 +277,7 @@ def test_more_impacts_than_a_step_has_room_for_are_left_to_its_end_and_said_once
     ball = {"velocity": [0.0, 0.0, 20.0], "radius": 1.0, "mass": 1.0}
     space = Space(scene([ball], {"restitution": 1.0}, plane=plates, time={"fixed_dt": 1.0, "duration": 4.0}))
     texts = [event.text for frame in space.run() for event in frame.events]
-    assert len([text for text in texts if f"{MOST} impacts" in text]) == 1
+    assert len([text for text in texts if f"{MAX_IMPACTS} impacts" in text]) == 1
     assert kinetic_energy_of(space.state) == pytest.approx(200.0, rel=1e-12)
 
 

@@ -7,30 +7,31 @@ from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 
-SOME = 5000  # bodies that are worth a part of their own
+MIN_BODIES_PER_TASK = 5000
 
 
 def kick(velocity: FloatArray, acceleration: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Kick: v += a dt, both (n, 3)."""
-    team.divide(len(velocity), SOME, _advance, velocity, acceleration, dt)
+    team.divide(len(velocity), MIN_BODIES_PER_TASK, _advance, velocity, acceleration, dt)
 
 
 def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Drift: x += v dt, both (n, 3)."""
-    team.divide(len(position), SOME, _advance, position, velocity, dt)
+    team.divide(len(position), MIN_BODIES_PER_TASK, _advance, position, velocity, dt)
 
 
 def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
     """Bring every centre back into the periodic box about the origin."""
-    team.divide(len(position), SOME, _wrap, position, box)
+    team.divide(len(position), MIN_BODIES_PER_TASK, _wrap, position, box)
 
 
 def add_field(acceleration: FloatArray, field: FloatArray, team: Team = SOLO) -> None:
     """Add a uniform field, (3,) m/s², to accelerations, (n, 3)."""
-    team.divide(len(acceleration), SOME, _add, acceleration, field)
+    team.divide(len(acceleration), MIN_BODIES_PER_TASK, _add, acceleration, field)
 
 
 @long_kernel
@@ -45,7 +46,7 @@ def _advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) ->
 def _wrap(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
     for i in range(lo, hi):
         for k in range(3):
-            position[i, k] -= box[k] * np.floor(position[i, k] / box[k] + 0.5)
+            position[i, k] = minimum_image(position[i, k], box[k])
 
 
 @long_kernel

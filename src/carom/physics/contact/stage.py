@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.bearing import borne
 from carom.physics.contact.broad_phase.search import PlaneSearch, search_by
-from carom.physics.contact.continuous.drift import NO_IMPACTS, Flight, Impacts
-from carom.physics.contact.continuous.event_loop import MOST
+from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
+from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.lasting import Hold
+from carom.physics.contact.law import materials_of
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_coordinate, largest_square
 from carom.physics.contact.sighting import NOTHING, Sighting
@@ -96,10 +97,12 @@ class ContactStage:
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
         self._stages = self._colour()
-        self._flight = None
+        self._event_drift = None
         if requirements.impact_time.modelled:
-            flight = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
-            self._flight = Flight(bodies, planes, law, box, field, *flight, self._search, team)
+            drift = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
+            self._event_drift = EventDrivenDrift(
+                bodies, planes, materials_of(law), box, field, *drift, self._search, team
+            )
         self._compile()
 
     def forget(self) -> None:
@@ -160,8 +163,8 @@ class ContactStage:
 
     def drift(self, kick: float, dt: float) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way."""
-        assert self._flight is not None, "the scene asks for times of impact"
-        self.impacts = self._flight.drift(kick, dt, *self._nearness(dt))
+        assert self._event_drift is not None, "the scene asks for times of impact"
+        self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt))
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
@@ -213,8 +216,8 @@ class ContactStage:
                 f"Contacts were still closing after the sweeps of a step (contact.sweeps = {self._contact.sweeps}); "
                 "what is left is resolved in later steps."
             )
-        if self._flight and self._flight.is_exhausted:
-            reached.append(f"A body had {MOST} impacts in one step; what is left is resolved at its end.")
+        if self._event_drift and self._event_drift.is_exhausted:
+            reached.append(f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end.")
         fresh = [text for text in reached if text not in self.warned]
         self.warned.update(fresh)
         return fresh

@@ -1,13 +1,14 @@
-"""The drift of a step in which impacts happen at their own moments.
+"""The drift of a step in which impacts happen at their own times.
 
 Neighbours are searched once a drift, around the start of each body, within what it can reach. A body that an impact
-throws farther is a stray: from then on it is looked at together with every other. Rejected: reaches that no impact can
-exceed, which make every body a neighbour of every other as soon as one is fast.
+throws farther has strayed: from then on its impacts are predicted with every other body. Rejected: reaches that no
+impact can exceed, which make every body a neighbour of every other as soon as one is fast.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,29 +16,29 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import Grid
 from carom.physics.contact.broad_phase.search import Search
-from carom.physics.contact.continuous.event_loop import (
-    AFTER,
-    APPROACH,
-    COLUMNS,
-    LEDGER,
-    NORMAL,
-    REST,
-    TIME,
-    foresee,
-    resolve,
-)
+from carom.physics.contact.continuous.event_loop import IMPACT, predict, resolve
 from carom.physics.contact.continuous.event_queue import put
-from carom.physics.contact.continuous.trajectories import AHEAD, EXHAUSTED, Paths, arrive, reaches, set_out
+from carom.physics.contact.continuous.trajectories import (
+    DRIFT,
+    TRAJECTORY,
+    Neighbours,
+    Trajectories,
+    begin,
+    finish,
+    write_reaches,
+)
 from carom.physics.contact.rest import pile_speeds
-from carom.physics.integrator import SOME, drift
+from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
+from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-LOGGED = 4096  # impacts that are resolved in one go
+LOG_ROWS = 4096  # impacts that are resolved in one call
 WIDEST = 2.0  # times the radii; within that, the grids that find contacts find neighbours, too
 
 
@@ -57,31 +58,37 @@ class Impacts:
         return len(self.pairs)
 
     @classmethod
-    def of(cls, pairs: IntArray, log: FloatArray) -> Impacts:
-        """Read a log."""
+    def of(cls, log: Records) -> Impacts:
+        """Read a log, (k,) `IMPACT`."""
+        after = _columns(log, "vix", "viy", "viz", "vjx", "vjy", "vjz")
         return cls(
-            pairs,
-            time=log[:, TIME],
-            normal=log[:, NORMAL : NORMAL + 3],
-            approach=log[:, APPROACH],
-            rest_speed=log[:, REST],
-            ledger=log[:, LEDGER:AFTER],
-            after=log[:, AFTER:COLUMNS].reshape(-1, 2, 3),
+            pairs=_columns(log, "i", "j"),
+            time=log["time"],
+            normal=_columns(log, "nx", "ny", "nz"),
+            approach=log["approach"],
+            rest_speed=log["rest_speed"],
+            ledger=terms_of(log),
+            after=after.reshape(-1, 2, 3),
         )
 
 
-NO_IMPACTS = Impacts.of(np.empty((0, 2), dtype=np.int64), np.empty((0, COLUMNS)))
+def _columns(records: Records, *names: str) -> NDArray[Any]:
+    """Return fields of records side by side, (k, number of names)."""
+    return np.stack([records[name] for name in names], axis=-1)
 
 
-class Flight:
-    """Lets bodies drift.
+NO_IMPACTS = Impacts.of(np.empty(0, dtype=IMPACT))
+
+
+class EventDrivenDrift:
+    """Moves bodies through a drift, and resolves the impacts on their way.
 
     Parameters
     ----------
     bodies, planes
         What may meet.
-    law
-        (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane.
+    materials
+        (1 + p,) `MATERIAL`: between bodies, then of each plane.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     field
@@ -89,14 +96,14 @@ class Flight:
     friction, anchored, forces
         Whether impulses turn bodies, whether something stands still, and whether anything presses contacts together.
     search, team
-        What finds contacts, and who works.
+        The broad phase, and the threads that work.
     """
 
     def __init__(
         self,
         bodies: Bodies,
         planes: HalfSpaces,
-        law: FloatArray,
+        materials: Records,
         box: FloatArray,
         field: FloatArray,
         friction: bool,
@@ -109,9 +116,11 @@ class Flight:
         spin = slice(None) if friction else slice(0)
         self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
-        self._pairs = np.empty((LOGGED, 2), dtype=np.int64)
-        self._log = np.empty((LOGGED, COLUMNS))
-        self._paths = Paths(
+        self._log = np.empty(LOG_ROWS, dtype=IMPACT)
+        zeros = np.zeros(n, dtype=np.int64)
+        self._trajectories = Trajectories(
+            body=np.zeros(n, dtype=TRAJECTORY),
+            drift=np.zeros(1, dtype=DRIFT),
             x=bodies.position,
             v=ends.velocity,
             a=ends.acceleration,
@@ -120,47 +129,33 @@ class Flight:
             inverse_mass=ends.inverse_mass,
             inverse_inertia=ends.inverse_inertia,
             radius=ends.radius,
+            rest_speed=np.zeros(len(ends.radius)),
             box=box,
             surface=planes.normal,
             offset=planes.offset,
-            law=law,
-            start=np.empty((n, 3)),
-            reach=np.empty(n),
-            rest=np.zeros(len(ends.radius)),
-            noise=np.zeros(n),
-            now=np.empty(n),
-            moment=np.empty(n),
-            partner=np.zeros(n, dtype=np.int64),
-            known=np.zeros(n, dtype=np.int64),
-            impacts=np.zeros(n, dtype=np.int64),
-            heap=np.empty(n, dtype=np.int64),
-            place=np.empty(n, dtype=np.int64),
-            strays=np.empty(n, dtype=np.int64),
-            everyone=np.arange(n),
-            none=np.zeros(n, dtype=np.int64),
-            total=np.full(n, n),
-            stray_count=np.zeros(n, dtype=np.int64),
-            bulk=np.zeros(3),
-            numbers=np.zeros(3),
-            counts=np.zeros(3, dtype=np.int64),
+            materials=materials,
+            queue=np.empty(n, dtype=np.int64),
+            everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
+            strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
         self._compile()
 
     def _compile(self) -> None:
         """Send no impact through every kernel, so that the first real one does not wait for a compiler."""
-        nobody, none = np.empty((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
-        set_out(self._paths, 1.0, 0.0)
+        T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
+        none = np.zeros(0, dtype=np.int64)
+        begin(T, 1.0, 0.0)
         if self._forces:
-            self._press(nobody, 0.0, 1.0, 0.0)
-        foresee(0, 0, none, none, none, self._paths)
-        _gather(self._paths)
+            self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
+        predict(0, 0, Neighbours(none, none, none), T)
+        _fill_queue(T)
         self._resolve(nobody)
-        arrive(0, 0, self._paths)
+        finish(0, 0, T)
 
     @property
     def is_exhausted(self) -> bool:
         """Whether a body had as many impacts in the last drift as are resolved."""
-        return bool(self._paths.counts[EXHAUSTED])
+        return bool(self._trajectories.drift["exhausted"][0])
 
     def drift(self, kick: float, dt: float, stretch: float, slack: float) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve the impacts on their way.
@@ -170,73 +165,73 @@ class Flight:
         stretch, slack
             1 and m: bodies no farther apart than ``(r_i + r_j) stretch + slack`` belong to the same pile.
         """
-        paths, bodies, n = self._paths, self._bodies, len(self._bodies)
-        paths.counts[:] = 0
-        farthest = reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, paths.reach, paths.bulk)
+        T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
+        T.drift["exhausted"] = 0
+        farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
         pairs = self._neighbours(farthest, stretch, slack)
         impacts = NO_IMPACTS
-        if len(pairs) or len(paths.offset):
-            set_out(paths, dt, kick)
+        if len(pairs) or len(T.offset):
+            begin(T, dt, kick)
             if self._forces:
-                self._press(pairs, dt, stretch, slack)
+                self._find_rest_speeds(pairs, dt, stretch, slack)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
-            self._team.divide(n, SOME, foresee, ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]), paths)
-            if _gather(paths):
+            later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
+            self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
+            if _fill_queue(T):
                 impacts = self._resolve(pairs)
         if len(impacts):
-            self._team.divide(n, SOME, arrive, paths)
+            self._team.divide(n, MIN_BODIES_PER_TASK, finish, T)
         else:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
 
-    def _press(self, pairs: IntArray, dt: float, stretch: float, slack: float) -> None:
+    def _find_rest_speeds(self, pairs: IntArray, dt: float, stretch: float, slack: float) -> None:
         """Find up to which speed contacts of each body are at rest."""
-        paths = self._paths
+        T = self._trajectories
         pile_speeds(
             pairs,
-            paths.x,
-            paths.radius,
-            paths.box,
+            T.x,
+            T.radius,
+            T.box,
             stretch,
             slack,
-            paths.a,
-            paths.inverse_mass,
+            T.a,
+            T.inverse_mass,
             self._field,
             dt,
-            paths.rest,
+            T.rest_speed,
         )
 
     def _neighbours(self, farthest: float, stretch: float, slack: float) -> IntArray:
         """Return the pairs whose reaches meet, given the largest reach in radii; where there is room, widen all."""
-        paths, radius = self._paths, self._bodies.radius
+        T, radius = self._trajectories, self._bodies.radius
         if farthest <= WIDEST - 1.0:
-            paths.reach[:] = farthest * radius
-            return self._search.pairs(paths.x, stretch * (1.0 + farthest), slack)
-        return Grid(radius + paths.reach, paths.box, self._team).pairs(paths.x, stretch, slack)
+            T.body["reach"] = farthest * radius
+            return self._search.pairs(T.x, stretch * (1.0 + farthest), slack)
+        return Grid(radius + T.body["reach"], T.box, self._team).pairs(T.x, stretch, slack)
 
     def _resolve(self, pairs: IntArray) -> Impacts:
-        paths, n = self._paths, len(self._bodies)
+        T, n = self._trajectories, len(self._bodies)
         ends, others = np.zeros(n + 1, dtype=np.int64), np.empty(2 * len(pairs), dtype=np.int64)
         _both_ways(pairs, ends, others)
-        found: list[IntArray] = []
-        logs: list[FloatArray] = []
+        neighbours = Neighbours(ends[:-1], ends[1:], others)
+        logs: list[Records] = []
         again = True
         while again:
-            count = resolve(ends[:-1], ends[1:], others, paths, self._pairs, self._log)
-            found.append(self._pairs[:count].copy())
+            count = resolve(neighbours, T, self._log)
             logs.append(self._log[:count].copy())
-            again = paths.counts[AHEAD] > 0
-        return Impacts.of(np.concatenate(found), np.concatenate(logs))
+            again = T.drift["queued"][0] > 0
+        return Impacts.of(np.concatenate(logs))
 
 
 @kernel
-def _gather(paths: Paths) -> int:
-    """Put the bodies that have an impact ahead on the agenda; return how many there are."""
+def _fill_queue(T: Trajectories) -> int:
+    """Put the bodies that have an impact ahead into the event queue; return how many there are."""
     size = 0
-    for i in range(len(paths.x)):
-        if paths.moment[i] < np.inf:
-            size = put(i, size, paths.heap, paths.place, paths.moment, paths.partner)
-    paths.counts[AHEAD] = size
+    for i in range(len(T.body)):
+        if T.body[i].impact_time < np.inf:
+            size = put(i, size, T.queue, T.body)
+    T.drift[0].queued = size
     return size
 
 

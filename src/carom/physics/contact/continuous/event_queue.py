@@ -1,7 +1,7 @@
-"""The bodies that have an impact ahead, the earliest first: a heap, in which each body stands once.
+"""The event queue: a binary heap of the bodies that have an impact ahead, the earliest first.
 
-A body is on the agenda with its own next impact. Two bodies that will meet need not both be on it for that: the one
-whose path was looked along last knows. Impacts at the same moment come in the order of their pairs.
+Each body stands in it once, with its own next impact. Two bodies that will meet need not both be in it for that: it is
+enough that the one whose impact was predicted last is. Impacts at the same time come in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -11,61 +11,65 @@ from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import kernel
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 
 @kernel
-def is_sooner(i: int, j: int, moment: FloatArray, partner: IntArray) -> bool:
+def is_sooner(i: int, j: int, body: Records) -> bool:
     """Tell whether body i's next impact comes before body j's."""
-    if moment[i] != moment[j]:
-        return bool(moment[i] < moment[j])
-    first, second = min(i, partner[i]), min(j, partner[j])
+    one, other = body[i], body[j]
+    if one.impact_time != other.impact_time:
+        return bool(one.impact_time < other.impact_time)
+    first, second = min(i, one.partner), min(j, other.partner)
     if first != second:
         return bool(first < second)
-    return bool(max(i, partner[i]) < max(j, partner[j]))
+    return bool(max(i, one.partner) < max(j, other.partner))
 
 
 @kernel
-def put(i: int, size: int, heap: IntArray, place: IntArray, moment: FloatArray, partner: IntArray) -> int:
-    """Put a body where its next impact belongs, which has changed, or take it off if there is none.
+def put(i: int, size: int, queue: IntArray, body: Records) -> int:
+    """Put body i where its next impact, which has changed, belongs; remove it if there is none.
 
     Parameters
     ----------
-    heap, place
-        (n,) bodies, of which so many count, and where each stands, -1 if nowhere.
-    moment, partner
-        (n,) s and whom: of each body's next impact, infinite if there is none.
+    size
+        Number of bodies in the queue.
+    queue
+        (n,) the heap.
+    body
+        (n,) `TRAJECTORY`.
 
     Returns
     -------
     size
-        How many bodies there are now.
+        Number of bodies in the queue now.
     """
-    k = place[i]
-    if moment[i] == np.inf:
+    k = body[i].queue_place
+    if body[i].impact_time == np.inf:
         if k < 0:
             return size
         size -= 1
-        place[i] = -1
+        body[i].queue_place = -1
         if k == size:
             return size
-        i = heap[size]
+        i = queue[size]
     elif k < 0:
         k = size
         size += 1
-    while k > 0 and is_sooner(i, heap[(k - 1) // 2], moment, partner):
-        heap[k] = heap[(k - 1) // 2]
-        place[heap[k]] = k
+    while k > 0 and is_sooner(i, queue[(k - 1) // 2], body):
+        queue[k] = queue[(k - 1) // 2]
+        body[queue[k]].queue_place = k
         k = (k - 1) // 2
     while 2 * k + 1 < size:
         child = 2 * k + 1
-        if child + 1 < size and is_sooner(heap[child + 1], heap[child], moment, partner):
+        if child + 1 < size and is_sooner(queue[child + 1], queue[child], body):
             child += 1
-        if not is_sooner(heap[child], i, moment, partner):
+        if not is_sooner(queue[child], i, body):
             break
-        heap[k] = heap[child]
-        place[heap[k]] = k
+        queue[k] = queue[child]
+        body[queue[k]].queue_place = k
         k = child
-    heap[k], place[i] = i, k
+    queue[k] = i
+    body[i].queue_place = k
     return size

@@ -1,15 +1,15 @@
-"""When two bodies on straight paths meet, and whether that is an impact.
+"""Time of impact: when two bodies on straight paths touch, and whether that is an impact.
 
 With d the separation and v the relative velocity, both of j as seen from i, and R = r_i + r_j, bodies that close,
 d·v < 0, pass each other at t_c = -d·v/v² at a distance p = d + v t_c, and touch before that if p < R:
 
     τ = t_c - √((R² - p²)/v²)
 
-p is found as a vector: in the discriminant (d·v)² - v² (d² - R²) the radii of a small sphere that comes from afar would
-be lost. Bodies that overlap already and close meet at once.
+p is found as a vector: the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small sphere that comes from
+afar. Bodies that overlap already and close meet at once.
 
 A drift goes with the velocity of the middle of the step. At τ it is v + a (τ - h), h being how far the kick before the
-drift has taken it. A meeting is an impact if bodies then close faster than a contact at rest does.
+drift has taken it. A meeting is an impact if the bodies then close faster than a contact at rest does.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.parallel.jit import kernel
+from carom.physics.periodic_box import minimum_image
 
 
 @kernel
-def meeting(
+def time_of_impact(
     dx: float,
     dy: float,
     dz: float,
@@ -35,7 +36,7 @@ def meeting(
     since_kick: float,
     slow: float,
 ) -> float:
-    """Return the time in s until the impact of two bodies, infinite if there is none within a span.
+    """Return the time in s until two bodies meet in an impact; infinite if they do not within a span.
 
     Parameters
     ----------
@@ -46,9 +47,9 @@ def meeting(
     span
         s.
     since_kick
-        s, from the moment that the velocities are for to now.
+        s, from the time that the velocities are for to now.
     slow
-        m/s, the fastest approach that is no impact.
+        m/s, the fastest closing speed that is no impact.
     """
     b = dx * vx + dy * vy + dz * vz
     if not b < 0.0:
@@ -70,7 +71,7 @@ def meeting(
 
 
 @kernel
-def meeting_in_box(
+def time_of_impact_in_box(
     dx: float,
     dy: float,
     dz: float,
@@ -88,16 +89,14 @@ def meeting_in_box(
     Ly: float,
     Lz: float,
 ) -> float:
-    """Return the same in a periodic box, (Lx, Ly, Lz) m, however often the paths lead through it.
+    """Return the same in a periodic box of (Lx, Ly, Lz) m, however often the bodies pass through it.
 
-    The way is taken in legs of half a box at most. On a leg a body can meet the nearest image of another, or in each
-    direction the one that comes towards it.
+    The path is taken in legs of at most half a box. On a leg a body can meet the nearest image of another, or in each
+    direction the image that comes towards it.
     """
     gone = 0.0
     while True:
-        dx -= Lx * np.floor(dx / Lx + 0.5)
-        dy -= Ly * np.floor(dy / Ly + 0.5)
-        dz -= Lz * np.floor(dz / Lz + 0.5)
+        dx, dy, dz = minimum_image(dx, Lx), minimum_image(dy, Ly), minimum_image(dz, Lz)
         leg = span - gone
         leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
         leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg
@@ -107,7 +106,7 @@ def meeting_in_box(
         for kx in range(2 if sx != 0.0 else 1):
             for ky in range(2 if sy != 0.0 else 1):
                 for kz in range(2 if sz != 0.0 else 1):
-                    tau = meeting(
+                    tau = time_of_impact(
                         dx + kx * sx,
                         dy + ky * sy,
                         dz + kz * sz,

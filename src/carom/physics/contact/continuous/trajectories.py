@@ -1,4 +1,8 @@
-"""The paths of bodies through a drift: straight lines that bend at impacts, and what is known of each of them."""
+"""Trajectories of the bodies through a drift: straight lines that bend at impacts.
+
+Each body has a record of its own time, of its next impact, and of how far it may go before neighbours that were not
+searched for come within its reach.
+"""
 
 from __future__ import annotations
 
@@ -12,16 +16,58 @@ from carom.physics.parallel.jit import inner, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 ROUNDING = 1e-14  # of a body's speed so far, and of a radius a drift; what closes more slowly has been resolved
-DT, KICK, CLOCK = 0, 1, 2  # numbers, s: the drift, the kick before it, and what time it is
-AHEAD, STRAYS, EXHAUSTED = 0, 1, 2  # counts: bodies with an impact ahead, strays, bodies that had `MOST` impacts
-FARTHEST = 1e150  # m; what might go farther is not followed, since the square of its way is no number
+FARTHEST = 1e150  # m; what might go farther is not followed, since the square of its way is infinite
+
+TRAJECTORY = np.dtype(
+    [
+        ("now", np.float64),  # s from the beginning of the drift, the time of the body's position
+        ("impacts", np.int64),  # so far in this drift
+        ("negligible_speed", np.float64),  # m/s, closing speed that is rounding, or one of a collapse: no impact
+        ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
+        ("partner", np.int64),  # what it meets then: body j, or n + p for plane p
+        ("partner_impacts", np.int64),  # those of the partner when that impact was predicted
+        ("queue_place", np.int64),  # in the event queue; -1 outside
+        ("reach", np.float64),  # m, how far from its start it stays, seen from the bulk
+        ("start_x", np.float64),  # m, where it was at the beginning of the drift
+        ("start_y", np.float64),
+        ("start_z", np.float64),
+        ("strays", np.bool_),  # whether its path leaves that reach
+    ],
+    align=True,
+)
+
+DRIFT = np.dtype(
+    [
+        ("dt", np.float64),  # s, length of the drift
+        ("kick", np.float64),  # s, the kick before it: velocities are those of this time
+        ("clock", np.float64),  # s, what time it is
+        ("bulk_x", np.float64),  # m/s, the velocity that reaches count from
+        ("bulk_y", np.float64),
+        ("bulk_z", np.float64),
+        ("queued", np.int64),  # bodies in the event queue
+        ("strays", np.int64),  # bodies that left their reach
+        ("exhausted", np.int64),  # bodies that had as many impacts as a drift resolves
+    ],
+    align=True,
+)
 
 
-class Paths(NamedTuple):
+class Neighbours(NamedTuple):
+    """What each body may meet: body i those at ``bodies[first[i]:last[i]]``."""
+
+    first: IntArray  # (n,)
+    last: IntArray  # (n,)
+    bodies: IntArray
+
+
+class Trajectories(NamedTuple):
     """n bodies and p planes in a drift."""
 
+    body: Records  # (n,) `TRAJECTORY`
+    drift: Records  # (1,) `DRIFT`
     x: FloatArray  # (n, 3) m, at the time `now` of each
     v: FloatArray  # (n + p, 3) m/s
     a: FloatArray  # (n + p, 3) m/s²
@@ -30,92 +76,83 @@ class Paths(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
     radius: FloatArray  # (n + p,) m
+    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which what it touches is at rest
     box: FloatArray  # (3,) m; zeros in open space
     surface: FloatArray  # (p, 3) normals
     offset: FloatArray  # (p,) m
-    law: FloatArray  # (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane
-    start: FloatArray  # (n, 3) m, at the beginning of the drift
-    reach: FloatArray  # (n,) m, how far from there it stays, seen from the bulk; negative for a stray, which does not
-    rest: FloatArray  # (n + p,) m/s, closing speed up to which what it touches is at rest
-    noise: FloatArray  # (n,) m/s, what rounding does to its velocity
-    now: FloatArray  # (n,) s from the beginning of the drift
-    moment: FloatArray  # (n,) s, of its next impact; infinite if there is none
-    partner: IntArray  # (n,) whom it meets then
-    known: IntArray  # (n,) impacts of the partner when that was found
-    impacts: IntArray  # (n,) so far
-    heap: IntArray  # (n,), see `agenda`
-    place: IntArray  # (n,)
-    strays: IntArray  # (n,)
-    everyone: IntArray  # (n,) all bodies
-    none: IntArray  # (n,) 0: where each body's part of one of the two lists above begins,
-    total: IntArray  # (n,) n, and where it ends
-    stray_count: IntArray  # (n,) likewise
-    bulk: FloatArray  # (3,) m/s, the velocity that the reach counts from
-    numbers: FloatArray  # (3,)
-    counts: IntArray  # (3,)
+    materials: Records  # (1 + p,) `MATERIAL`: between bodies, then of each plane
+    queue: IntArray  # (n,) bodies by the time of their next impact, see `event_queue`
+    everyone: Neighbours  # all bodies
+    strays: Neighbours  # the bodies that left their reach
 
 
 @kernel
-def reaches(
-    v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, reach: FloatArray, bulk: FloatArray
+def write_reaches(
+    v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, body: Records, drift: Records
 ) -> float:
     """Write how far bodies may get in dt, and the velocity that this counts from; return the largest part of a radius.
 
     A body stays within what it would cover at its own speed and the mean speed of all, seen from the centre of mass, or
     from what stands still: enough room for what most impacts do to it, and one fast body widens no other's reach.
     """
-    bulk[0], bulk[1], bulk[2] = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
+    ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
+    drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
     mean, largest = 0.0, 0.0
-    for i in range(len(reach)):
-        ux, uy, uz = v[i, 0] - bulk[0], v[i, 1] - bulk[1], v[i, 2] - bulk[2]
-        reach[i] = np.sqrt(ux * ux + uy * uy + uz * uz)
-        mean += reach[i] / len(reach)
-    for i in range(len(reach)):
-        reach[i] = min(FARTHEST, dt * (reach[i] + mean))
-        largest = max(largest, reach[i] / radius[i])
+    for i in range(len(body)):
+        wx, wy, wz = v[i, 0] - ux, v[i, 1] - uy, v[i, 2] - uz
+        speed = np.sqrt(wx * wx + wy * wy + wz * wz)
+        body[i].reach = speed
+        mean += speed / len(body)
+    for i in range(len(body)):
+        reach = min(FARTHEST, dt * (body[i].reach + mean))
+        body[i].reach = reach
+        largest = max(largest, reach / radius[i])
     return largest
 
 
 @kernel
-def set_out(paths: Paths, dt: float, kick: float) -> None:
-    """Begin a drift."""
-    paths.numbers[DT], paths.numbers[KICK], paths.numbers[CLOCK] = dt, kick, 0.0
-    paths.counts[:] = 0
-    x, v, radius, start, noise = paths.x, paths.v, paths.radius, paths.start, paths.noise
-    now, moment, impacts, place = paths.now, paths.moment, paths.impacts, paths.place
-    for i in range(len(x)):
-        start[i, 0], start[i, 1], start[i, 2] = x[i, 0], x[i, 1], x[i, 2]
-        now[i], moment[i], impacts[i], place[i] = 0.0, np.inf, 0, -1
-        noise[i] = ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2]) + radius[i] / dt)
+def begin(T: Trajectories, dt: float, kick: float) -> None:
+    """Begin a drift of dt after a kick, both in s."""
+    drift = T.drift[0]
+    drift.dt, drift.kick, drift.clock = dt, kick, 0.0
+    drift.queued = drift.strays = drift.exhausted = 0
+    for i in range(len(T.body)):
+        body = T.body[i]
+        x, y, z = T.x[i, 0], T.x[i, 1], T.x[i, 2]
+        vx, vy, vz = T.v[i, 0], T.v[i, 1], T.v[i, 2]
+        body.start_x, body.start_y, body.start_z = x, y, z
+        body.now, body.impact_time, body.impacts, body.queue_place = 0.0, np.inf, 0, -1
+        body.strays = False
+        body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
 
 
 @inner
-def advance(i: int, paths: Paths) -> None:
+def advance(i: int, T: Trajectories) -> None:
     """Move a body along its path to where it is now."""
-    s = paths.numbers[CLOCK] - paths.now[i]
+    clock = T.drift[0].clock
+    s = clock - T.body[i].now
     for k in range(3):
-        paths.x[i, k] += paths.v[i, k] * s
-    paths.now[i] = paths.numbers[CLOCK]
+        T.x[i, k] += T.v[i, k] * s
+    T.body[i].now = clock
 
 
 @inner
-def strays(i: int, paths: Paths) -> bool:
+def leaves_reach(i: int, T: Trajectories) -> bool:
     """Tell whether the rest of a body's path leaves the reach that neighbours were searched with."""
-    numbers = paths.numbers
-    way2 = 0.0
-    for k in range(3):
-        end = paths.x[i, k] + paths.v[i, k] * (numbers[DT] - paths.now[i])
-        way = end - paths.bulk[k] * numbers[DT] - paths.start[i, k]
-        way2 += way * way
-    return bool(way2 > paths.reach[i] * paths.reach[i])
+    body, drift = T.body[i], T.drift[0]
+    s = drift.dt - body.now
+    x = T.x[i, 0] + T.v[i, 0] * s - drift.bulk_x * drift.dt - body.start_x
+    y = T.x[i, 1] + T.v[i, 1] * s - drift.bulk_y * drift.dt - body.start_y
+    z = T.x[i, 2] + T.v[i, 2] * s - drift.bulk_z * drift.dt - body.start_z
+    return bool(x * x + y * y + z * z > body.reach * body.reach)
 
 
 @long_kernel
-def arrive(lo: int, hi: int, paths: Paths) -> None:
+def finish(lo: int, hi: int, T: Trajectories) -> None:
     """Move the bodies [lo, hi) to the end of the drift."""
-    x, v, now, dt = paths.x, paths.v, paths.now, paths.numbers[DT]
+    x, v, dt = T.x, T.v, T.drift[0].dt
     for i in range(lo, hi):
-        s = dt - now[i]
+        s = dt - T.body[i].now
         x[i, 0] += v[i, 0] * s
         x[i, 1] += v[i, 1] * s
         x[i, 2] += v[i, 2] * s
