@@ -19,6 +19,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.event_kinds import CLOSING
 from carom.recording.schema.header import Header
+from carom.recording.schema.series import SERIES, Past
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 
@@ -34,12 +35,12 @@ _LARGEST = "what depends on the frames in between (errors relative to the larges
 
 # what led to the state of a checkpoint is not in it
 _BEFORE = {
-    *(paths.CONTACTS, paths.STEP_CONTACTS, paths.COLOURS, paths.SWEEPS, paths.OVERLAP, paths.RELATIVE_OVERLAP),
-    *(paths.DT, paths.TORQUE, paths.ANGULAR_ACCELERATION),
+    *(paths.CONTACTS, paths.TORQUE, paths.ANGULAR_ACCELERATION),
+    *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
 }
-# relative to the largest so far of the frames whose energy was taken: which those are must be known
+# what depends on which frames there were before, as errors relative to the largest energy so far do
 _RELATIVE = {
-    paths.RELATIVE_ERROR: None,
+    **{series.path: None for series in SERIES if series.past in (Past.INTERVAL, Past.RUN)},
     paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
     paths.CHECKPOINT: ("books", "energy_scale", "digest"),
 }

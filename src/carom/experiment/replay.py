@@ -143,11 +143,13 @@ def replay(
             ended = "stopped by the user"
         if recorder is not None:
             recorder.finish(ended or "completed")
+    found = [run.difference or run.rest(), None if ended else run.stray()]
+    first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
     return Replay(
         begin=checkpoint.step,
         frames=len(run.fingerprints),
         compared=run.compared,
-        difference=run.difference or run.rest() or (None if ended else run.stray() or run.missing(space)),
+        difference=first or (None if ended else run.missing(space)),
         ended=ended,
         seconds=clock.perf_counter() - began,
         recorded_with=recording.versions,

@@ -32,6 +32,7 @@ class Past:
     def __init__(self, recording: Recording, step: int) -> None:
         self.recording = recording
         self.step = step
+        self.checkpoint = recording.checkpoint(step)
         steps = recording.fingerprints()[STEP].to_numpy()
         self.frames = int(np.count_nonzero(steps <= step))
         self.origin = recording.origin  # (3,) m

@@ -13,6 +13,15 @@ from carom.scene.halfspace import HalfSpaces
 
 Scalar = str | int | float | bool
 
+_FLAGS = {
+    "contact": "collides",
+    "friction": "has_friction",
+    "potential": "gravitates",
+    "spin": "spins",
+    "stabilisation": "stabilises",
+    "uniform-field": "has_field",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class SweepMember:
@@ -56,6 +65,10 @@ class Header:
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None: a run of its own
+
+    def models(self, part: str) -> bool:
+        """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
+        return bool(getattr(self, _FLAGS[part]))
 
     @property
     def bodies(self) -> int:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from carom.plan.features import Requirements
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
+from carom.recording.schema.series import SERIES
 
 ONCE = "once, however long it is"
 
@@ -15,24 +16,8 @@ _PARTS = {  # entity → the part of the model without which it is not there
     paths.CONTACTS: "contact",
     paths.TORQUE: "torque",
     paths.ANGULAR_ACCELERATION: "torque",
-    f"{paths.ENERGY}/rotational": "spin",
-    f"{paths.ENERGY}/gravitational": "potential",
-    f"{paths.ENERGY}/field": "uniform-field",
-    f"{paths.LEDGER}/restitution": "contact",
-    f"{paths.LEDGER}/friction": "friction",
-    f"{paths.LEDGER}/stabilisation": "stabilisation",
-    paths.STEP_CONTACTS: "contact",
-    paths.COLOURS: "contact",
-    paths.SWEEPS: "contact",
-    paths.OVERLAP: "contact",
-    paths.RELATIVE_OVERLAP: "contact",
 }
 _ALWAYS = {  # entity → why it is there
-    f"{paths.ENERGY}/translational": "energy",
-    f"{paths.ENERGY}/total": "energy",
-    paths.INTEGRATION_ERROR: "energy less the ledger",
-    paths.RELATIVE_ERROR: "energy less the ledger",
-    paths.DT: "adaptive or not",
     paths.DT_LIMIT: "adaptive or not",
     paths.PHASE: "where it changes",
     paths.EVENTS: "where something happens",
@@ -58,8 +43,10 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     """Return every entity that a recording may have."""
     parts = {part.name: part.modelled for part in needs.parts}
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
-    for path, name in _PARTS.items():
-        yield Content(path, parts[name], name if parts[name] else f"no {name}")
+    needed = [*_PARTS.items(), *((series.path, series.part) for series in SERIES)]
+    for path, name in needed:
+        there = name is None or parts[name]
+        yield Content(path, there, (name or "always") if there else f"no {name}")
     for path, why in _ALWAYS.items():
         yield Content(path, True, why)
     yield Content(paths.PLANES, header.planes is not None, ONCE if header.planes is not None else "no planes")

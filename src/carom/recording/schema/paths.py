@@ -1,4 +1,4 @@
-"""The only list of entity paths, and the version of the schema: names, which take no time to import."""
+"""Paths of the entities of a recording, those of scalars apart (`series`), and the version of the schema."""
 
 SCHEMA_VERSION = 2  # 2: a run can go on from a checkpoint; 1: checkpoints were there to be read
 
@@ -13,17 +13,8 @@ TORQUE = "world/torque"
 ANGULAR_ACCELERATION = "world/angular_acceleration"
 CONTACTS = "world/contacts"
 ENERGY = "energy"
-LEDGER = "energy/ledger"
-INTEGRATION_ERROR = "energy/integration_error"
-RELATIVE_ERROR = "energy/relative_error"
 STEP = "step"
-DT = "step/dt"
 DT_LIMIT = "step/limit"
-STEP_CONTACTS = "step/contacts"
-COLOURS = "step/colours"
-SWEEPS = "step/sweeps"
-OVERLAP = "step/overlap"
-RELATIVE_OVERLAP = "step/relative_overlap"
 PHASE = "phase"
 EVENTS = "events"
 FINGERPRINT = "state/fingerprint"

@@ -9,6 +9,7 @@ from rerun.encodings import EntityPathLike
 
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
+from carom.recording.schema.series import PLOTS, recorded
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.camera import View
 from carom.recording.write import encoder as entities
@@ -99,26 +100,12 @@ def _background() -> rrb.Background:
 
 
 def _plots(header: Header) -> list[rrb.View | rrb.Container]:
-    energy = [f"{paths.ENERGY}/{term}" for term in entities.energy_terms(header)]
-    ledger = [f"{paths.LEDGER}/{term}" for term in entities.ledger_terms(header)]
-    plots: list[rrb.View | rrb.Container] = [
-        _plot("Energy (J)", energy),
-        rrb.Tabs(
-            _plot(
-                "Ledger, integration error (J)" if ledger else "Integration error (J)",
-                [*ledger, paths.INTEGRATION_ERROR],
-            ),
-            _plot("Relative error", [paths.RELATIVE_ERROR]),
-        ),
-    ]
-    if header.collides:
-        contacts = _plot("Contacts", [paths.STEP_CONTACTS])
-        plots.append(rrb.Tabs(contacts, _plot("Colours, sweeps", [paths.COLOURS, paths.SWEEPS])))
-        dt = _plot("dt (s)", [paths.DT])
-        plots.append(rrb.Tabs(dt, _plot("Overlap / smaller radius", [paths.RELATIVE_OVERLAP])))
-    else:
-        plots.append(_plot("dt (s)", [paths.DT]))
-    return plots
+    """Make a column of tabs of the plots that stand together; plots without a series are left out."""
+    paths: dict[str | None, list[str]] = {}
+    for series in recorded(header):
+        paths.setdefault(series.plot, []).append(series.path)
+    columns = [[_plot(name, paths[name]) for name in column if name in paths] for column in PLOTS]
+    return [tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs) for tabs in columns if tabs]
 
 
 def _plot(name: str, contents: list[str]) -> rrb.TimeSeriesView:

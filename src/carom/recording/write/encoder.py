@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumnList
 from rerun.components import LineStrip3DBatch
 
+from carom.physics.checkpoint import Checkpoint
 from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.schema import checkpoint, palette
@@ -24,27 +25,18 @@ from carom.recording.schema.paths import (
     ANGULAR_ACCELERATION,
     BODIES,
     CHECKPOINT,
-    COLOURS,
     CONTACTS,
-    DT,
     DT_LIMIT,
-    ENERGY,
     EVENTS,
     FINGERPRINT,
-    INTEGRATION_ERROR,
-    LEDGER,
     MOMENTUM,
-    OVERLAP,
     PERIODIC_BOX,
     PHASE,
     PLANES,
-    RELATIVE_ERROR,
-    RELATIVE_OVERLAP,
-    STEP_CONTACTS,
-    SWEEPS,
     TORQUE,
     WALLS,
 )
+from carom.recording.schema.series import Sample, recorded
 from carom.recording.view import arrows
 from carom.recording.write import encoding_kernels as encoding
 
@@ -86,34 +78,11 @@ def surroundings(header: Header) -> list[str]:
     return [path for path, part in parts if part is not None]
 
 
-def energy_terms(header: Header) -> dict[str, tuple[str, int]]:
-    """Energy series that this scene has: attribute of `Energy` → (name in the legend, colour)."""
-    terms = {"translational": ("translational", palette.SKY)}
-    if header.spins:
-        terms["rotational"] = ("rotational", palette.ORANGE)
-    if header.gravitates:
-        terms["gravitational"] = ("gravitational", palette.PURPLE)
-    if header.has_field:
-        terms["field"] = ("uniform field", palette.GREEN)
-    return terms | {"total": ("total", palette.WHITE)}
-
-
-def ledger_terms(header: Header) -> dict[str, tuple[str, int]]:
-    """Ledger series that this scene has, like :func:`energy_terms`."""
-    if not header.collides:
-        return {}
-    terms = {"restitution": ("restitution: taken out", palette.SKY)}
-    if header.has_friction:
-        terms["friction"] = ("friction: taken out", palette.ORANGE)
-    if header.stabilises:
-        terms["stabilisation"] = ("stabilisation: put in", palette.VERMILION)
-    return terms
-
-
 class BatchEncoder:
     """Turns batches of frames into rows, entity by entity.
 
-    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references.
+    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references and
+    the last frame.
     """
 
     def __init__(
@@ -122,11 +91,14 @@ class BatchEncoder:
         origin: FloatArray,
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
+        before: Checkpoint | None = None,
     ) -> None:
         self.header = header
         self.origin = origin
         self.arrow_references = dict(arrow_references or {})
         self._last_state = dict(last_state or {})
+        self._recorded = tuple(recorded(header))
+        self._before: Frame | Checkpoint | None = before
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
@@ -137,10 +109,10 @@ class BatchEncoder:
         yield self._bodies(batch, store, points)
         if self.header.has_torque:
             yield from self._arrows(batch, store, points)
+        deepest = np.zeros((len(batch), 2))
         if self.header.collides:
-            yield from self._collisions(batch, points)
-        yield from self._energies(batch)
-        yield _scalars(DT, batch, [frame.dt for frame in batch])
+            yield self._collisions(batch, points, deepest)
+        yield from self._series(batch, deepest)
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
         yield from _events(batch)
@@ -228,13 +200,12 @@ class BatchEncoder:
         torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
-    def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32]) -> Iterable[Rows]:
-        """Draw the collision graphs' edges, and count them."""
+    def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32], deepest: FloatArray) -> Rows:
+        """Draw the edges of the collision graphs, and find each frame's deepest overlaps (m, and relative)."""
         graphs = [frame.contacts for frame in batch]
         each = np.array([len(graph.pairs) for graph in graphs], dtype=np.int64)
         colours = np.concatenate([graph.colours for graph in graphs])
         strips, shown = np.empty((len(colours), 6), dtype=np.float32), np.empty(len(colours), dtype=np.uint32)
-        deepest = np.empty((len(batch), 2))
         encoding.draw_edges(
             each,
             np.concatenate([graph.pairs for graph in graphs]),
@@ -255,23 +226,14 @@ class BatchEncoder:
             rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
             *rr.LineStrips3D.columns(colors=shown).partition(each),
         ]
-        yield _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, shown))
-        yield _scalars(STEP_CONTACTS, batch, each)
-        yield _scalars(COLOURS, batch, [int(g.colours.max()) + 1 if len(g.colours) else 0 for g in graphs])
-        yield _scalars(SWEEPS, batch, [frame.sweeps for frame in batch])
-        yield _scalars(OVERLAP, batch, deepest[:, 0])
-        yield _scalars(RELATIVE_OVERLAP, batch, deepest[:, 1])
+        return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, shown))
 
-    def _energies(self, batch: Sequence[Frame]) -> Iterable[Rows]:
-        energies = [frame.energy for frame in batch]
-        for term in energy_terms(self.header):
-            yield _scalars(f"{ENERGY}/{term}", batch, [getattr(energy, term) for energy in energies])
-        for term in ledger_terms(self.header):
-            yield _scalars(f"{LEDGER}/{term}", batch, [getattr(energy.ledger, term) for energy in energies])
-        error = [energy.integration_error for energy in energies]
-        yield _scalars(INTEGRATION_ERROR, batch, error)
-        relative = [energy.relative(energy.integration_error) for energy in energies]
-        yield _scalars(RELATIVE_ERROR, batch, relative)
+    def _series(self, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
+        before, self._before = [self._before, *batch[:-1]], batch[-1]
+        samples = [Sample(*row) for row in zip(batch, before, *deepest.T.tolist(), strict=True)]
+        for series in self._recorded:
+            values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
+            yield _rows(series.path, batch, rr.Scalars.columns(scalars=values), _bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Rows only where the state differs from the one before."""
@@ -303,11 +265,6 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]
         return lying
     return np.stack([getattr(frame, name) for frame in batch])
-
-
-def _scalars(path: str, batch: Sequence[Frame], values: Sequence[float] | NDArray[np.generic]) -> Rows:
-    array = np.asarray(values, dtype=np.float64)
-    return _rows(path, batch, rr.Scalars.columns(scalars=array), _bytes(array))
 
 
 def _fingerprints(batch: Sequence[Frame]) -> Rows:

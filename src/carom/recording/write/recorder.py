@@ -156,7 +156,7 @@ class Recorder:
         past, position = self._past, first.position
         if past is not None:
             position, origin = past.first_position(), past.origin
-            self._encoder = BatchEncoder(self.header, origin, past.arrow_references, past.last_state)
+            self._encoder = BatchEncoder(self.header, origin, past.arrow_references, past.last_state, past.checkpoint)
         else:
             origin = np.average(position, axis=0, weights=self.header.mass)
             self._encoder = BatchEncoder(self.header, origin)

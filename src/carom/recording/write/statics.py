@@ -12,6 +12,7 @@ from rerun.components import FillMode
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
+from carom.recording.schema.series import recorded
 from carom.recording.view.scene_text import scene_document
 from carom.recording.write import encoder as entities
 
@@ -140,23 +141,8 @@ def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
 
 
 def _series(header: Header) -> Iterable[Static]:
-    for term, (name, colour) in entities.energy_terms(header).items():
-        yield f"{paths.ENERGY}/{term}", _line(f"{name}", colour)
-    for term, (name, colour) in entities.ledger_terms(header).items():
-        yield f"{paths.LEDGER}/{term}", _line(f"{name}", colour)
-    yield paths.INTEGRATION_ERROR, _line("integration error", palette.YELLOW)
-    yield paths.RELATIVE_ERROR, _line("integration error / energy scale", palette.YELLOW)
-    yield paths.DT, _line("dt (s)", palette.SKY)
-    if header.collides:
-        yield paths.STEP_CONTACTS, _line("contacts", palette.VERMILION)
-        yield paths.COLOURS, _line("colours (stages)", palette.YELLOW)
-        yield paths.SWEEPS, _line("sweeps", palette.GREEN)
-        yield paths.OVERLAP, _line("deepest overlap (m)", palette.PURPLE)
-        yield paths.RELATIVE_OVERLAP, _line("deepest overlap / smaller radius", palette.PURPLE)
-
-
-def _line(name: str, colour: int) -> rr.SeriesLines:
-    return rr.SeriesLines(names=name, colors=colour)
+    for series in recorded(header):
+        yield series.path, rr.SeriesLines(names=series.legend, colors=series.colour)
 
 
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:

@@ -1,0 +1,114 @@
+"""The scalars of every frame: the one table that encoder, plots, inventory and docs/recording.md are made from.
+
+A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import TYPE_CHECKING, NamedTuple
+
+from carom.recording.schema.header import Header
+from carom.recording.schema.palette import GREEN, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
+    from carom.physics.energy import Energy
+    from carom.physics.frame import Frame
+
+PLOTS = (  # from left to right; the plots of a column are tabs
+    ("Energy (J)",),
+    ("Integration error, ledger (J)", "Relative error"),
+    ("Contacts", "Colours, sweeps"),
+    ("dt (s)", "Overlap / smaller radius"),
+)
+(_ENERGY,), (_ERROR, _RELATIVE), (_CONTACTS, _SOLVER), (_DT, _OVERLAP) = PLOTS
+
+
+class Sample(NamedTuple):
+    """What a scalar may be computed from."""
+
+    frame: Frame
+    before: Frame | Checkpoint | None  # the frame recorded before it; None at the first
+    overlap: float  # m, the deepest of the frame's contacts; 0 without any
+    relative_overlap: float  # the largest overlap / smaller radius of a contact
+
+    @property
+    def energy(self) -> Energy:
+        """The frame's energies, in J."""
+        return self.frame.energy
+
+
+class Past(Enum):
+    """How much of the run a value depends on: a replay that begins later than that cannot compare it."""
+
+    NONE = auto()  # the state alone, as a checkpoint keeps it
+    STEP = auto()  # the step that led to the state
+    INTERVAL = auto()  # the steps since the frame before
+    RUN = auto()  # all frames before
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One scalar of every frame."""
+
+    path: str
+    unit: str
+    legend: str  # in the plot
+    colour: int  # 0xRRGGBBAA
+    plot: str | None  # one of `PLOTS`; None: it is recorded, but not plotted
+    value: Callable[[Sample], float]
+    meaning: str  # for docs/recording.md
+    part: str | None = None  # the part of the model (`carom explain`) without which it is not recorded; None: always
+    past: Past = Past.NONE
+
+
+def _colours(sample: Sample) -> int:
+    colours = sample.frame.contacts.colours
+    return int(colours.max()) + 1 if len(colours) else 0
+
+
+# A table, two lines a series: what it is and how it is drawn; its value, meaning, part of the model and past.
+# fmt: off
+SERIES = (
+    Series("energy/translational", "J", "translational", SKY, _ENERGY,
+           lambda s: s.energy.translational, "Σ ½ m v²"),
+    Series("energy/rotational", "J", "rotational", ORANGE, _ENERGY,
+           lambda s: s.energy.rotational, "Σ ½ I ω²", "spin"),
+    Series("energy/gravitational", "J", "gravitational", PURPLE, _ENERGY,
+           lambda s: s.energy.gravitational, "of the bodies' own gravity", "potential"),
+    Series("energy/field", "J", "uniform field", GREEN, _ENERGY,
+           lambda s: s.energy.field, "potential energy in the uniform field", "uniform-field"),
+    Series("energy/total", "J", "total", WHITE, _ENERGY,
+           lambda s: s.energy.total, "sum of the energies above"),
+    Series("energy/ledger/restitution", "J", "restitution: taken out", SKY, _ERROR,
+           lambda s: s.energy.ledger.restitution, "taken out by normal impulses since the start", "contact"),
+    Series("energy/ledger/friction", "J", "friction: taken out", ORANGE, _ERROR,
+           lambda s: s.energy.ledger.friction, "taken out by tangential impulses since the start", "friction"),
+    Series("energy/ledger/stabilisation", "J", "stabilisation: put in", VERMILION, _ERROR,
+           lambda s: s.energy.ledger.stabilisation, "put in by undoing overlaps since the start", "stabilisation"),
+    Series("energy/integration_error", "J", "integration error", YELLOW, _ERROR,
+           lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
+    Series("energy/relative_error", "1", "integration error / energy scale", YELLOW, _RELATIVE,
+           lambda s: s.energy.relative_error, "integration error over the energy scale", past=Past.RUN),
+    Series("step/dt", "s", "dt (s)", SKY, _DT,
+           lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP),
+    Series("step/contacts", "1", "contacts", VERMILION, _CONTACTS,
+           lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
+    Series("step/colours", "1", "colours (stages)", YELLOW, _SOLVER,
+           _colours, "colours of the contacts in the step", "contact", Past.STEP),
+    Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
+           lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP),
+    Series("step/overlap", "m", "deepest overlap (m)", PURPLE, None,
+           lambda s: s.overlap, "deepest overlap of a contact", "contact", Past.STEP),
+    Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
+           lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact", Past.STEP),
+)
+# fmt: on
+
+
+def recorded(header: Header) -> Iterator[Series]:
+    """Return the series that a recording of this scene has."""
+    return (series for series in SERIES if series.part is None or header.models(series.part))

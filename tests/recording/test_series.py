@@ -1,0 +1,40 @@
+"""The table of scalars is what recordings hold, plots show and the documentation lists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema.series import PLOTS, SERIES, recorded
+from carom.recording.write.recorder import Recorder
+from merry import Merry
+
+DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
+
+
+def documented() -> str:
+    """The table of docs/recording.md, as it should be."""
+    rows = [(f"`/{s.path}`", s.unit, s.meaning, "" if s.part is None else f"`{s.part}`") for s in SERIES]
+    lines = ["| entity | unit | meaning | with |", "|---|---|---|---|"]
+    return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in rows)]).replace("|  |", "| |") + "\n"
+
+
+def test_the_documentation_lists_every_series_with_its_unit_and_meaning() -> None:
+    assert documented() in DOCS.read_text(encoding="utf-8")
+
+
+def test_every_plot_shows_at_least_one_series_and_every_plotted_series_has_its_plot() -> None:
+    plots = [plot for column in PLOTS for plot in column]
+    assert {series.plot for series in SERIES} - {None} == set(plots)
+    assert len(set(plots)) == len(plots) and len({series.path for series in SERIES}) == len(SERIES)
+
+
+def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:
+    for name, merry in (("all", Merry(5)), ("few", Merry(5, spins=False, collides=False, gravitates=False))):
+        with Recorder(tmp_path / f"{name}.rrd", merry.header) as recorder:
+            for frame in merry.frames(30):
+                recorder.put(frame)
+            recorder.finish("completed")
+        entries = Recording.open(tmp_path / f"{name}.rrd").store.entries
+        found = {entry.entity_path for entry in entries if not entry.is_static}
+        assert found & {series.path for series in SERIES} == {series.path for series in recorded(merry.header)}
