@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+import pytest
 
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import PLOTS, SERIES, recorded
@@ -38,3 +42,20 @@ def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -
         entries = Recording.open(tmp_path / f"{name}.rrd").store.entries
         found = {entry.entity_path for entry in entries if not entry.is_static}
         assert found & {series.path for series in SERIES} == {series.path for series in recorded(merry.header)}
+
+
+def test_the_impact_rate_is_impacts_since_the_last_frame_over_the_time_between(tmp_path: Path) -> None:
+    merry = Merry(5)
+    counts = np.array([0, 0, 2, 2, 5, 11, 11, 12])
+    frames = [
+        replace(frame, books=replace(frame.books, moments=replace(frame.books.moments, impacts=int(impacts))))
+        for frame, impacts in zip(merry.frames(len(counts)), counts, strict=True)
+    ]
+    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=3) as recorder:  # several batches
+        for frame in frames:
+            recorder.put(frame)
+        recorder.finish("completed")
+    rate = Recording.open(tmp_path / "run.rrd").steps("impact_rate")["impact_rate"].to_numpy()
+    times = np.array([frame.time for frame in frames])
+    assert rate[0] == 0.0
+    assert rate[1:] == pytest.approx(np.diff(counts) / np.diff(times), rel=1e-15)

@@ -171,7 +171,8 @@ class FrameCheck:
     def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
         found = self._rows.at(path, step)
         if not found:
-            self.skipped[f"/{path}, rows of which are missing"] = None
+            lacks = "rows of which are missing" if path in self._rows.entities else "which the recording lacks"
+            self.skipped[f"/{path}, {lacks}"] = None
             return None
         if len(found) > 1:
             return Mismatch(step, f"rows of /{path}", len(found), 1)

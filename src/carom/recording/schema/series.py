@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 PLOTS = (  # from left to right; the plots of a column are tabs
     ("Energy (J)",),
     ("Integration error, ledger (J)", "Relative error"),
-    ("Contacts", "Colours, sweeps"),
+    ("Contacts", "Impacts (1/s)", "Colours, sweeps"),
     ("dt (s)", "Overlap / smaller radius"),
 )
-(_ENERGY,), (_ERROR, _RELATIVE), (_CONTACTS, _SOLVER), (_DT, _OVERLAP) = PLOTS
+(_ENERGY,), (_ERROR, _RELATIVE), (_CONTACTS, _IMPACTS, _SOLVER), (_DT, _OVERLAP) = PLOTS
 
 
 class Sample(NamedTuple):
@@ -65,6 +65,14 @@ class Series:
     past: Past = Past.NONE
 
 
+def _impact_rate(sample: Sample) -> float:
+    """Return (impacts since the frame before) / (simulated time since then), 1/s."""
+    frame, before = sample.frame, sample.before
+    if before is None or frame.time <= before.time:
+        return 0.0
+    return (frame.books.moments.impacts - before.books.moments.impacts) / (frame.time - before.time)
+
+
 def _colours(sample: Sample) -> int:
     colours = sample.frame.contacts.colours
     return int(colours.max()) + 1 if len(colours) else 0
@@ -97,6 +105,8 @@ SERIES = (
            lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP),
     Series("step/contacts", "1", "contacts", VERMILION, _CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
+    Series("step/impact_rate", "1/s", "impacts (1/s)", ORANGE, _IMPACTS,
+           _impact_rate, "impacts since the frame before over the time between", "contact", Past.INTERVAL),
     Series("step/colours", "1", "colours (stages)", YELLOW, _SOLVER,
            _colours, "colours of the contacts in the step", "contact", Past.STEP),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
