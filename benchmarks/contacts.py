@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import Grid
-from carom.physics.contact.broad_phase.search import KdTree
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.graph import colour_contacts
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.stages import stages_of
@@ -83,7 +83,7 @@ def workbench(position: FloatArray, radius: FloatArray, team: Team) -> Workbench
     bodies = Bodies.at_start(start, spins=True, torques=True)
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
     bench = Workbench(bodies, no_planes, np.array([[0.5, 0.6, 0.4]]), OPEN, True, team)
-    pairs = Grid(radius, OPEN).pairs(position)
+    pairs = HierarchicalGrid(radius, OPEN).pairs(position)
     bench.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     bench.rest_speed[:] = np.inf
     return bench
@@ -106,12 +106,13 @@ def compare_searches(n: int, rounds: int) -> list[dict[str, Any]]:
     for name, scene in (("touching", touching), ("1:100", graded)):
         position, radius = scene(n)
         contenders: dict[str, Callable[[], object]] = {
-            f"grid, {threads} threads": _call(Grid(radius, OPEN, Team(threads)), position) for threads in THREADS
+            f"grid, {threads} threads": _call(HierarchicalGrid(radius, OPEN, Team(threads)), position)
+            for threads in THREADS
         }
         contenders["k-d trees by size"] = _call(KdTree(radius, OPEN), position)
         if name == "touching":
             contenders["cKDTree"] = _tree(position)
-        found = len(Grid(radius, OPEN).pairs(position))
+        found = len(HierarchicalGrid(radius, OPEN).pairs(position))
         times = medians(contenders, rounds)
         rows.append({"scene": name, "bodies": len(radius), "contacts": found, "ms": _rounded(times, 1e3)})
         print(f"search {name:>9} {len(radius):>8} bodies {found:>8} contacts  {rows[-1]['ms']} ms", flush=True)
@@ -131,7 +132,7 @@ def time_sweeps(name: str, position: FloatArray, radius: FloatArray, rounds: int
     return row
 
 
-def _call(search: Grid | KdTree, position: FloatArray) -> Callable[[], object]:
+def _call(search: HierarchicalGrid | KdTree, position: FloatArray) -> Callable[[], object]:
     return lambda: search.pairs(position)
 
 

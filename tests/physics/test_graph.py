@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import FEW, Grid
-from carom.physics.contact.broad_phase.search import KdTree
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.graph import (
     OVERFLOW,
     CollisionGraph,
@@ -49,7 +49,7 @@ def test_equal_spheres_need_at_most_23_colours() -> None:
     k = np.arange(6)
     x, y, z = (axis.ravel().astype(float) for axis in np.meshgrid(k, k, k))
     hexagonal = np.column_stack((2 * x + y + z, np.sqrt(3) * (y + z / 3), 2 * np.sqrt(6) / 3 * z)) * 0.9999
-    pairs = Grid(np.ones(216), np.zeros(3)).pairs(hexagonal)
+    pairs = HierarchicalGrid(np.ones(216), np.zeros(3)).pairs(hexagonal)
     assert np.bincount(pairs.ravel()).max() == 12
     assert colour_contacts(pairs, np.ones(216)).max() < 23
 
@@ -110,7 +110,7 @@ def test_touching_bodies_differ_in_the_seeds_colouring(graph: tuple[IntArray, in
     decades=st.floats(0.0, 4.0),
     far=st.sampled_from([0.0, 1e3, 1e12]),
     stretch=st.sampled_from([1.0, 1.0 + 1e-9, 1.1]),
-    few=st.sampled_from([0, FEW]),
+    few=st.sampled_from([0, ALL_PAIRS_UP_TO]),
 )
 def test_grids_find_what_trees_find(
     seed: int, count: int, decades: float, far: float, stretch: float, few: int
@@ -123,8 +123,8 @@ def test_grids_find_what_trees_find(
     for box in (np.zeros(3), np.array([4.0, 6.0, 20.0]) * radius.max()):
         if box[0] == 0.0:
             position[0] += far
-        with mock.patch("carom.physics.contact.broad_phase.hierarchical_grid.FEW", few):
-            grid, trees = Grid(radius, box), KdTree(radius, box)
+        with mock.patch("carom.physics.contact.broad_phase.hierarchical_grid.ALL_PAIRS_UP_TO", few):
+            grid, trees = HierarchicalGrid(radius, box), KdTree(radius, box)
         assert np.array_equal(grid.pairs(position, stretch), trees.pairs(position, stretch))
         moved = position + rng.normal(0.0, 0.1, position.shape)
         apart = np.where(np.arange(count)[:, None] > 0, 5.0, 1.0) * moved
@@ -137,21 +137,21 @@ def test_grids_find_what_trees_find_in_clusters_of_a_wide_space(box: float) -> N
     # Wide cells that are crowded, hashed ones, and planets that look into the grids of their pebbles.
     rng = np.random.default_rng(11)
     radius = np.concatenate((np.full(2, 5.0), rng.uniform(0.05, 0.4, 1500)))
-    grid, trees = Grid(radius, np.full(3, box)), KdTree(radius, np.full(3, box))
+    grid, trees = HierarchicalGrid(radius, np.full(3, box)), KdTree(radius, np.full(3, box))
     centres = rng.uniform(-28.0, 28.0, (len(radius), 3))
     for spread in (1.0, 0.3, 0.05, 1.0):
         position = np.where(np.arange(len(radius))[:, None] % 10 == 0, centres, spread * centres)
-        for slack in (0.0, 0.01):
-            assert np.array_equal(grid.pairs(position, slack=slack), trees.pairs(position, slack=slack))
+        for skin in (0.0, 0.01):
+            assert np.array_equal(grid.pairs(position, skin=skin), trees.pairs(position, skin=skin))
 
 
-def test_a_search_with_slack_finds_what_nearly_touches() -> None:
+def test_a_search_with_a_skin_finds_what_nearly_touches() -> None:
     position, radius = np.array([[0.0, 0.0, 0.0], [2.05, 0.0, 0.0]]), np.ones(2)
-    for search in (Grid(radius, np.zeros(3)), KdTree(radius, np.zeros(3))):
+    for search in (HierarchicalGrid(radius, np.zeros(3)), KdTree(radius, np.zeros(3))):
         assert len(search.pairs(position)) == 0
-        assert len(search.pairs(position, slack=0.04)) == 0
-        assert len(search.pairs(position, slack=0.06)) == 1
-        assert len(search.pairs(position, stretch=1.03)) == 1
+        assert len(search.pairs(position, skin=0.04)) == 0
+        assert len(search.pairs(position, skin=0.06)) == 1
+        assert len(search.pairs(position, scale=1.03)) == 1
 
 
 def test_normals_point_from_i_to_j_and_overlaps_are_depths() -> None:
@@ -168,6 +168,6 @@ def test_in_a_periodic_box_the_nearest_image_is_touched() -> None:
     bodies, box = random_bodies(2, 0), np.full(3, 10.0)
     bodies.position[:] = [[-4.6, 0.0, 0.0], [4.6, 0.0, 0.0]]
     bodies.radius[:] = 0.5
-    bench = bench_of(bodies, Grid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
+    bench = bench_of(bodies, HierarchicalGrid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
     assert np.array_equal(bench.normals, [[-1.0, 0.0, 0.0]])
     assert np.allclose(bench.arms.sum(axis=1), 0.8, rtol=1e-15)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import Grid
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -22,7 +22,7 @@ def push(
     bodies: Bodies, rest: float = np.inf, restitution: float = 0.0, sweeps: int = 1
 ) -> tuple[FloatArray, FloatArray]:
     """Push what overlaps; return the ledger and the overlaps left."""
-    pairs = Grid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+    pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
     bench = bench_of(bodies, pairs, [restitution, 0.0, 0.0])
     bench.rest_speed[:] = rest
     bench.part(sweeps)

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import Grid
-from carom.physics.contact.broad_phase.search import PlaneSearch
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.workbench import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
@@ -32,7 +32,7 @@ def resolved(threads: int, hub: bool) -> tuple[FloatArray, ...]:
     bodies.position[:] = np.random.default_rng(3).permutation(lattice)
     if hub:
         bodies.radius[0], bodies.position[0] = 10.0, 15.0
-    pairs = Grid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+    pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
     assert len(pairs) > SHARED_FROM
     bench = bench_of(bodies, pairs, [0.5, 0.6, 0.4], threads=threads)
     sweeps = bench.resolve_impacts(0.0, 3, impacts_only=False)
@@ -58,10 +58,10 @@ def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
     rng = np.random.default_rng(5)
     n = 20_000
     position, radius = rng.uniform(-28.0, 28.0, (n, 3)), 10.0 ** rng.uniform(-1.0, 0.5, n)
-    alone = Grid(radius, np.full(3, box)).pairs(position)
+    alone = HierarchicalGrid(radius, np.full(3, box)).pairs(position)
     assert len(alone) > 3 * n
     for threads in (2, 4):
-        assert np.array_equal(Grid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
+        assert np.array_equal(HierarchicalGrid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
 
 
 def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
@@ -71,7 +71,7 @@ def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
     position, fixed = rng.uniform(0.0, 60.0, (n, 3)), rng.random(n) < 0.1
     position[5000:9000] += 1e3 * np.arange(1, 4001)[:, None]
     planes = HalfSpaces(["floor", "wall"], np.eye(3)[[2, 0]], np.array([0.5, 0.0]), np.zeros((2, 3)))
-    pairs = Grid(np.ones(n), np.zeros(3)).pairs(position)
+    pairs = HierarchicalGrid(np.ones(n), np.zeros(3)).pairs(position)
     found = [
         PlaneSearch(np.ones(n), np.where(fixed, 0.0, 1.0), planes, Team(threads)).merged(pairs, position, 1.0, 0.0)
         for threads in (1, 2, 4)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.run import run
-from carom.physics.contact.broad_phase.hierarchical_grid import FEW
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
 from carom.physics.parallel.jit import Compilations, cache_folder
 from carom.physics.parallel.thread_team import load_helpers, sharing_all
 from carom.scene.schema import Scene
@@ -33,7 +33,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.1, "max_dt": 0.02},
     },
     "a cloud, by the tree": {
-        "group": [_CROWD[0] | {"count": 2 * FEW}],
+        "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],
         "gravity": {"constant": 1.0, "method": "tree"},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },

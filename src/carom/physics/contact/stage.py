@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.bearing import borne
-from carom.physics.contact.broad_phase.search import PlaneSearch, search_by
+from carom.physics.contact.broad_phase.planes import PlaneSearch
+from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph

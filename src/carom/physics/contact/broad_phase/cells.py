@@ -1,4 +1,4 @@
-"""The bodies in the order of the cells of grids, one for each octave of radius.
+"""The bodies in the order of the cells of grids, one grid for each octave of radius.
 
 The cells of an octave are as wide as its largest body, so that its bodies touch in neighbouring cells only. An octave
 whose bodies would hardly ever share a cell joins the grid of the next larger one. Where a grid has few more cells than
@@ -6,12 +6,12 @@ bodies its cells are numbered row by row, and what is near in space is near in m
 cells are wider, or they are hashed, so that a small cluster in a huge empty space costs what it holds and not what it
 spans.
 
-A row that is looked into costs as much as some bodies do. Where most cells are empty they are therefore broader across
-the rows and shorter along them: fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). Crowds take a tenth
-longer with such cells.
+Looking into a row of cells costs as much as looking at some bodies. Where most cells are empty they are therefore
+broader across the rows and shorter along them: fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). Crowds
+take a tenth longer with such cells.
 
 From step to step bodies hardly change cells. Sorted in the order of the step before they are read and written nearly in
-order; to renumber the bodies themselves along a space-filling curve would gain nothing more.
+order; renumbering the bodies themselves along a space-filling curve would gain nothing more.
 
 Rejected: hashing always (what is near in space is then anywhere in memory), one width of cells for all radii (n²
 candidates as soon as one body is huge).
@@ -20,7 +20,7 @@ candidates as soon as one body is huge).
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from carom.physics.parallel.thread_team import Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
+Records = NDArray[np.void]
 
 WIDER = 1.0 + 1e-6  # cells are wider than the bodies need, so that no rounding moves a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis: with more, the rounding of a cell's index nears that margin
@@ -44,29 +45,48 @@ SHARED = 0.5  # bodies in a cell, on average, up to which octaves share a grid
 CROWDED = 1.0  # pairs in a cell for each body, from which on its octave neither joins others nor has wide cells again
 STRIP = 64  # cells of a row that lie side by side where cells are hashed
 UPWARDS = 8.0  # rows of cells that a small body meets in the grid of much larger ones, on average
-SOME = 1000  # bodies that are worth a part of their own
+MIN_BODIES_PER_TASK = 1000
 
+OCTAVE = np.dtype(
+    [
+        ("diameter", np.float64),  # m, of its largest body, and a little more
+        ("begin", np.int64),  # its bodies in the order of the table
+        ("end", np.int64),
+        ("crowded", np.bool_),  # whether wide cells once held too many of them
+    ],
+    align=True,
+)
 
-class Octaves(NamedTuple):
-    """The bodies by k octaves of radius, from the largest on."""
+GRID = np.dtype(
+    [
+        ("diameter", np.float64),  # m, of its largest body, and a little more
+        ("begin", np.int64),  # its bodies in the order of the table
+        ("end", np.int64),
+        ("first_bucket", np.int64),
+        ("end_bucket", np.int64),
+        ("kx", np.float64),  # cells in a metre
+        ("ky", np.float64),
+        ("kz", np.float64),
+        ("nx", np.int64),  # cells along each axis
+        ("ny", np.int64),
+        ("nz", np.int64),
+        ("mask", np.int64),  # of the hash, where cells are hashed
+        ("hashed", np.bool_),  # or numbered row by row
+        ("crowded", np.bool_),  # whether its largest octave is
+    ],
+    align=True,
+)
 
-    diameter: FloatArray  # (k,) m, of the largest body, and a little more
-    begins: IntArray  # (k + 1,) first body in the order of the table, and n
-    crowded: NDArray[np.bool_]  # (k,) whether wide cells once held too many of them
+SPHERE = np.dtype([(name, np.float64) for name in ("x", "y", "z", "radius")])  # m
 
 
 class Layout(NamedTuple):
     """The g grids of a step, at most k, from that of the largest bodies on."""
 
     grids: IntArray  # (1,) g
-    diameter: FloatArray  # (k,) m, of the largest body, and a little more
-    begins: IntArray  # (k + 1,) first body of each grid in the order of the table, and n
-    origin: FloatArray  # (3,) m, the corner from which cells are counted
-    density: FloatArray  # (k, 3) cells in a metre
-    cells: IntArray  # (k, 3) along each axis
-    first: IntArray  # (k + 1,) first bucket of each grid, and the number of them all
-    mask: IntArray  # (k,) the hashed part of a bucket's number, or -1 where cells are numbered row by row
+    grid: Records  # (k,) `GRID`
     into: NDArray[np.bool_]  # (k, k) whether the bodies of a grid look into another
+    origin: FloatArray  # (3,) m, the corner from which cells are counted
     box: FloatArray  # (3,) m, zeros in open space
 
 
@@ -75,7 +95,7 @@ class Table(NamedTuple):
 
     ends: Int32Array  # (buckets + 1,) first body of each, and n
     body: Int32Array  # (n,)
-    sphere: FloatArray  # (n, 4) x, y, z, radius
+    sphere: Records  # (n,) `SPHERE`
 
 
 class Cells:
@@ -88,7 +108,7 @@ class Cells:
     box
         Size of the periodic box, (3,) m; zeros in open space.
     team
-        Who sorts.
+        Threads that sort.
     """
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team) -> None:
@@ -97,40 +117,35 @@ class Cells:
         self._radius = radius
         octave = np.unique(-np.frexp(radius / (radius.max() * WIDER))[1], return_inverse=True)[1]
         population = np.bincount(octave)
-        k = len(population)
+        k, after = len(population), np.cumsum(population)
         self._octave = octave.astype(np.int16)
-        self._octaves = Octaves(
-            diameter=2.0 * WIDER * np.array([radius[octave == L].max() for L in range(k)]),
-            begins=np.concatenate(([0], np.cumsum(population))).astype(np.int64),
-            crowded=np.zeros(k, dtype=np.bool_),
-        )
+        self._octaves = np.zeros(k, dtype=OCTAVE)
+        self._octaves["diameter"] = 2.0 * WIDER * np.array([radius[octave == L].max() for L in range(k)])
+        self._octaves["begin"], self._octaves["end"] = after - population, after
         self.layout = Layout(
             grids=np.zeros(1, dtype=np.int64),
-            diameter=np.empty(k),
-            begins=np.zeros(k + 1, dtype=np.int64),
-            origin=np.zeros(3),
-            density=np.zeros((k, 3)),
-            cells=np.zeros((k, 3), dtype=np.int64),
-            first=np.zeros(k + 1, dtype=np.int64),
-            mask=np.zeros(k, dtype=np.int64),
+            grid=np.zeros(k, dtype=GRID),
             into=np.zeros((k, k), dtype=np.bool_),
+            origin=np.zeros(3),
             box=box,
         )
         ends = np.empty(ROOM * n + 2 * STRIP * k + 1, dtype=np.int32)
-        self.table, self._spare = (Table(ends, np.empty(n, dtype=np.int32), np.empty((n, 4))) for _ in range(2))
+        self.table, self._spare = (
+            Table(ends, np.empty(n, dtype=np.int32), np.empty(n, dtype=SPHERE)) for _ in range(2)
+        )
         self._bucket, self._rank = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
 
-    def sort(self, position: FloatArray, stretch: float, slack: float) -> Table:
-        """Return the table of bodies at (n, 3) m, in cells as wide as (r_i + r_j) stretch + slack."""
+    def sort(self, position: FloatArray, scale: float, skin: float) -> Table:
+        """Return the table of bodies at (n, 3) m, in cells as wide as ``(r_i + r_j) scale + skin``."""
         before, table, layout, n = self.table, self._spare, self.layout, len(position)
         extent = _span(position, layout.origin, layout.box)
-        if _lay(extent, stretch, slack, self._octaves, layout):
+        if _lay(extent, scale, skin, self._octaves, layout):
             before.body[:] = np.argsort(self._octave, kind="stable")
-            before.sphere[:, 3] = self._radius[before.body]
-        table.ends[: layout.first[layout.grids[0]] + 1] = 0
-        self._team.divide(n, SOME, _assign, position, layout, before, self._bucket, self._rank)
+            before.sphere["radius"] = self._radius[before.body]
+        table.ends[: layout.grid["end_bucket"][layout.grids[0] - 1] + 1] = 0
+        self._team.divide(n, MIN_BODIES_PER_TASK, _assign, position, layout, before, self._bucket, self._rank)
         _add_up(table.ends, self._octaves, layout)
-        self._team.divide(n, SOME, _move, before, self._bucket, self._rank, table)
+        self._team.divide(n, MIN_BODIES_PER_TASK, _move, before, self._bucket, self._rank, table)
         self.table, self._spare = table, before
         return table
 
@@ -153,7 +168,7 @@ def _span(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[fl
 
 
 @kernel
-def _lay(extent: tuple[float, float, float], stretch: float, slack: float, octaves: Octaves, layout: Layout) -> bool:
+def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout) -> bool:
     """Lay the grids, and say which bodies look into which of them.
 
     Returns
@@ -161,45 +176,53 @@ def _lay(extent: tuple[float, float, float], stretch: float, slack: float, octav
     anew
         Whether octaves share grids in another way than before: bodies then have to be put in their order again.
     """
-    grids, diameter, begins, _, density, _, first, mask, into, _ = layout
-    g, cells, anew = 0, 0.0, False
-    for L in range(len(octaves.diameter)):
-        end = octaves.begins[L + 1]
-        if g == 0 or end - begins[g - 1] > SHARED * cells or octaves.crowded[L]:
-            anew = anew or begins[g] != octaves.begins[L]
-            diameter[g], begins[g] = octaves.diameter[L], octaves.begins[L]
-            cells = _cut(diameter[g] * stretch + slack, 1.0, g, extent, layout)
-            g += 1
-    anew = anew or grids[0] != g
-    grids[0], begins[g] = g, octaves.begins[len(octaves.diameter)]
-    for L in range(g):
-        bodies, width = begins[L + 1] - begins[L], diameter[L] * stretch + slack
-        room, crowded = ROOM * bodies + STRIP, octaves.crowded[np.searchsorted(octaves.begins, begins[L])]
-        cells = _cut(width, 1.0, L, extent, layout)
-        broader = BROAD if cells > SPARSE * bodies and not crowded else 1.0
-        cells = _cut(width, broader, L, extent, layout)
-        if cells > room and not crowded:
-            cells = _cut(WIDE * width, broader, L, extent, layout)
-        if cells <= room:
-            first[L + 1], mask[L] = first[L] + np.int64(cells), -1
-        else:
-            _cut(width, 1.0, L, extent, layout)
+    count, cells, anew = 0, 0.0, False
+    for L in range(len(octaves)):
+        octave = octaves[L]
+        if count == 0 or octave.end - layout.grid[count - 1].begin > SHARED * cells or octave.crowded:
+            grid = layout.grid[count]
+            anew = anew or grid.begin != octave.begin
+            grid.diameter, grid.begin, grid.crowded = octave.diameter, octave.begin, octave.crowded
+            cells = _cut(grid.diameter * scale + skin, 1.0, extent, layout.box, grid)
+            count += 1
+        layout.grid[count - 1].end = octave.end
+    anew = anew or layout.grids[0] != count
+    layout.grids[0] = count
+    bucket = 0
+    for L in range(count):
+        grid = layout.grid[L]
+        bodies, width = grid.end - grid.begin, grid.diameter * scale + skin
+        room = ROOM * bodies + STRIP
+        cells = _cut(width, 1.0, extent, layout.box, grid)
+        broader = BROAD if cells > SPARSE * bodies and not grid.crowded else 1.0
+        cells = _cut(width, broader, extent, layout.box, grid)
+        if cells > room and not grid.crowded:
+            cells = _cut(WIDE * width, broader, extent, layout.box, grid)
+        grid.first_bucket, grid.hashed = bucket, cells > room
+        if grid.hashed:
+            _cut(width, 1.0, extent, layout.box, grid)
             hashed = STRIP
             while hashed < 2 * bodies:
                 hashed *= 2
-            first[L + 1], mask[L] = first[L] + hashed + STRIP, hashed - 1
-    for large in range(g):
-        into[large, large] = True
-        for small in range(large + 1, g):
-            rows = (diameter[large] * density[small, 1] + 2.0) * (diameter[large] * density[small, 2] + 2.0)
-            down = (begins[large + 1] - begins[large]) * rows
-            into[large, small] = down < (begins[small + 1] - begins[small]) * UPWARDS
-            into[small, large] = not into[large, small]
+            grid.mask = hashed - 1
+            bucket += hashed + STRIP
+        else:
+            bucket += int(cells)
+        grid.end_bucket = bucket
+    for large in range(count):
+        layout.into[large, large] = True
+        upper = layout.grid[large]
+        for small in range(large + 1, count):
+            lower = layout.grid[small]
+            rows = (upper.diameter * lower.ky + 2.0) * (upper.diameter * lower.kz + 2.0)
+            down = (upper.end - upper.begin) * rows
+            layout.into[large, small] = down < (lower.end - lower.begin) * UPWARDS
+            layout.into[small, large] = not layout.into[large, small]
     return anew
 
 
 @kernel
-def _cut(width: float, broader: float, L: int, extent: tuple[float, float, float], layout: Layout) -> float:
+def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: Any) -> float:
     """Cut a grid into cells of a width, or a little more, broader across the rows and shorter along them.
 
     Returns
@@ -207,17 +230,22 @@ def _cut(width: float, broader: float, L: int, extent: tuple[float, float, float
     cells
         How many there are.
     """
-    cells = 1.0
-    for k in range(3):
-        size = width / (broader * broader) if k == 0 else width * broader
-        if layout.box[0] > 0.0:
-            layout.cells[L, k] = np.int64(min(max(1.0, np.floor(extent[k] / size)), MOST_CELLS))
-            layout.density[L, k] = layout.cells[L, k] / extent[k]
-        else:
-            layout.density[L, k] = 1.0 / max(size, extent[k] / MOST_CELLS)
-            layout.cells[L, k] = np.int64(extent[k] * layout.density[L, k]) + 1
-        cells *= layout.cells[L, k]
+    periodic = box[0] > 0.0
+    grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), periodic)
+    grid.ny, grid.ky = _cut_axis(extent[1], width * broader, periodic)
+    grid.nz, grid.kz = _cut_axis(extent[2], width * broader, periodic)
+    cells: float = 1.0 * grid.nx * grid.ny * grid.nz
     return cells
+
+
+@kernel
+def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
+    """Return the number of cells of at least a size, in m, along an axis, and how many are in a metre."""
+    if periodic:
+        cells = int(min(max(1.0, np.floor(extent / size)), MOST_CELLS))
+        return cells, cells / extent
+    density = 1.0 / max(size, extent / MOST_CELLS)
+    return int(extent * density) + 1, density
 
 
 @inline
@@ -237,46 +265,49 @@ def _assign(
     rank: Int32Array,
 ) -> None:
     """Find the bucket of each body, and how many others are in it already; which are, is left to chance."""
-    _, _, begins, origin, density, count, first, mask, _, box = layout
-    ends, body, sphere = before
+    origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
+    periodic = layout.box[0] > 0.0
     for k in range(lo, hi):
         prefetch(position, body[min(last, k + AHEAD)], 0)
-        while k >= begins[L + 1]:
+        while k >= layout.grid[L].end:
             L += 1
+        grid = layout.grid[L]
         i = body[k]
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        sphere[k, 0], sphere[k, 1], sphere[k, 2] = x, y, z
-        ix = math.floor((x - origin[0]) * density[L, 0])
-        iy = math.floor((y - origin[1]) * density[L, 1])
-        iz = math.floor((z - origin[2]) * density[L, 2])
-        if box[0] > 0.0:
-            ix, iy, iz = ix % count[L, 0], iy % count[L, 1], iz % count[L, 2]
-        if mask[L] < 0:
-            b = first[L] + (iz * count[L, 1] + iy) * count[L, 0] + ix
+        sphere = before.sphere[k]
+        sphere.x, sphere.y, sphere.z = x, y, z
+        ix = math.floor((x - origin[0]) * grid.kx)
+        iy = math.floor((y - origin[1]) * grid.ky)
+        iz = math.floor((z - origin[2]) * grid.kz)
+        if periodic:
+            ix, iy, iz = ix % grid.nx, iy % grid.ny, iz % grid.nz
+        if grid.hashed:
+            b = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
         else:
-            b = first[L] + (strip_of(ix, iy, iz) & mask[L]) + ix % STRIP
+            b = grid.first_bucket + (iz * grid.ny + iy) * grid.nx + ix
         bucket[k] = b
         rank[k] = atomic_add(ends, b, np.int32(1))
 
 
 @kernel
-def _add_up(ends: Int32Array, octaves: Octaves, layout: Layout) -> None:
+def _add_up(ends: Int32Array, octaves: Records, layout: Layout) -> None:
     """Turn how many bodies each bucket holds into where they begin; take note of octaves that are crowded."""
-    total = np.int32(0)
+    total, last = np.int32(0), 0
     for L in range(layout.grids[0]):
         pairs = 0
-        for b in range(layout.first[L], layout.first[L + 1]):
+        grid = layout.grid[L]
+        for b in range(grid.first_bucket, grid.end_bucket):
             held = ends[b]
             ends[b] = total
             total += held
             pairs += held * (held - 1)
-        lo, hi = layout.begins[L], layout.begins[L + 1]
-        if 0.5 * pairs > CROWDED * (hi - lo):
-            for k in range(len(octaves.diameter)):
-                if lo <= octaves.begins[k] < hi:
-                    octaves.crowded[k] = True
-    ends[layout.first[layout.grids[0]]] = total
+        if 0.5 * pairs > CROWDED * (grid.end - grid.begin):
+            for k in range(len(octaves)):
+                if grid.begin <= octaves[k].begin < grid.end:
+                    octaves[k].crowded = True
+        last = grid.end_bucket
+    ends[last] = total
 
 
 @long_kernel
@@ -286,5 +317,5 @@ def _move(lo: int, hi: int, before: Table, bucket: Int32Array, rank: Int32Array,
     for k in range(lo, hi):
         slot = ends[bucket[k]] + rank[k]
         body[slot] = before.body[k]
-        for axis in range(4):
-            sphere[slot, axis] = before.sphere[k, axis]
+        old, new = before.sphere[k], sphere[slot]
+        new.x, new.y, new.z, new.radius = old.x, old.y, old.z, old.radius

@@ -1,4 +1,4 @@
-"""Which bodies touch: each looks into the cells within its reach, in the grid of its own octave and in some others.
+"""Hierarchical grid: each body looks into the cells within its reach, in the grid of its own octave and in others.
 
 Within an octave a pair is found from the cell that comes first. Of two octaves it is found from one of them: either
 the smaller bodies look into the few cells of the larger ones that they meet, or the larger ones into the many cells
@@ -18,16 +18,18 @@ from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout,
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-CLAIM = 256  # rows of the buffer that a searcher claims at a time
-FEW = 100  # bodies, of which every pair is looked at sooner than they are sorted into cells
+PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
+ALL_PAIRS_UP_TO = 100  # bodies: to look at every pair of so few is faster than to sort them into cells
 NARROW = 4  # cells; a wider reach is cut to the chord of each row
+MIN_BODIES_PER_TASK = 200
 
 
-class Grid:
+class HierarchicalGrid:
     """Finds the pairs of n spheres that touch; keeps its tables from step to step.
 
     Parameters
@@ -37,46 +39,46 @@ class Grid:
     box
         Size of the periodic box, (3,) m; zeros in open space.
     team
-        Who searches; nobody but the caller if left out.
+        Threads that search; by default the caller alone.
     """
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
         n = len(radius)
         self._team = team
         self._radius, self._box = radius, box
-        self._cells = Cells(radius, box, self._team) if n > FEW else None
+        self._cells = Cells(radius, box, self._team) if n > ALL_PAIRS_UP_TO else None
         self._counts = np.zeros(n + 1, dtype=np.int64)
-        self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that searchers have claimed
-        rows = 2 * n + 64 if n > FEW else n * (n - 1) // 2
+        self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that threads have claimed
+        rows = 2 * n + 64 if n > ALL_PAIRS_UP_TO else n * (n - 1) // 2
         self._found = np.empty((2, rows, 2), dtype=np.int64)  # pairs, and room to sort them
 
-    def pairs(self, position: FloatArray, stretch: float = 1.0, slack: float = 0.0) -> IntArray:
-        """Return the pairs no farther apart than ``(r_i + r_j) stretch + slack``, (m, 2), sorted by (i, j).
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j).
 
         Parameters
         ----------
         position
             (n, 3) m, finite; in a periodic box anywhere, not only inside.
-        stretch
-            At least 1.
-        slack
+        scale
+            1 + the relative margin, at least 1.
+        skin
             m, not negative.
         """
         if self._cells is None:
-            m = _all_pairs(position, self._radius, self._box, stretch, slack, self._found[0])
+            m = _all_pairs(position, self._radius, self._box, scale, skin, self._found[0])
             return self._found[0, :m].copy()
-        table = self._cells.sort(position, stretch, slack)
-        m = self._find(table, self._cells.layout, stretch, slack)
+        table = self._cells.sort(position, scale, skin)
+        m = self._find(table, self._cells.layout, scale, skin)
         if self._taken[0] > self._found.shape[1]:
             self._found = np.empty((2, 3 * self._taken[0] // 2, 2), dtype=np.int64)
-            m = self._find(table, self._cells.layout, stretch, slack)
+            m = self._find(table, self._cells.layout, scale, skin)
         return self._found[0, :m].copy()
 
-    def _find(self, table: Table, layout: Layout, stretch: float, slack: float) -> int:
+    def _find(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
         """Fill the first half of the buffer; return how many pairs there are, if they fitted."""
         taken, found = self._taken, self._found
         taken[0] = 0
-        self._team.divide(len(table.body), 200, search, table, layout, stretch, slack, taken, found)
+        self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, taken, found)
         m: int = sort_pairs(taken[0], found, self._counts)
         return m
 
@@ -87,27 +89,28 @@ def search(
     hi: int,
     table: Table,
     layout: Layout,
-    stretch: float,
-    slack: float,
+    scale: float,
+    skin: float,
     taken: IntArray,
     found: IntArray,
 ) -> None:
     """Note the pairs of the bodies [lo, hi) of the table."""
     ends, body, sphere = table
-    grids, diameter, begins, origin, density, count, first, mask, into, box = layout
+    origin, box = layout.origin, layout.box
     periodic = box[0] > 0.0
     m, end, K = 0, 0, 0
     for a in range(lo, hi):
-        while a >= begins[K + 1]:
+        while a >= layout.grid[K].end:
             K += 1
-        x, y, z, r = sphere[a, 0], sphere[a, 1], sphere[a, 2], sphere[a, 3]
+        x, y, z, r = sphere[a].x, sphere[a].y, sphere[a].z, sphere[a].radius
         ox, oy, oz = x - origin[0], y - origin[1], z - origin[2]
-        for L in range(grids[0]):
-            if not into[K, L]:
+        for L in range(layout.grids[0]):
+            if not layout.into[K, L]:
                 continue
-            reach = WIDER * ((r + 0.5 * diameter[L]) * stretch + slack)
-            kx, ky, kz = density[L, 0], density[L, 1], density[L, 2]
-            nx, ny, nz = count[L, 0], count[L, 1], count[L, 2]
+            grid = layout.grid[L]
+            reach = WIDER * ((r + 0.5 * grid.diameter) * scale + skin)
+            kx, ky, kz = grid.kx, grid.ky, grid.kz
+            nx, ny, nz = grid.nx, grid.ny, grid.nz
             fx, lx = math.floor((ox - reach) * kx), math.floor((ox + reach) * kx) + 1
             fy, ly = math.floor((oy - reach) * ky), math.floor((oy + reach) * ky) + 1
             fz, lz = math.floor((oz - reach) * kz), math.floor((oz + reach) * kz) + 1
@@ -121,7 +124,7 @@ def search(
             # within an octave half of the neighbours; where a cell is its neighbour on both sides, later bodies of all
             half = K == L
             if half and periodic:
-                most = WIDER * (diameter[L] * stretch + slack)
+                most = WIDER * (grid.diameter * scale + skin)
                 half = 2.0 * (most * kx + 1.0) < nx and 2.0 * (most * ky + 1.0) < ny and 2.0 * (most * kz + 1.0) < nz
             later = K == L and not half
             cx, cy, cz = 0, 0, 0
@@ -148,30 +151,33 @@ def search(
                     while ix < over:
                         wx = ix % nx if periodic else ix
                         cells = min(over - ix, nx - wx)
-                        if mask[L] < 0:
-                            bucket = first[L] + (wz * ny + wy) * nx + wx
-                        else:
+                        if grid.hashed:
                             cells = min(cells, STRIP - wx % STRIP)
-                            bucket = first[L] + (strip_of(wx, wy, wz) & mask[L]) + wx % STRIP
+                            bucket = grid.first_bucket + (strip_of(wx, wy, wz) & grid.mask) + wx % STRIP
+                        else:
+                            bucket = grid.first_bucket + (wz * ny + wy) * nx + wx
                         for b in range(max(after, ends[bucket]), ends[bucket + cells]):
-                            dx, dy, dz = sphere[b, 0] - x, sphere[b, 1] - y, sphere[b, 2] - z
+                            other = sphere[b]
+                            dx, dy, dz = other.x - x, other.y - y, other.z - z
                             if periodic:
-                                dx -= box[0] * np.floor(dx / box[0] + 0.5)
-                                dy -= box[1] * np.floor(dy / box[1] + 0.5)
-                                dz -= box[2] * np.floor(dz / box[2] + 0.5)
-                            touch = (r + sphere[b, 3]) * stretch + slack
+                                dx, dy, dz = (
+                                    minimum_image(dx, box[0]),
+                                    minimum_image(dy, box[1]),
+                                    minimum_image(dz, box[2]),
+                                )
+                            touch = (r + other.radius) * scale + skin
                             if dx * dx + dy * dy + dz * dz <= touch * touch:
-                                if mask[L] >= 0:  # another cell may have the same hash
-                                    bx = math.floor((sphere[b, 0] - origin[0]) * kx)
-                                    by = math.floor((sphere[b, 1] - origin[1]) * ky)
-                                    bz = math.floor((sphere[b, 2] - origin[2]) * kz)
+                                if grid.hashed:  # another cell may have the same hash
+                                    bx = math.floor((other.x - origin[0]) * kx)
+                                    by = math.floor((other.y - origin[1]) * ky)
+                                    bz = math.floor((other.z - origin[2]) * kz)
                                     if periodic:
                                         bx, by, bz = bx % nx, by % ny, bz % nz
                                     if bz != wz or by != wy or bx < wx or bx >= wx + cells:
                                         continue
                                 if m == end:
-                                    m = atomic_add(taken, 0, CLAIM)
-                                    end = m + CLAIM
+                                    m = atomic_add(taken, 0, PAIRS_PER_CLAIM)
+                                    end = m + PAIRS_PER_CLAIM
                                 if m < found.shape[1]:
                                     found[0, m, 0] = min(body[a], body[b])
                                     found[0, m, 1] = max(body[a], body[b])
@@ -184,7 +190,7 @@ def search(
 
 @kernel
 def _all_pairs(
-    position: FloatArray, radius: FloatArray, box: FloatArray, stretch: float, slack: float, found: IntArray
+    position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, found: IntArray
 ) -> int:
     """Note the pairs of all bodies, and return how many there are."""
     m, periodic = 0, box[0] > 0.0
@@ -194,9 +200,9 @@ def _all_pairs(
             for k in range(3):
                 d = position[j, k] - position[i, k]
                 if periodic:
-                    d -= box[k] * np.floor(d / box[k] + 0.5)
+                    d = minimum_image(d, box[k])
                 d2 += d * d
-            touch = (radius[i] + radius[j]) * stretch + slack
+            touch = (radius[i] + radius[j]) * scale + skin
             if d2 <= touch * touch:
                 found[m, 0], found[m, 1] = i, j
                 m += 1

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import Grid
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.search import Search
 from carom.physics.contact.continuous.event_loop import IMPACT, predict, resolve
 from carom.physics.contact.continuous.event_queue import put
@@ -208,7 +208,7 @@ class EventDrivenDrift:
         if farthest <= WIDEST - 1.0:
             T.body["reach"] = farthest * radius
             return self._search.pairs(T.x, stretch * (1.0 + farthest), slack)
-        return Grid(radius + T.body["reach"], T.box, self._team).pairs(T.x, stretch, slack)
+        return HierarchicalGrid(radius + T.body["reach"], T.box, self._team).pairs(T.x, stretch, slack)
 
     def _resolve(self, pairs: IntArray) -> Impacts:
         T, n = self._trajectories, len(self._bodies)
