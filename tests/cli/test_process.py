@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from carom.recording.read.recording import Recording
-from command import carom
+from command import carom_process
 
 LONG = ["run", "elastic-gas", "--set", "time.duration=1e5", "-o", "x.rrd"]
 SHORT = ["run", "two-spheres", "--set", "time.duration=1", "-o", "x.rrd", "--force"]
@@ -161,8 +161,15 @@ def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-@pytest.mark.parametrize("arguments", [["explain", "two-spheres"], ["scenes"], ["sweep", "--help"]])
+@pytest.mark.parametrize(
+    ("encoding", "arguments"),
+    [
+        ("ascii", ["explain", "two-spheres"]),
+        ("ascii", ["scenes"]),
+        ("ascii", ["sweep", "--help"]),
+        ("latin-1", ["explain", "two-spheres"]),
+    ],
+)
 def test_other_encodings_than_utf_8_are_printed_without_what_they_lack(
     encoding: str, arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -180,5 +187,5 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 
 
 def test_a_mistake_keeps_its_exit_code(tmp_path: Path) -> None:
-    assert carom("run", "nothing.toml", cwd=tmp_path).returncode == 2
-    assert carom("run", cwd=tmp_path).returncode == 2
+    assert carom_process("run", "nothing.toml", cwd=tmp_path).returncode == 2
+    assert carom_process("run", cwd=tmp_path).returncode == 2

@@ -6,7 +6,7 @@ import pytest
 
 from carom.recording.read.recording import Recording
 from carom.recording.write.claim import Claim
-from command import carom
+from command import carom, carom_process
 
 
 def tear(path: Path) -> bytes:
@@ -44,7 +44,7 @@ def test_in_place_keeps_the_torn_file_beside_it(run_file: Path, tmp_path: Path) 
 def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path: Path) -> None:
     before = tear(run_file)
     with Claim(run_file):
-        done = carom("repair", "run.rrd", "--in-place", cwd=tmp_path)
+        done = carom_process("repair", "run.rrd", "--in-place", cwd=tmp_path)
     assert done.returncode == 2 and "another carom is writing it" in done.stderr
     assert run_file.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from command import carom
+from command import carom_process
 from sweeps import (
     SLOW,
     DaskCluster,
@@ -44,7 +44,7 @@ def sweep_on(cluster: DaskCluster, folder: str) -> list[str]:
 def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster: DaskCluster) -> None:
     write_scene(tmp_path)
     undisturbed, disturbed = tmp_path / "undisturbed", tmp_path / "disturbed"
-    assert carom(*sweep_on(cluster, "undisturbed"), cwd=tmp_path).returncode == 0
+    assert carom_process(*sweep_on(cluster, "undisturbed"), cwd=tmp_path).returncode == 0
     client = start(*sweep_on(cluster, "disturbed"), cwd=tmp_path)
     until(lambda: done(disturbed) >= 1)
     cluster.workers[0].kill()
@@ -53,7 +53,7 @@ def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster
     client.communicate()
     before = done(disturbed)
     assert 4 <= before < RUNS
-    again = carom(*sweep_on(cluster, "disturbed"), cwd=tmp_path)
+    again = carom_process(*sweep_on(cluster, "disturbed"), cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     ending = json.loads(again.stdout)
     assert ending["found"] == before and ending["left"] == 0 and len(ending["entries"]) == RUNS
@@ -89,7 +89,7 @@ def test_local_workers_that_are_killed_are_replaced_and_end_with_a_killed_client
     client.communicate()
     until(lambda: not any(map(is_running, orphans)))
     before = done(out)
-    again = carom("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out", cwd=tmp_path)
+    again = carom_process("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert f"12 of 12 runs done, {before} of them before" in again.stdout
     assert_whole(out)
@@ -108,7 +108,7 @@ def test_the_interrupt_key_lets_the_runs_under_way_finish(tmp_path: Path) -> Non
     assert "Waiting for 2 runs under way" in stderr and "the same command goes on with them" in stderr
     assert 4 <= done(out) < RUNS
     assert {run["status"] for run in manifest(out)["runs"]} == {"done", "pending"}
-    assert carom(*command, cwd=tmp_path).returncode == 0
+    assert carom_process(*command, cwd=tmp_path).returncode == 0
     assert_whole(out)
 
 
@@ -143,7 +143,7 @@ def assert_the_small_ones_are_there(folder: Path, ended: subprocess.CompletedPro
 
 def test_a_run_too_large_for_the_disk_leaves_the_others(tmp_path: Path) -> None:
     write_scene(tmp_path)
-    ended = carom("sweep", "spheres.toml", *DISK, "-o", "out", cwd=tmp_path, limit=12_000_000)
+    ended = carom_process("sweep", "spheres.toml", *DISK, "-o", "out", cwd=tmp_path, limit=8_000_000)
     assert_the_small_ones_are_there(tmp_path / "out", ended)
 
 
@@ -154,7 +154,7 @@ def test_a_full_disk_leaves_a_manifest_that_says_so(tmp_path: Path) -> None:
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", disk], check=True)
     try:
-        ended = carom("sweep", "spheres.toml", *DISK, "--workers", "1", "-o", "disk/out", cwd=tmp_path)
+        ended = carom_process("sweep", "spheres.toml", *DISK, "--workers", "1", "-o", "disk/out", cwd=tmp_path)
         assert_the_small_ones_are_there(disk / "out", ended)
     finally:
         subprocess.run(["umount", disk], check=True)

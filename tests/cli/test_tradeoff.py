@@ -60,12 +60,13 @@ def test_a_mistake_is_one_message_and_nothing_is_run(arguments: tuple[str, ...],
 
 
 def test_the_interrupt_key_keeps_what_is_done_and_the_command_goes_on_with_it(tmp_path: Path) -> None:
-    arguments = ("tradeoff", "figure-eight", "--vary", "step=4,2,1,0.5", "--repeats", "40", "-o", "study")
-    command = [sys.executable, "-m", "carom", *arguments]
+    short = ("--set", "time.duration=1.0")
+    arguments = ("tradeoff", "figure-eight", *short, "--vary", "step=4,2,1,0.5", "-o", "study", "--repeats")
+    command = [sys.executable, "-m", "carom", *arguments, "1000"]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stderr
     for line in process.stderr:
-        if "cost, 1 of 40" in line and line.startswith("2/4"):
+        if "cost, 1 of 1000" in line and line.startswith("2/4"):
             process.send_signal(signal.SIGINT)
             break
     out, err = process.communicate(timeout=120)
@@ -73,5 +74,5 @@ def test_the_interrupt_key_keeps_what_is_done_and_the_command_goes_on_with_it(tm
     assert "what is measured is kept" in err and "step × 4" in out
     kept = json.loads((tmp_path / "study" / "tradeoff.json").read_text(encoding="utf-8"))
     assert len(kept["settings"][0]["costs"]) == 1
-    again = carom(*arguments[:5], "1", "-o", "study", cwd=tmp_path)
+    again = carom(*arguments, "1", cwd=tmp_path)
     assert again.returncode == 0 and "errors" not in again.stderr

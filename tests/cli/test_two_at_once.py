@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from carom.recording.read.recording import Recording
-from command import carom
+from command import carom, carom_process
 
 LONG = ("--set", "time.duration=1e5")
 
@@ -83,7 +83,7 @@ def test_a_full_disk_during_a_resume_leaves_the_recording_as_it_was(tmp_path: Pa
     run = tmp_path / "x.rrd"
     assert carom("run", "elastic-gas", "--set", "time.duration=1", "-o", "x.rrd", cwd=tmp_path).returncode == 0
     before = run.read_bytes()
-    done = carom("resume", "x.rrd", "--until", "1e5", cwd=tmp_path, limit=8_000_000)
+    done = carom_process("resume", "x.rrd", "--until", "1e5", cwd=tmp_path, limit=8_000_000)
     assert done.returncode == 1 and "x.rrd is as it was, and x.resumed.rrd has what is new" in done.stderr
     assert run.read_bytes() == before
     assert Recording.open(tmp_path / "x.resumed.rrd").frames > Recording.open(run).frames
