@@ -59,9 +59,8 @@ def test_the_scale_of_an_orbit_is_its_total_energy_wherever_it_begins_and_howeve
     moving.state.velocity[:] += [1e3, 0, 0]
     account = EnergyAccount(moving.state, np.zeros(3))
     # 10⁶ m²/s² rounds to 10⁻¹⁰, of which the speed about the centre of mass is what is left
-    assert account.balance(moving.state, moving.energy().gravitational, Ledger()).scale == pytest.approx(
-        0.125, abs=1e-9
-    )
+    pull = {"gravitational": moving.energy().gravitational}
+    assert account.balance(moving.state, pull, Ledger()).scale == pytest.approx(0.125, abs=1e-9)
 
 
 def test_an_orbit_that_loses_its_energy_misses_its_promise_and_is_said_to_be_lost() -> None:
@@ -134,11 +133,12 @@ def test_on_a_parabola_the_scale_is_that_of_its_two_terms() -> None:
 def test_what_contacts_take_out_of_a_collapse_counts_into_its_scale() -> None:
     bodies = random_bodies(5, seed=1)
     account = EnergyAccount(bodies, np.zeros(3))
-    start = account.balance(bodies, -1e3, Ledger())
-    later = account.balance(bodies, -1e3, Ledger(restitution=2e3, friction=1e3))
+    pull = {"gravitational": -1e3}
+    start = account.balance(bodies, pull, Ledger())
+    later = account.balance(bodies, pull, Ledger(restitution=2e3, friction=1e3))
     assert later.scale == pytest.approx(start.scale + 3e3)
     # what contacts put in, which they never may, makes no error look smaller
-    assert EnergyAccount(bodies, np.zeros(3)).balance(bodies, -1e3, Ledger(-5e3)).scale == start.scale
+    assert EnergyAccount(bodies, np.zeros(3)).balance(bodies, pull, Ledger(-5e3)).scale == start.scale
 
 
 def test_a_short_run_is_checked_at_its_end() -> None:

@@ -128,7 +128,7 @@ def test_what_is_not_required_has_no_array() -> None:
     assert len(state.angular_velocity) == 2 and state.orientation.size == 0, "spin alone was asked for"
     space = Space(SCENES["Kepler"])
     assert space._contact is None, "no search, no stages, no workbench"
-    assert Space(SCENES["a smooth gas"])._gravity is None
+    assert Space(SCENES["a smooth gas"])._forces == []
 
 
 def test_frames_do_not_have_what_is_not_required() -> None:
@@ -167,7 +167,7 @@ TURNING = {"rotation.turn", "contact.stage._turn"}
 MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.crew.work"}
 RESTING = {"contact.rest._write_speeds", "contact.rest.largest_square"}
 PUSHING = {"contact.stabilisation.work_of_pushes"}  # the pushes themselves are a phase of contact.crew.work
-FIELD, STEP = {"integrator._add"}, {"timestep._limits"}
+FIELD, STEP = {"forces.uniform_field.add"}, {"timestep._limits"}
 OPTIONAL = ("contact.continuous.", "gravity.multipole.", "gravity.walk.", "gravity.boxes.")  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 

@@ -84,7 +84,7 @@ def test_across_a_periodic_boundary_lines_take_the_short_way(tmp_path: Path) -> 
 
 def test_what_a_scene_does_not_require_leaves_no_entity(tmp_path: Path) -> None:
     record(tmp_path / "all.rrd", Merry(5), 30)
-    record(tmp_path / "few.rrd", Merry(5, spins=False, collides=False, gravitates=False), 30)
+    record(tmp_path / "few.rrd", Merry(5, spins=False, collides=False, forces=frozenset()), 30)
     missing = entities(tmp_path / "all.rrd") - entities(tmp_path / "few.rrd")
     assert missing >= {
         "/world/torque",

@@ -34,7 +34,7 @@ def test_every_plot_shows_at_least_one_series_and_every_plotted_series_has_its_p
 
 
 def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:
-    for name, merry in (("all", Merry(5)), ("few", Merry(5, spins=False, collides=False, gravitates=False))):
+    for name, merry in (("all", Merry(5)), ("few", Merry(5, spins=False, collides=False, forces=frozenset()))):
         with Recorder(tmp_path / f"{name}.rrd", merry.header) as recorder:
             for frame in merry.frames(30):
                 recorder.put(frame)

@@ -21,6 +21,7 @@ from carom.plan.features import Requirements, frame_interval
 from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents
 from carom.recording.write.size_probe import Taken, trial
+from carom.scene.forces import FORCES
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -40,8 +41,7 @@ MARKS = {
     "search": ("broad-phase", "contact"),
     "colouring": ("colouring", "contact"),
     "stabilisation": ("stabilisation", "contact"),
-    "gravity": ("gravity", "integrator"),
-    "field": ("uniform-field", "integrator"),
+    **{kind.short_name: (kind.name, "integrator") for kind in FORCES},
     "resting": ("resting-contacts", "contact"),
     "response": ("contact", "integrator"),
     "torque": ("torque", "contact"),

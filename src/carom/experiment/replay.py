@@ -22,6 +22,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header
 from carom.recording.write.recorder import Recorder
+from carom.scene.forces import FORCES
 
 TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
 
@@ -229,8 +230,8 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
     energy = recording.energy()
     rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
     row = int(rows[0]) if len(rows) else 0
-    for name in ("translational", "rotational", "gravitational", "field"):
-        if len(rows) and name in energy.column_names and energy[name][row].as_py() != getattr(frame.energy, name):
+    for name in ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential)):
+        if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
-            return Difference(frame.step, time, f"{name} energy (J)", None, value, getattr(frame.energy, name))
+            return Difference(frame.step, time, f"{name} energy (J)", None, value, frame.energy.term(name))
     return Difference(frame.step, time, "bits that no drawn digit and no energy shows", None, 0.0, 0.0)

@@ -23,6 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.view.picture import render
 from carom.scene.command import command
 from carom.scene.error import SceneError
+from carom.scene.forces import FORCES
 
 FRAMES = 120  # of the clip, half of them before the moment
 ROOM = 7_000_000  # bytes that a clip may have before it is packed
@@ -33,7 +34,7 @@ WORST = {  # where nothing went wrong
     "impact": "the hardest impact, {value:.4g} J of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3%} of the smaller radius",
 }
-LEDGER = ("restitution", "friction", "stabilisation")
+LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss))
 
 
 @dataclass(frozen=True, slots=True)

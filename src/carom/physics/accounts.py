@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,11 +36,15 @@ class Accounts:
         For a warning.
     constant
         J, the gravitational energy of fixed bodies among each other.
+    losses
+        The ledger's entries for forces without a potential.
     """
 
-    def __init__(self, scene: Scene, bodies: Bodies, names: Names, constant: float = 0.0) -> None:
+    def __init__(
+        self, scene: Scene, bodies: Bodies, names: Names, constant: float = 0.0, losses: Iterable[str] = ()
+    ) -> None:
         field, periodic = np.array(scene.gravity.uniform), scene.domain.boundary == "periodic"
-        self.ledger = Ledger()
+        self.ledger = Ledger(forces=dict.fromkeys(losses, 0.0))
         self.energy: Energy
         self.momentum: Momentum
         self.step = -1  # of the last stock-taking
@@ -78,15 +84,15 @@ class Accounts:
         """Keep the contacts of a step for a warning that may come."""
         self._suspects.append(Suspects.of(step, graph, contributions, self._bodies))
 
-    def energy_now(self, potential: float) -> Energy:
-        """Return the energy of the state as it is, given its gravitational part in joules."""
-        return self._energy.balance(self._bodies, potential, self.ledger)
+    def energy_now(self, potentials: Mapping[str, float]) -> Energy:
+        """Return the energy of the state as it is, given the potential energies of the forces in joules."""
+        return self._energy.balance(self._bodies, potentials, self.ledger)
 
     def momentum_now(self, time: float) -> Momentum:
         """Return the momentum of the state as it is, at a time in seconds."""
         return self._momentum.balance(self._bodies, time)
 
-    def take_stock(self, step: int, time: float, potential: float, moments: Moments) -> None:
+    def take_stock(self, step: int, time: float, potentials: Mapping[str, float], moments: Moments) -> None:
         """Compute energy and momentum, and let the moments of the run see their errors.
 
         Raises
@@ -94,7 +100,7 @@ class Accounts:
         PhysicsError
             If the energy is no longer finite.
         """
-        self.energy = self.energy_now(potential)
+        self.energy = self.energy_now(potentials)
         if not np.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {time:.6g} s")
         moments.see_energy(step, time, self.energy)

@@ -10,7 +10,9 @@ it where that is more (docs/physics.md, 11).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from dataclasses import field as default
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +21,11 @@ from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.ledger import Ledger
 from carom.physics.parallel.jit import kernel
+from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 
 FloatArray = NDArray[np.float64]
 
+_PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
 CANCELLED = 1e-8  # of their magnitudes: a sum of which no more is left is as good as 0 in scenes written by people
 
 
@@ -39,11 +43,19 @@ class Energy:
     ledger: Ledger
     integration_error: float
     scale: float  # what errors are compared with; see `EnergyAccount`
+    others: Mapping[str, float] = default(default_factory=dict)  # of the potentials of other forces, by their terms
+
+    def term(self, name: str) -> float:
+        """Return a term by its name in the recording, in joules."""
+        return self.others[name] if name in self.others else float(getattr(self, name))
 
     @property
     def total(self) -> float:
-        """Sum of the four terms."""
-        return self.translational + self.rotational + self.gravitational + self.field
+        """Sum of the terms."""
+        total = self.translational + self.rotational + self.gravitational + self.field
+        for energy in self.others.values():
+            total += energy
+        return total
 
     @property
     def relative_error(self) -> float:
@@ -63,7 +75,7 @@ class Origin:
 
     conserved: float  # kinetic + gravitational, from the centre of mass if nothing is fixed
     rotational: float
-    field: float
+    field: float  # of the uniform field and all other forces but gravity
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +94,7 @@ class EnergyAccount:
 
     - |E_c - (restitution + friction) + stabilisation|, where E_c is the kinetic and gravitational energy at the start:
       the total that is conserved, after what contacts took out of it and pushes put in;
-    - what the uniform field and the spins have exchanged with it, |ΔE_field| and |ΔE_rotational|;
+    - what the other forces and the spins have exchanged with it, |ΔE_field| and |ΔE_rotational|;
     - Σ m |g| r, where there is a field: bodies that rest on a plane have no other energy.
 
     Where kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
@@ -100,31 +112,33 @@ class EnergyAccount:
     """
 
     def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
-        self._field = field
         self._anchored = anchored
         self._constant = constant
         self._lift = float(np.sqrt(field @ field) * (bodies.mass @ bodies.radius))  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
-    def balance(self, bodies: Bodies, gravitational: float, ledger: Ledger) -> Energy:
-        """Take stock. The first call is the start of the run."""
-        translational, internal, rotational, field = _terms(
-            bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, self._field
+    def balance(self, bodies: Bodies, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
+        """Take stock, given the potential energies of the forces in joules. The first call is the start of the run."""
+        translational, internal, rotational = _terms(
+            bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia
         )
-        total = translational + rotational + gravitational + field
+        others = dict(potentials)
+        gravitational, of_field = others.pop(_PULL, 0.0), others.pop(_FIELD, 0.0)
+        external = of_field + sum(others.values()) if others else of_field
+        total = translational + rotational + gravitational + external
         if self.baseline is None:
             moving, binding = translational if self._anchored else internal, gravitational - self._constant
             conserved, cancelling = moving + binding, moving + abs(binding)
             if abs(conserved) < CANCELLED * cancelling:
                 conserved = cancelling
-            self.baseline = EnergyBaseline(total, self._lift, Origin(conserved, rotational, field))
+            self.baseline = EnergyBaseline(total, self._lift, Origin(conserved, rotational, external))
         known = self.baseline
         if known.origin:
             scale = max(
                 known.scale,
                 abs(known.origin.conserved),
                 abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation),
-                abs(field - known.origin.field),
+                abs(external - known.origin.field),
                 abs(rotational - known.origin.rotational),
             )
             self.baseline = replace(known, scale=scale)
@@ -132,32 +146,30 @@ class EnergyAccount:
             translational=translational,
             rotational=rotational,
             gravitational=gravitational,
-            field=field,
+            field=of_field,
             ledger=ledger,
             integration_error=total - self.baseline.initial + ledger.balance,
             scale=self.baseline.scale,
+            others=others,
         )
 
 
 @kernel
 def _terms(
-    position: FloatArray,
     velocity: FloatArray,
     angular_velocity: FloatArray,
     mass: FloatArray,
     inertia: FloatArray,
-    g: FloatArray,
-) -> tuple[float, float, float, float]:
-    """Return the kinetic energy, the one about the centre of mass, the rotational one and that of the field, in J."""
+) -> tuple[float, float, float]:
+    """Return the kinetic energy, the one about the centre of mass and the rotational one, in J."""
     Vx, Vy, Vz = centre_velocity(velocity, mass)
-    translational, internal, rotational, field = 0.0, 0.0, 0.0, 0.0
+    translational, internal, rotational = 0.0, 0.0, 0.0
     for i in range(len(mass)):
         vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
         translational += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
         vx, vy, vz = vx - Vx, vy - Vy, vz - Vz
         internal += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
-        field -= mass[i] * (g[0] * position[i, 0] + g[1] * position[i, 1] + g[2] * position[i, 2])
     for i in range(len(angular_velocity)):
         wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
         rotational += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
-    return translational, internal, rotational, field
+    return translational, internal, rotational

@@ -29,11 +29,6 @@ def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
     team.divide(len(position), MIN_BODIES_PER_TASK, _wrap, position, box)
 
 
-def add_field(acceleration: FloatArray, field: FloatArray, team: Team = SOLO) -> None:
-    """Add a uniform field, (3,) m/s², to accelerations, (n, 3)."""
-    team.divide(len(acceleration), MIN_BODIES_PER_TASK, _add, acceleration, field)
-
-
 @long_kernel
 def _advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> None:
     for i in range(lo, hi):
@@ -47,10 +42,3 @@ def _wrap(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
     for i in range(lo, hi):
         for k in range(3):
             position[i, k] = minimum_image(position[i, k], box[k])
-
-
-@long_kernel
-def _add(lo: int, hi: int, acceleration: FloatArray, field: FloatArray) -> None:
-    for i in range(lo, hi):
-        for k in range(3):
-            acceleration[i, k] += field[k]

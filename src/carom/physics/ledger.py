@@ -6,7 +6,8 @@ order.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,20 @@ TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same,
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Energy moved by contacts since the start of the run, summed from the impulses themselves, in joules.
+    """Energy moved by contacts and by forces without a potential since the start of the run, in joules.
 
-    Dissipation counts positive when energy left the bodies; stabilisation counts positive when it entered them.
+    Contacts are summed from the impulses themselves. Dissipation counts positive when energy left the bodies;
+    stabilisation counts positive when it entered them.
     """
 
     restitution: float = 0.0  # taken out by the normal impulses
     friction: float = 0.0  # taken out by the tangential impulses
     stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
+    forces: Mapping[str, float] = field(default_factory=dict)  # taken out by forces without a potential, by entry
+
+    def entry(self, name: str) -> float:
+        """Return an entry by its name in the recording, in joules."""
+        return self.forces[name] if name in self.forces else float(getattr(self, name))
 
     def plus(self, contacts: FloatArray) -> Ledger:
         """Return the ledger after a step, given the contacts' own, (m, 3) J."""
@@ -38,12 +45,23 @@ class Ledger:
             self.restitution + float(step[RESTITUTION]),
             self.friction + float(step[FRICTION]),
             self.stabilisation + float(step[STABILISATION]),
+            self.forces,
         )
+
+    def plus_loss(self, entry: str, loss: float) -> Ledger:
+        """Return the ledger after a force without a potential took out so many joules."""
+        return replace(self, forces={**self.forces, entry: self.forces.get(entry, 0.0) + loss})
 
     @property
     def balance(self) -> float:
         """What left less what entered."""
-        return self.restitution + self.friction - self.stabilisation
+        by_contacts = self.restitution + self.friction - self.stabilisation
+        return by_contacts + self.by_forces if self.forces else by_contacts
+
+    @property
+    def by_forces(self) -> float:
+        """What forces without a potential took out; less than 0 if they put more in, as a medium that moves may."""
+        return sum(self.forces.values())
 
     @property
     def taken_out(self) -> float:

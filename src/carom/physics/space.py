@@ -24,9 +24,10 @@ from carom.physics.diagnostics.profile import Profile
 from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
+from carom.physics.forces.force import Force, Potentials, accelerate, forces_of
+from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.gravity.method import gravity_of
-from carom.physics.integrator import add_field, drift, kick, wrap
+from carom.physics.integrator import drift, kick, wrap
 from carom.physics.ledger import Ledger
 from carom.physics.names import Names
 from carom.physics.parallel.thread_team import Team, cores
@@ -96,14 +97,14 @@ class Space:
         self.dt_limit = "start"
         self.moments = Moments()
         self.profile = Profile()
-        self._field = np.array(scene.gravity.uniform)
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
         self._fixed = np.flatnonzero(start.fixed)
         # where something stands still, speeds count from it, and the field does not pull all alike
-        self._falling = np.zeros(3) if scene.anchored else self._field
+        self._forces: list[Force] = forces_of(scene, self.requirements, self.state, self._team)
+        self._uniform = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
+        self._falling = np.zeros(3) if scene.anchored else self._uniform
         self._substeps = integrator(scene).substeps
         self.ends_with_forces = integrator(scene).ends_with_forces
-        self._gravity = gravity_of(scene, self.state.mass, self._team)
         self._contact = self._make_contact()
         self._timestep = self._make_timestep(step_limits(scene))
         self._asked: Timestep | None = None  # what the scene asks for, where longer steps are taken
@@ -111,13 +112,14 @@ class Space:
             self._asked, self._timestep = self._timestep, self._make_timestep(wider_limits(scene, stride))
         self.foreseen: dict[str, float] = {}  # steps that the scene would have taken so far, by what sets them
         self._called = Names(self.names, self.planes.name)
-        self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies())
+        losses = [force.kind.loss for force in self._forces if force.kind.loss]
+        self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies(), losses)
         self._events: list[Event] = []
-        self._phase = Phase(len(self.state), scene.anchored or bool(self._field.any()))
+        self._phase = Phase(len(self.state), scene.anchored or bool(self._uniform.any()))
         self._stopping = False
-        potential = self._warm_up()
+        potentials = self._warm_up()
         self._pace = PaceWatch(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
-        self._take_stock(potential, checked=True)
+        self._take_stock(potentials, checked=True)
         self._publish()
         self.profile.clear()
 
@@ -185,7 +187,7 @@ class Space:
 
     def energy(self) -> Energy:
         """Take stock of the energy now: terms, ledger, integration error."""
-        return self._accounts.energy_now(self._potential())
+        return self._accounts.energy_now(self._potentials())
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""
@@ -227,7 +229,7 @@ class Space:
         self.moments = replace(books.moments)
         self._phase.reopen(books.phase, books.activity)
         self._events = []
-        self._take_stock(self._potential(), checked=False)
+        self._take_stock(self._potentials(), checked=False)
         self._publish()
 
     def run(
@@ -279,7 +281,7 @@ class Space:
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
-            self._take_stock(self._potential(), checked=True)
+            self._take_stock(self._potentials(), checked=True)
         self._phase.judge(self._accounts.energy)
         state, needs, momentum = self.state, self.requirements, self._accounts.momentum
         events, self._events = tuple(self._events), []
@@ -380,7 +382,7 @@ class Space:
             self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
         self.step += 1
         self.profile.mark("timestep")
-        potential = self._integrate(self.dt, with_potential=checked)
+        potentials = self._integrate(self.dt, with_potential=checked)
         if contact:
             self._respond(contact)
             if checked:
@@ -388,14 +390,14 @@ class Space:
         else:
             self._phase.see(0, 0.0)
         if checked:
-            self._take_stock(potential, checked)
+            self._take_stock(potentials, checked)
         if self._pace and self.step % self.scene.record.check_every == 0:
             crawls = self._pace.look(self.step, self.time, *self._timestep.target(state, self._borne()))
             if crawls:
                 self._log(crawls)
         return due
 
-    def _integrate(self, dt: float, with_potential: bool) -> float:
+    def _integrate(self, dt: float, with_potential: bool) -> Potentials:
         """Kick, drift, kick; overlaps are undone after the last drift, so that forces belong to the final positions.
 
         The reference engine pushes bodies apart at the end of the step. The forces would then be those of other
@@ -407,7 +409,7 @@ class Space:
         if self.requirements.orientation.modelled:
             rotate(state.orientation, state.angular_velocity, dt, self._team)
             self.profile.mark("orientation")
-        potential = 0.0
+        potentials: Potentials = {}
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
             if pulls and substep.before:
@@ -432,43 +434,31 @@ class Space:
                 wrap(state.position, self._box, self._team)
             if pulls:
                 if not last or self.ends_with_forces:
-                    potential = self._accelerate(with_potential and last)
+                    potentials = self._accelerate(with_potential and last)
                 elif with_potential:
-                    potential = self._potential()
+                    potentials = self._potentials()
                     self.profile.mark("gravity")
                 if substep.after:
                     kick(state.velocity, state.acceleration, substep.after * dt, self._team)
             self.profile.mark("integrate")
-        return potential
+        return potentials
 
-    def _accelerate(self, potential: bool) -> float:
-        """Fill the accelerations; return the gravitational energy if it is asked for."""
-        if not self.requirements.pulls:
-            return 0.0
-        acceleration = self.state.acceleration
-        energy = None
-        if self._gravity:
-            energy = self._gravity.accelerate(self.state.position, acceleration, potential)
-            self.profile.mark("gravity")
-        else:
-            acceleration[:] = 0.0
-        if self.requirements.field.modelled:
-            add_field(acceleration, self._field, self._team)
-            self.profile.mark("field")
+    def _accelerate(self, potential: bool) -> Potentials:
+        """Fill the accelerations; return the potential energies if they are asked for."""
+        state = self.state
+        energies = accelerate(self._forces, state.position, state.acceleration, potential, self.profile)
         if len(self._fixed):
-            acceleration[self._fixed] = 0.0
-        return energy or 0.0
+            state.acceleration[self._fixed] = 0.0
+        return energies
 
-    def _potential(self) -> float:
-        """Return the gravitational energy of the present positions.
+    def _potentials(self) -> Potentials:
+        """Return the potential energies of the present positions.
 
         The accelerations stay: drift-kick-drift's are of the middle of the step, and the next step is chosen by them,
         whether an energy is asked for or not.
         """
-        if self._gravity is None:
-            return 0.0
         unused = np.empty_like(self.state.acceleration)
-        return self._gravity.accelerate(self.state.position, unused, potential=True) or 0.0
+        return accelerate(self._forces, self.state.position, unused, True, Profile())
 
     def _potential_of_fixed_bodies(self) -> float:
         """Return the gravitational energy of what is fixed, in J: it never changes."""
@@ -503,10 +493,10 @@ class Space:
         self._accounts.book(contact.tally.work)
         moments.see_contacts(self.step, self.time, contact.tally)
 
-    def _take_stock(self, potential: float, checked: bool) -> None:
+    def _take_stock(self, potentials: Potentials, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
         try:
-            self._accounts.take_stock(self.step, self.time, potential, self.moments)
+            self._accounts.take_stock(self.step, self.time, potentials, self.moments)
         except PhysicsError:
             refuse_infinities(self.state, self.names, self.step, self.time)  # says which bodies it was
             raise
@@ -515,11 +505,11 @@ class Space:
                 self._log(warning)
         self.profile.mark("energy")
 
-    def _warm_up(self) -> float:
+    def _warm_up(self) -> Potentials:
         """Take a few tiny steps, then put the state back: frame 0 is the scene as written.
 
         They fill the accelerations that the first adaptive step is chosen from, and compile the kernels. Returns the
-        gravitational energy in J.
+        potential energies in J.
         """
         state = self.state
         changing = (state.position, state.velocity, state.orientation, state.angular_velocity)
@@ -532,14 +522,14 @@ class Space:
                 self._contact.resolve(tiny, self._substeps[-1].after * tiny, self.profile)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
-        potential = self._accelerate(potential=True)
+        potentials = self._accelerate(potential=True)
         if self.requirements.adaptive_step.modelled:
             self._timestep.previous = self._timestep.target(state)[0]
         if self._contact:
             self._contact.forget()
             self._see_contacts(self._contact, Moments())  # none: loads the kernels
             self._contact.begin(self.first_dt)
-        return potential
+        return potentials
 
     def _log(self, event: Event) -> None:
         self._events.append(event)

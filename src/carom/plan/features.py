@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from carom.plan import contacts, pulls
 from carom.scene.error import SceneError
+from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
-from carom.scene.parts import Part
+from carom.scene.parts import PARTS, Part
 from carom.scene.schema import Scene
 
 FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
@@ -54,10 +55,9 @@ class Requirements:
     impact_time: Part
     colouring: Part
     stabilisation: Part
-    gravity: Part
+    forces: Mapping[str, Part]  # by their names
     tree: Part
     potential: Part
-    field: Part
     resting: Part
     restitution: Part
     friction: Part
@@ -67,12 +67,23 @@ class Requirements:
     @property
     def parts(self) -> tuple[Part, ...]:
         """All parts, in the order in which a step uses them."""
-        return tuple(vars(self).values())
+        found = _by_name(self)
+        return tuple(found[name] for name in PARTS)
+
+    @property
+    def gravity(self) -> Part:
+        """Whether bodies pull each other."""
+        return self.forces[GRAVITY.name]
+
+    @property
+    def field(self) -> Part:
+        """Whether a uniform field pulls."""
+        return self.forces[UNIFORM_FIELD.name]
 
     @property
     def pulls(self) -> bool:
         """Whether anything is accelerated between contacts."""
-        return self.gravity.modelled or self.field.modelled
+        return any(part.modelled for part in self.forces.values())
 
 
 # What a part cannot be without. What follows from a part, such as torques from friction, is decided as for any other.
@@ -103,12 +114,24 @@ def require(scene: Scene) -> Requirements:
     forced, required = _forced(scene), _decide(scene, {})
     if not forced:
         return required
-    parts = dict(vars(_decide(scene, forced)))
-    for key, part in vars(required).items():
-        if part.name in forced and not part.modelled:
-            by = "" if forced[part.name] == part.name else f" by {forced[part.name]}"
-            parts[key] = Part(part.name, True, f"forced{by}; otherwise not: {part.why}")
-    return Requirements(**parts)
+    before = _by_name(required)
+
+    def explained(part: Part) -> Part:
+        if part.name not in forced or before[part.name].modelled:
+            return part
+        by = "" if forced[part.name] == part.name else f" by {forced[part.name]}"
+        return Part(part.name, True, f"forced{by}; otherwise not: {before[part.name].why}")
+
+    decided: dict[str, Any] = vars(_decide(scene, forced))
+    forces = {name: explained(part) for name, part in decided["forces"].items()}
+    others = {key: explained(part) for key, part in decided.items() if key != "forces"}
+    return Requirements(**others, forces=forces)
+
+
+def _by_name(needs: Requirements) -> dict[str, Part]:
+    """Return all parts by their names."""
+    single = [found for found in vars(needs).values() if isinstance(found, Part)]
+    return {part.name: part for part in (*single, *needs.forces.values())}
 
 
 def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
@@ -122,7 +145,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
-    gravity, field = decide(pulls.gravity(scene)), decide(pulls.field(scene))
+    forces = {kind.name: decide(pulls.part(kind, scene)) for kind in FORCES}
     contact = decide(contacts.contact(scene))
     friction = decide(contacts.friction(scene, contact))
     torque = decide(contacts.torque(friction))
@@ -138,10 +161,9 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         impact_time=decide(_impact_time(scene, contact)),
         colouring=decide(contacts.colouring(scene, contact)),
         stabilisation=decide(contacts.stabilisation(scene, contact)),
-        gravity=gravity,
+        forces=forces,
         tree=decide(_tree(scene)),
-        potential=decide(_potential(scene, gravity)),
-        field=field,
+        potential=decide(_potential(scene, forces[GRAVITY.name])),
         resting=decide(contacts.resting(scene, contact)),
         restitution=decide(contacts.restitution(scene, contact)),
         friction=friction,
@@ -164,8 +186,6 @@ def _contradiction(scene: Scene, name: str) -> str:
     match name:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
-        case "gravity" if scene.gravity.method == "none":
-            return 'gravity.method = "none"; leave that out'
         case "tree":
             return 'it takes the place of the direct sum; set gravity.method = "tree"'
         case "restitution":
@@ -178,7 +198,7 @@ def _contradiction(scene: Scene, name: str) -> str:
             return f'a step of {integrator(scene).name} is more than one drift; set time.integrator = "leapfrog"'
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
-    return ""
+    return next((kind.contradiction(scene) for kind in FORCES if kind.name == name), "")
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from carom.scene.forces import FORCES, GRAVITY
 from carom.scene.nearest import suggestion
 
 PARTS = (  # in the order in which a step uses them
@@ -18,10 +19,10 @@ PARTS = (  # in the order in which a step uses them
     "time-of-impact",
     "colouring",
     "stabilisation",
-    "gravity",
+    GRAVITY.name,
     "tree",
     "potential",
-    "uniform-field",
+    *(kind.name for kind in FORCES if kind is not GRAVITY),
     "resting-contacts",
     "restitution",
     "friction",

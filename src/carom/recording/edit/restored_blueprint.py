@@ -10,6 +10,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import Extent
+from carom.scene.forces import FORCES
 from carom.scene.halfspace import HalfSpaces
 
 _LOOKS = 50  # frames that are looked at to find out how far away the eye has to be
@@ -53,10 +54,9 @@ def _header(recording: Recording) -> Header:
         has_orientation=bool(info.get("has_orientation", info["spins"])),  # without it: recorded when all went together
         has_torque=bool(info.get("has_torque", info["spins"])),
         has_friction=bool(info.get("has_friction", info["spins"])),
-        gravitates=bool(info["gravitates"]),
+        forces=frozenset(kind.name for kind in FORCES if info.get(kind.present)),
         collides=bool(info["collides"]),
         stabilises=bool(info.get("stabilises", info["collides"])),
-        has_field=bool(info["has_field"]),
         body_colouring=bool(info["body_colouring"]),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,

@@ -20,11 +20,14 @@ from carom.physics.ledger import Ledger
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
+from carom.scene.forces import FORCES
 
 Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
 
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
+_LOSSES = tuple(kind.loss for kind in FORCES if kind.loss)
+_POTENTIALS = tuple(kind.potential for kind in FORCES if kind.potential and kind.potential not in _ENERGIES)
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
 _LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
@@ -37,17 +40,18 @@ _FULL = 7  # contacts a body, of a dense packing and what is near
 def size(frame: Frame) -> int:
     """Bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
-    return _size(len(frame.position), frame.angular_velocity is not None, contacts)
+    further = len(frame.energy.others) + len(frame.energy.ledger.forces)
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further)
 
 
 def largest_size(header: Header) -> int:
     """Bytes that a checkpoint takes where bodies are packed densely."""
-    lasts = header.collides and (header.gravitates or header.has_field)
-    return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0)
+    lasts = header.collides and len(header.forces) > 0
+    return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0, len(header.forces))
 
 
-def _size(bodies: int, spins: bool, contacts: int) -> int:
-    scalars = 8 * (4 + len(_ENERGIES) + len(_LEDGER))
+def _size(bodies: int, spins: bool, contacts: int, further: int) -> int:
+    scalars = 8 * (4 + len(_ENERGIES) + len(_LEDGER) + further)
     return 8 * bodies * (16 if spins else 9) + _CONTACT_BYTES * contacts + scalars + _BOOKS_BYTES
 
 
@@ -79,13 +83,19 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
         arrays = [array for c in checkpoints if (array := getattr(c, name)) is not None]
         if arrays:
             columns[name] = _flat(arrays)
-    for name in _ENERGIES:
-        columns[f"energy_{name}"] = _each([float(getattr(c.energy, name)) for c in checkpoints])
-    for name in _LEDGER:
-        columns[f"ledger_{name}"] = _each([float(getattr(c.energy.ledger, name)) for c in checkpoints])
-    columns["books"] = [json.dumps(asdict(c.books)) for c in checkpoints], [1] * len(checkpoints)
+    first = checkpoints[0].energy
+    for name in (*_ENERGIES, *first.others):
+        columns[f"energy_{name}"] = _each([c.energy.term(name) for c in checkpoints])
+    for name in (*_LEDGER, *first.ledger.forces):
+        columns[f"ledger_{name}"] = _each([c.energy.ledger.entry(name) for c in checkpoints])
+    columns["books"] = [_books(c.books) for c in checkpoints], [1] * len(checkpoints)
     memories = [c.contacts for c in checkpoints if c.contacts is not None]
     return columns | _encode_contacts(memories) if memories else columns
+
+
+def _books(books: Books) -> str:
+    """Return the books as JSON; energies of forces that the scene has not got leave no byte."""
+    return json.dumps(asdict(books, dict_factory=lambda items: {key: value for key, value in items if value != {}}))
 
 
 def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
@@ -133,8 +143,11 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             orientation=row.vectors("orientation", 4) if "orientation" in stored else None,
             angular_velocity=row.vectors("angular_velocity", 3) if "angular_velocity" in stored else None,
             energy=Energy(
-                ledger=Ledger(**{name: row.number(f"ledger_{name}") for name in _LEDGER}),
+                ledger=Ledger(
+                    **{name: row.number(f"ledger_{name}") for name in _LEDGER}, forces=row.further("ledger_", _LOSSES)
+                ),
                 **{name: row.number(f"energy_{name}") for name in _ENERGIES},
+                others=row.further("energy_", _POTENTIALS),
             ),
             contacts=row.contacts() if "contact_pairs" in stored else None,
             books=_BOOKS.validate_python(json.loads(row.text("books"))),
@@ -158,6 +171,9 @@ class _Row:
 
     def number(self, name: str) -> float:
         return float(self._finite(name, 1)[0])
+
+    def further(self, prefix: str, names: Sequence[str]) -> dict[str, float]:
+        return {name: self.number(prefix + name) for name in names if prefix + name in self._stored}
 
     def text(self, name: str) -> str:
         if name not in self._stored:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.scene.forces import FORCES
 from carom.scene.halfspace import HalfSpaces
 
 Scalar = str | int | float | bool
@@ -16,11 +17,10 @@ Scalar = str | int | float | bool
 _FLAGS = {
     "contact": "collides",
     "friction": "has_friction",
-    "potential": "gravitates",
     "spin": "spins",
     "stabilisation": "stabilises",
-    "uniform-field": "has_field",
 }
+_FORCES = {kind.recorded_with: kind.name for kind in FORCES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +53,9 @@ class Header:
     has_orientation: bool
     has_torque: bool  # and angular accelerations
     has_friction: bool
-    gravitates: bool
+    forces: frozenset[str]  # by their names in `scene.forces`
     collides: bool
     stabilises: bool  # overlaps are undone, which puts energy in
-    has_field: bool
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
@@ -68,7 +67,7 @@ class Header:
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
-        return bool(getattr(self, _FLAGS[part]))
+        return _FORCES[part] in self.forces if part in _FORCES else bool(getattr(self, _FLAGS[part]))
 
     @property
     def bodies(self) -> int:

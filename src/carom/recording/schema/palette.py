@@ -15,6 +15,7 @@ PURPLE = 0xCC79A7FF
 GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
+NAMED = {"orange": ORANGE, "sky": SKY, "green": GREEN, "yellow": YELLOW, "blue": BLUE, "purple": PURPLE}
 
 # Neighbouring stages must be told apart at a glance, so the order alternates warm and cold.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)

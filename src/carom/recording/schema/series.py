@@ -11,7 +11,9 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
 from carom.recording.schema.header import Header
-from carom.recording.schema.palette import GREEN, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW
+from carom.recording.schema.palette import GREEN, NAMED, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW
+from carom.recording.schema.paths import ENERGY
+from carom.scene.forces import FORCES, ForceKind
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -78,6 +80,36 @@ def _colours(sample: Sample) -> int:
     return int(colours.max()) + 1 if len(colours) else 0
 
 
+def _potential(kind: ForceKind) -> Series:
+    """Return the series of a force with a potential."""
+    term = kind.potential
+    return Series(
+        f"{ENERGY}/{term}",
+        "J",
+        kind.legend,
+        NAMED[kind.colour],
+        _ENERGY,
+        lambda s: s.energy.term(term),
+        kind.meaning,
+        kind.recorded_with,
+    )
+
+
+def _loss(kind: ForceKind) -> Series:
+    """Return the series of a force without one."""
+    entry = kind.loss
+    return Series(
+        f"{ENERGY}/ledger/{entry}",
+        "J",
+        f"{kind.legend}: taken out",
+        NAMED[kind.colour],
+        _ERROR,
+        lambda s: s.energy.ledger.entry(entry),
+        kind.meaning,
+        kind.recorded_with,
+    )
+
+
 # A table, two lines a series: what it is and how it is drawn; its value, meaning, part of the model and past.
 # fmt: off
 SERIES = (
@@ -85,10 +117,7 @@ SERIES = (
            lambda s: s.energy.translational, "Σ ½ m v²"),
     Series("energy/rotational", "J", "rotational", ORANGE, _ENERGY,
            lambda s: s.energy.rotational, "Σ ½ I ω²", "spin"),
-    Series("energy/gravitational", "J", "gravitational", PURPLE, _ENERGY,
-           lambda s: s.energy.gravitational, "of the bodies' own gravity", "potential"),
-    Series("energy/field", "J", "uniform field", GREEN, _ENERGY,
-           lambda s: s.energy.field, "potential energy in the uniform field", "uniform-field"),
+    *(_potential(kind) for kind in FORCES if kind.potential),
     Series("energy/total", "J", "total", WHITE, _ENERGY,
            lambda s: s.energy.total, "sum of the energies above"),
     Series("energy/ledger/restitution", "J", "restitution: taken out", SKY, _ERROR,
@@ -97,6 +126,7 @@ SERIES = (
            lambda s: s.energy.ledger.friction, "taken out by tangential impulses since the start", "friction"),
     Series("energy/ledger/stabilisation", "J", "stabilisation: put in", VERMILION, _ERROR,
            lambda s: s.energy.ledger.stabilisation, "put in by undoing overlaps since the start", "stabilisation"),
+    *(_loss(kind) for kind in FORCES if kind.loss),
     Series("energy/integration_error", "J", "integration error", YELLOW, _ERROR,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", YELLOW, _RELATIVE,

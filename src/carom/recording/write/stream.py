@@ -23,6 +23,7 @@ from carom.recording.write.encoder import Rows, event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.write.statics import statics
+from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
@@ -140,15 +141,16 @@ class Stream:
             "has_orientation": header.has_orientation,
             "has_torque": header.has_torque,
             "has_friction": header.has_friction,
-            "gravitates": header.gravitates,
+            GRAVITY.present: GRAVITY.name in header.forces,
             "collides": header.collides,
             "stabilises": header.stabilises,
-            "has_field": header.has_field,
+            UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
             "body_colouring": header.body_colouring,
             "duration": float(header.duration),
             "time_scale": clock.scale,
             "origin": origin,
         }
+        identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}
         if header.has_torque:
             for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
                 identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)

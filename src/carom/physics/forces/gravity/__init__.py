@@ -1,0 +1,49 @@
+"""How bodies pull each other: by a direct sum over all pairs, or by a tree."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.gravity.direct import DirectGravity
+from carom.physics.gravity.tree import TreeGravity
+from carom.physics.parallel.thread_team import Team
+from carom.plan.features import gravity_method
+from carom.scene.forces import GRAVITY
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+class Gravity:
+    """The pull of all bodies on each other, summed one way or the other."""
+
+    kind = GRAVITY
+    uniform = np.zeros(3)
+
+    def __init__(self, pull: DirectGravity | TreeGravity) -> None:
+        self._pull = pull
+
+    def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
+        """Write the pull; see `Force`. No other force comes before it."""
+        assert first, "gravity is the first of the forces"
+        return self._pull.accelerate(position, acceleration, potential) or 0.0
+
+
+def make(scene: Scene, bodies: Bodies, team: Team) -> Gravity:
+    """Make the gravity of a scene."""
+    pull = gravity_of(scene, bodies.mass, team)
+    assert pull is not None, "the scene requires gravity"
+    return Gravity(pull)
+
+
+def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> DirectGravity | TreeGravity | None:
+    """Choose how a scene sums the pull of bodies of mass (n,) kg; None where nothing pulls."""
+    method, gravity = gravity_method(scene), scene.gravity
+    if method == "none":
+        return None
+    if method == "direct":
+        return DirectGravity(mass, gravity.constant, gravity.softening, team)
+    accuracy = gravity.opening_angle, gravity.quadrupoles
+    return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)

@@ -1,0 +1,58 @@
+"""A uniform field: the same acceleration g for every body.
+
+a = g,    U = -Σ m g·x
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import Team
+from carom.scene.forces import UNIFORM_FIELD
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
+
+
+class UniformField:
+    """Pulls all bodies alike, by `uniform` in m/s²."""
+
+    kind = UNIFORM_FIELD
+
+    def __init__(self, field: FloatArray, mass: FloatArray, team: Team) -> None:
+        self.uniform = field
+        self._mass = mass
+        self._team = team
+
+    def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
+        """Add the field; see `Force`."""
+        if first:
+            acceleration[:] = 0.0
+        self._team.divide(len(acceleration), MIN_BODIES_PER_TASK, add, acceleration, self.uniform)
+        return _potential_energy(position, self._mass, self.uniform) if potential else 0.0
+
+
+def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
+    """Make the field of a scene."""
+    return UniformField(np.array(scene.gravity.uniform), bodies.mass, team)
+
+
+@long_kernel
+def add(lo: int, hi: int, acceleration: FloatArray, uniform: FloatArray) -> None:
+    """Add an acceleration, (3,) m/s², to those of the bodies in [lo, hi)."""
+    for i in range(lo, hi):
+        for k in range(3):
+            acceleration[i, k] += uniform[k]
+
+
+@kernel
+def _potential_energy(position: FloatArray, mass: FloatArray, g: FloatArray) -> float:
+    field = 0.0
+    for i in range(len(mass)):
+        field -= mass[i] * (g[0] * position[i, 0] + g[1] * position[i, 1] + g[2] * position[i, 2])
+    return field

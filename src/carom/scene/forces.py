@@ -1,0 +1,88 @@
+"""The forces: one table, which decides when each is modelled and names what it records.
+
+To add one: a section of the scene (`schema`), a row here, and ``carom/physics/forces/NAME.py`` that offers ``make``
+(see `carom.physics.forces.force`). The parts of the model, `carom explain`, the energy terms and ledger entries of a
+recording, and the reports follow from the row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class ForceKind:
+    """A force: when it is modelled, and the energy that it is booked under."""
+
+    name: str  # of the part of the model, and, with underscores, of the module that computes it
+    decide: Callable[[Scene], tuple[bool, str]]  # whether it is modelled, and why
+    potential: str = ""  # its term of the energy, if it has a potential
+    loss: str = ""  # its entry in the ledger, if it has none
+    legend: str = ""  # of that series
+    meaning: str = ""  # of that series, for docs/recording.md
+    colour: str = ""  # of that series, by its name in the palette
+    flag: str = ""  # in a recording's properties; `has_` and its short name unless given
+    part: str = ""  # without which that series is not recorded; the force itself unless given
+    contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
+
+    @property
+    def short_name(self) -> str:
+        """The last word of its name, for the profile and for flags."""
+        return self.name.rpartition("-")[2]
+
+    @property
+    def present(self) -> str:
+        """The flag of a recording whose scene has the force."""
+        return self.flag or f"has_{self.short_name}"
+
+    @property
+    def recorded_with(self) -> str:
+        """The part of the model without which its series is not recorded."""
+        return self.part or self.name
+
+
+def _gravity(scene: Scene) -> tuple[bool, str]:
+    if scene.gravity.method == "none":
+        return False, 'gravity.method = "none"'
+    if scene.gravity.constant == 0:
+        return False, "gravity.constant = 0"
+    if scene.count == 1:
+        return False, "one body pulls nothing else"
+    return True, f"{scene.count} bodies, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²"
+
+
+def _no_gravity_method(scene: Scene) -> str:
+    return 'gravity.method = "none"; leave that out' if scene.gravity.method == "none" else ""
+
+
+def _uniform_field(scene: Scene) -> tuple[bool, str]:
+    if any(scene.gravity.uniform):
+        return True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²"
+    return False, "gravity.uniform is zero"
+
+
+GRAVITY = ForceKind(
+    "gravity",
+    _gravity,
+    potential="gravitational",
+    legend="gravitational",
+    meaning="of the bodies' own gravity",
+    colour="purple",
+    flag="gravitates",
+    part="potential",
+    contradiction=_no_gravity_method,
+)
+UNIFORM_FIELD = ForceKind(
+    "uniform-field",
+    _uniform_field,
+    potential="field",
+    legend="uniform field",
+    meaning="potential energy in the uniform field",
+    colour="green",
+)
+FORCES = (GRAVITY, UNIFORM_FIELD)  # in the order in which their accelerations are added up
