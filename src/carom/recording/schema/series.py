@@ -130,7 +130,7 @@ SERIES = (
     Series("energy/integration_error", "J", "integration error", YELLOW, _ERROR,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", YELLOW, _RELATIVE,
-           lambda s: s.energy.relative_error, "integration error over the energy scale", past=Past.RUN),
+           lambda s: s.energy.relative(s.energy.integration_error), "integration error over the energy scale", past=Past.RUN),
     Series("step/dt", "s", "dt (s)", SKY, _DT,
            lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP),
     Series("step/contacts", "1", "contacts", VERMILION, _CONTACTS,
