@@ -13,17 +13,16 @@ from pathlib import Path
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-import carom.physics
+import carom
 from command import carom as command
 from command import carom_process
 
 
 def kernels() -> set[str]:
     """All functions of carom that Numba compiles on their own, by module and name."""
-    modules = [module.name for module in pkgutil.walk_packages(carom.physics.__path__, "carom.physics.")]
     found = set()
-    for module in (*modules, "carom.recording.write.encoding_kernels"):
-        for value in vars(importlib.import_module(module)).values():
+    for module in pkgutil.walk_packages(carom.__path__, "carom."):
+        for value in vars(importlib.import_module(module.name)).values():
             if isinstance(value, Dispatcher) and value.targetoptions.get("inline") != "always":
                 found.add(f"{value.py_func.__module__}.{value.py_func.__name__}")
     return found
@@ -31,7 +30,7 @@ def kernels() -> set[str]:
 
 def test_warmup_says_where_the_kernels_are(tmp_path: Path) -> None:
     warmth = json.loads(command("warmup", "--json", cwd=tmp_path).stdout)
-    assert warmth["seconds"] > 0.0 and warmth["compiled"] >= 0 and warmth["cache"]
+    assert warmth["seconds"] > 0.0 and list(Path(warmth["cache"]).glob("*.nbc"))
     again = carom_process("warmup", cwd=tmp_path)
     assert again.returncode == 0 and again.stdout.startswith("0 kernels compiled in ")
 
@@ -41,8 +40,8 @@ def test_after_a_warmup_nothing_is_left_to_compile_but_what_was_damaged(tmp_path
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-m", "carom", "warmup"], cwd=tmp_path, env=environment, check=True)
     cached = {path.name.split("-")[0] for path in (tmp_path / "cache").rglob("*.nbc")}
-    missing = {name for name in kernels() if ".".join(name.split(".")[-2:]) not in cached}
-    assert not missing
+    needed = {".".join(name.split(".")[-2:]) for name in kernels()}
+    assert len(needed) > 50 and not needed - cached
     files = sorted((tmp_path / "cache").rglob("*.nbc"))
     damaged = files[:: len(files) // 10]
     for file, other in zip(damaged[::2], damaged[1::2], strict=False):

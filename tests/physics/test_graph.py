@@ -14,7 +14,6 @@ from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO,
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.graph import (
     OVERFLOW,
-    CollisionGraph,
     colour_bodies,
     colour_contacts,
 )
@@ -30,17 +29,6 @@ def graphs(draw: st.DrawFn) -> tuple[IntArray, int]:
     i, j = np.triu_indices(n, 1)
     chosen = np.array(draw(st.lists(st.booleans(), min_size=len(i), max_size=len(i))))
     return np.column_stack((i[chosen], j[chosen])).astype(np.int64), n
-
-
-@settings(max_examples=50, deadline=None)
-@given(graphs())
-def test_the_adjacency_lists_every_neighbour_in_order(graph: tuple[IntArray, int]) -> None:
-    pairs, n = graph
-    m = len(pairs)
-    offsets, neighbours = CollisionGraph(pairs, np.zeros((m, 3)), np.zeros(m), np.zeros(m, dtype=np.int64)).adjacency(n)
-    for body in range(n):
-        expected = sorted([*pairs[pairs[:, 0] == body, 1], *pairs[pairs[:, 1] == body, 0]])
-        assert list(neighbours[offsets[body] : offsets[body + 1]]) == expected
 
 
 def test_equal_spheres_need_at_most_23_colours() -> None:

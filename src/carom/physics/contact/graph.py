@@ -43,16 +43,6 @@ class CollisionGraph:
         """The contact that was resolved first, or the first of them."""
         return 0 if self.into_step is None else int(np.argmin(self.into_step))
 
-    def adjacency(self, n: int) -> tuple[IntArray, IntArray]:
-        """Return the graph of n bodies, or of bodies and planes, in CSR form.
-
-        Returns
-        -------
-        offsets, neighbours
-            Body i touches ``neighbours[offsets[i]:offsets[i + 1]]``, in rising order.
-        """
-        return adjacency(self.pairs, n)
-
 
 def empty_graph() -> CollisionGraph:
     """Return the graph of a step in which nothing touches."""
@@ -64,7 +54,7 @@ def empty_graph() -> CollisionGraph:
     )
 
 
-def adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
+def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     """Return (m, 2) pairs as CSR offsets, (n + 1,), and neighbours, (2 m,), each body's in rising order."""
     ends = np.concatenate((pairs, pairs[:, ::-1]))
     ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
@@ -114,7 +104,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
         (n,), -1 for a body that touches nobody.
     """
     met = pairs[:, 1] < n
-    offsets, neighbours = adjacency(pairs[met], n)
+    offsets, neighbours = _adjacency(pairs[met], n)
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
