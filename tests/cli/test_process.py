@@ -180,6 +180,14 @@ def test_other_encodings_than_utf_8_are_printed_without_what_they_lack(
     done.stdout.decode(encoding)
 
 
+def test_a_system_that_is_not_posix_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    script = "import os; os.name = 'nt'; from carom.__main__ import main; main()"
+    started = [sys.executable, "-c", script, "scenes"]
+    done = subprocess.run(started, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL\n"
+
+
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     script = f"{sys.executable} -m carom scenes | head -1"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", script], cwd=tmp_path, capture_output=True, check=False)

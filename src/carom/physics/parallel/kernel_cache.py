@@ -59,8 +59,7 @@ def cache_folder(package: Path) -> Path | None:
     if _is_writable(beside := package / "__pycache__"):
         return beside
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - no error without a home
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    for root in (Path(home) / "carom-kernels", Path(tempfile.gettempdir()) / f"carom-kernels-{user}"):
+    for root in (Path(home) / "carom-kernels", Path(tempfile.gettempdir()) / f"carom-kernels-{os.getuid()}"):
         if root.is_absolute() and _is_private(root) and _is_writable(root / name):
             return root / name
     return None
@@ -85,8 +84,6 @@ def _is_private(folder: Path) -> bool:
         above = [parent.stat() for parent in folder.parent.resolve().parents] + [folder.parent.stat()]
     except OSError:
         return False
-    if not hasattr(os, "getuid"):
-        return True  # Windows: the folders of a user are closed to others
     own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
     return own and not any(_is_replaceable(parent) for parent in above)
 
