@@ -90,7 +90,7 @@ class FrameCheck:
             paths.PHASE: _States.of(recording.phases()),
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
         }
-        events = recording.events().to_pylist()
+        events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
         self._events = [(row[STEP], row["level"], row["text"]) for row in events if row["kind"] not in CLOSING]
         self._same_words = recording.versions == versions()
         self._colours_bodies = header.body_colouring
