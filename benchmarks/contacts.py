@@ -22,9 +22,10 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.graph import colour_contacts
-from carom.physics.contact.load import IMPULSE
+from carom.physics.contact.lasting import IMPULSES
+from carom.physics.contact.law import materials_of
 from carom.physics.contact.stages import stages_of
-from carom.physics.contact.workbench import Workbench
+from carom.physics.contact.workbench import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start
@@ -65,8 +66,8 @@ def planet(n: int) -> tuple[FloatArray, FloatArray]:
     return np.vstack((np.zeros(3), direction * (height * 0.999)[:, None])), np.append(31.0, np.ones(n))
 
 
-def workbench(position: FloatArray, radius: FloatArray, team: Team) -> Workbench:
-    """Lay out all contacts of spheres in motion."""
+def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSolver:
+    """Give all contacts of spheres in motion to a solver."""
     n, rng = len(radius), np.random.default_rng(1)
     mass = radius**3
     start = Start(
@@ -82,19 +83,20 @@ def workbench(position: FloatArray, radius: FloatArray, team: Team) -> Workbench
     )
     bodies = Bodies.at_start(start, spins=True, torques=True)
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
-    bench = Workbench(bodies, no_planes, np.array([[0.5, 0.6, 0.4]]), OPEN, True, team)
+    solver = ContactSolver(bodies, no_planes, materials_of(np.array([[0.5, 0.6, 0.4]])), OPEN, True, team)
     pairs = HierarchicalGrid(radius, OPEN).pairs(position)
-    bench.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
-    bench.rest_speed[:] = np.inf
-    return bench
+    solver.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
+    solver.rest_speed[:] = np.inf
+    return solver
 
 
-def holding(bench: Workbench) -> Callable[[], object]:
+def holding(solver: ContactSolver) -> Callable[[], object]:
     """Return a call that holds the contacts, from no impulses on, in so many sweeps."""
 
     def hold() -> None:
-        bench.hot[:, IMPULSE:] = 0.0
-        if bench.hold(1.0, 1.0, 0.0, 0.0, SWEEPS, as_needed=False) != SWEEPS:
+        for name in IMPULSES:
+            solver.contacts[name] = 0.0
+        if solver.hold(1.0, 1.0, 0.0, 0.0, SWEEPS, refines=False) != SWEEPS:
             raise RuntimeError("the sweeps ended early: that is no measurement")
 
     return hold
@@ -121,9 +123,9 @@ def compare_searches(n: int, rounds: int) -> list[dict[str, Any]]:
 
 def time_sweeps(name: str, position: FloatArray, radius: FloatArray, rounds: int) -> dict[str, Any]:
     """Time the sweeps on each number of threads, per contact and sweep."""
-    benches = {threads: workbench(position, radius, Team(threads)) for threads in THREADS}
-    times = medians({f"{threads} threads": holding(bench) for threads, bench in benches.items()}, rounds)
-    stages = benches[1].stages
+    solvers = {threads: solver_of(position, radius, Team(threads)) for threads in THREADS}
+    times = medians({f"{threads} threads": holding(solver) for threads, solver in solvers.items()}, rounds)
+    stages = solvers[1].stages
     m = len(stages.pairs)
     row = {"scene": name, "bodies": len(radius), "contacts": m, "stages": len(stages.edges) - 1}
     row["overflow"] = int(m - stages.pieces[stages.edges[stages.independent] - 1, 1])

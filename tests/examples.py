@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import colour_contacts
+from carom.physics.contact.law import materials_of
 from carom.physics.contact.stages import stages_of
-from carom.physics.contact.workbench import Workbench
+from carom.physics.contact.workbench import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start
@@ -75,16 +76,16 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
     return Bodies.at_start(start, spins=spins, orients=spins, torques=spins)
 
 
-def bench_of(
+def solver_of(
     bodies: Bodies, pairs: NDArray[np.int64], law: list[float], box: FloatArray | None = None, threads: int = 1
-) -> Workbench:
-    """Lay contacts of bodies alone out for the kernels, given restitution, static and kinetic friction."""
+) -> ContactSolver:
+    """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction."""
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
     box = np.zeros(3) if box is None else box
     spins = len(bodies.orientation) > 0
-    bench = Workbench(bodies, no_planes, np.array([law]), box, spins, Team(threads))
-    bench.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
-    return bench
+    solver = ContactSolver(bodies, no_planes, materials_of(np.array([law])), box, spins, Team(threads))
+    solver.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
+    return solver
 
 
 def momentum_of(bodies: Bodies) -> FloatArray:

@@ -18,7 +18,7 @@ from carom.physics.contact.graph import (
     colour_contacts,
 )
 from carom.physics.contact.stages import PIECE, stages_of
-from examples import bench_of, random_bodies
+from examples import random_bodies, solver_of
 
 IntArray = NDArray[np.int64]
 
@@ -146,16 +146,16 @@ def test_normals_point_from_i_to_j_and_overlaps_are_depths() -> None:
     bodies = random_bodies(3, 0)
     bodies.position[:] = [[0.0, 0.0, 0.0], [1.5, 0.0, 0.0], [0.0, 0.0, 0.0]]
     bodies.radius[:] = 1.0
-    bench = bench_of(bodies, np.array([[0, 1], [0, 2]]), [0.0, 0.0, 0.0])
-    assert np.array_equal(bench.normals, [[1, 0, 0], [1, 0, 0]]), "coincident centres get the same direction always"
-    assert np.array_equal(bench.arms.sum(axis=1), [1.5, 0.0])
-    assert np.array_equal(bench.overlaps, [0.5, 2.0])
+    solver = solver_of(bodies, np.array([[0, 1], [0, 2]]), [0.0, 0.0, 0.0])
+    assert np.array_equal(solver.normals, [[1, 0, 0], [1, 0, 0]]), "coincident centres get the same direction always"
+    assert np.array_equal(solver.arms.sum(axis=1), [1.5, 0.0])
+    assert np.array_equal(solver.overlaps, [0.5, 2.0])
 
 
 def test_in_a_periodic_box_the_nearest_image_is_touched() -> None:
     bodies, box = random_bodies(2, 0), np.full(3, 10.0)
     bodies.position[:] = [[-4.6, 0.0, 0.0], [4.6, 0.0, 0.0]]
     bodies.radius[:] = 0.5
-    bench = bench_of(bodies, HierarchicalGrid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
-    assert np.array_equal(bench.normals, [[-1.0, 0.0, 0.0]])
-    assert np.allclose(bench.arms.sum(axis=1), 0.8, rtol=1e-15)
+    solver = solver_of(bodies, HierarchicalGrid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
+    assert np.array_equal(solver.normals, [[-1.0, 0.0, 0.0]])
+    assert np.allclose(solver.arms.sum(axis=1), 0.8, rtol=1e-15)

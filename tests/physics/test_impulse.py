@@ -14,7 +14,7 @@ from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.contact.impulse import CollisionContext
 from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.space import Space
-from examples import angular_momentum_of, bench_of, kinetic_energy_of, momentum_of, random_bodies, scene_of
+from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 
@@ -41,10 +41,10 @@ def resolve(
     rest_speed: float = 0.0,
 ) -> FloatArray:
     """Resolve the contact of a pair in one pass of the kernel; return its ledger."""
-    bench = bench_of(bodies, PAIR, [restitution, static_friction, kinetic_friction])
-    bench.rest_speed[:] = rest_speed
-    bench.resolve_impacts(bias_rate, most_sweeps=1, impacts_only=False)
-    return np.asarray(bench.ledger[0])
+    solver = solver_of(bodies, PAIR, [restitution, static_friction, kinetic_friction])
+    solver.rest_speed[:] = rest_speed
+    solver.resolve_impacts(bias_rate, max_iterations=1, impacts_only=False)
+    return np.asarray(solver.ledger[0])
 
 
 def closing(bodies: Bodies) -> bool:

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.lasting import Hold
-from carom.physics.contact.load import HOT, IMPULSE
+from carom.physics.contact.lasting import IMPULSES, ImpulseCache, impulses_of
+from carom.physics.contact.load import CONTACT
 from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -257,19 +257,20 @@ def test_a_heavy_ball_lies_on_a_light_one() -> None:
 
 def test_impulses_are_found_again_by_their_pair_and_turned_into_the_new_tangential_plane() -> None:
     # The places say where each stands: the old ones backwards.
-    hot = np.zeros((4, HOT))
-    hot[::-1, IMPULSE : IMPULSE + 4] = np.arange(16.0).reshape(4, 4)
-    old = Hold(np.array([[0, 1], [0, 3], [2, 3], [4, 7]]), np.arange(4)[::-1].copy(), hot, kick=0.5)
+    contacts = np.zeros(4, CONTACT)
+    for name, column in zip(IMPULSES, np.arange(16.0).reshape(4, 4).T, strict=True):
+        contacts[name][::-1] = column
+    old = ImpulseCache(np.array([[0, 1], [0, 3], [2, 3], [4, 7]]), np.arange(4)[::-1].copy(), contacts, kick=0.5)
     pairs, place = np.array([[0, 2], [0, 3], [1, 3], [2, 3], [5, 6]]), np.array([2, 0, 1, 4, 3])
-    new = np.zeros((5, HOT))
-    new[:, 2] = 1.0  # normals along z
+    new = np.zeros(5, CONTACT)
+    new["nz"] = 1.0
     old.carry_to(pairs, place, 0.25, new, SOLO)
     expected = np.zeros((5, 4))
     expected[1] = [2.0, 2.5, 3.0, 0.0]  # half of them: half the kick, no part along n
     expected[3] = [4.0, 4.5, 5.0, 0.0]
-    assert np.array_equal(new[place, IMPULSE : IMPULSE + 4], expected)
-    Hold.empty().carry_to(pairs, place, 0.25, new, SOLO)
-    assert not new[:, IMPULSE : IMPULSE + 4].any()
+    assert np.array_equal(impulses_of(new)[place], expected)
+    ImpulseCache.empty().carry_to(pairs, place, 0.25, new, SOLO)
+    assert not impulses_of(new).any()
 
 
 @pytest.mark.parametrize("integrator", ["euler", "leapfrog"])

@@ -164,9 +164,9 @@ WHOLE: Sections = {
 }
 DIRECT = {"gravity.direct._total"}
 TURNING = {"rotation.turn", "contact.stage._turn"}
-MEETING = {"contact.meeting.meet", "contact.graph._colour_contacts", "contact.crew.work"}
+MEETING = {"contact.meeting.update_geometry", "contact.graph._colour_contacts", "contact.crew.work"}
 RESTING = {"contact.rest._write_speeds", "contact.rest.largest_square"}
-PUSHING = {"contact.stabilisation.work_of_pushes"}  # the pushes themselves are a phase of contact.crew.work
+PUSHING = {"contact.stabilisation.audit_corrections"}  # the pushes themselves are a phase of contact.crew.work
 FIELD, STEP = {"forces.uniform_field.add"}, {"timestep._limits"}
 OPTIONAL = ("contact.continuous.", "gravity.multipole.", "gravity.walk.", "gravity.boxes.")  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.physics.contact.load import COLD, REST
-from carom.physics.contact.rest import Piles
+from carom.physics.contact.load import CONTACT_STATE
+from carom.physics.contact.rest import Islands
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.space import Space
 from examples import scene_of
@@ -25,10 +25,11 @@ NO_FIELD = np.zeros(3)
 def rest_speeds(
     pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, field: FloatArray, dt: float, team: Team = SOLO
 ) -> FloatArray:
-    cold = np.full((len(pairs), COLD), np.nan)
+    states = np.zeros(len(pairs), CONTACT_STATE)
+    states["rest_speed"] = np.nan
     state = (acceleration, inverse_mass, field, dt)
-    presses = Piles(len(acceleration), team).write_rest_speeds(pairs, np.unique(pairs), *state, cold)
-    speeds: FloatArray = cold[:, REST]
+    presses = Islands(len(acceleration), team).write_rest_speeds(pairs, np.unique(pairs), *state, states)
+    speeds: FloatArray = states["rest_speed"]
     assert presses == np.any(speeds > 0.0)
     return speeds
 

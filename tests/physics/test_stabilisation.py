@@ -13,7 +13,7 @@ from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import angular_momentum_of, bench_of, cloud, kinetic_energy_of, momentum_of, random_bodies
+from examples import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]
 
@@ -23,11 +23,11 @@ def push(
 ) -> tuple[FloatArray, FloatArray]:
     """Push what overlaps; return the ledger and the overlaps left."""
     pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
-    bench = bench_of(bodies, pairs, [restitution, 0.0, 0.0])
-    bench.rest_speed[:] = rest
-    bench.part(sweeps)
-    bench.meet()
-    return bench.ledger, bench.overlaps
+    solver = solver_of(bodies, pairs, [restitution, 0.0, 0.0])
+    solver.rest_speed[:] = rest
+    solver.correct_positions(sweeps)
+    solver.update_geometry()
+    return solver.ledger, solver.overlaps
 
 
 @settings(max_examples=100, deadline=None)

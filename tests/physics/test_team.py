@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.load import IMPULSE
 from carom.physics.contact.workbench import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
 from carom.physics.parallel.thread_team import END, Team, claim, dismiss, finish, is_over, post, sharing_all, wait
 from carom.physics.space import Space
 from carom.scene.halfspace import HalfSpaces
-from examples import bench_of, random_bodies, scene_of
+from examples import random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 
@@ -34,13 +33,13 @@ def resolved(threads: int, hub: bool) -> tuple[FloatArray, ...]:
         bodies.radius[0], bodies.position[0] = 10.0, 15.0
     pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
     assert len(pairs) > SHARED_FROM
-    bench = bench_of(bodies, pairs, [0.5, 0.6, 0.4], threads=threads)
-    sweeps = bench.resolve_impacts(0.0, 3, impacts_only=False)
+    solver = solver_of(bodies, pairs, [0.5, 0.6, 0.4], threads=threads)
+    sweeps = solver.resolve_impacts(0.0, 3, impacts_only=False)
     bodies.velocity[:, 2] -= bodies.position[:, 2]  # presses all of it together
-    bench.rest_speed[:] = 1e-3
-    held = bench.hold(1.0, 1.0, 0.0, 0.0, 5, as_needed=True)
+    solver.rest_speed[:] = 1e-3
+    held = solver.hold(1.0, 1.0, 0.0, 0.0, 5, refines=True)
     assert sweeps == 3 and held > 5, "conjugate gradients follow the sweeps"
-    return bodies.velocity, bodies.angular_velocity, bench.ledger, bench.approach, bench.hot[:, IMPULSE : IMPULSE + 4]
+    return bodies.velocity, bodies.angular_velocity, solver.ledger, solver.approach, solver.impulses
 
 
 @pytest.mark.parametrize("hub", [False, True])

@@ -37,3 +37,26 @@ class Room:
     def holds(self, taken: NDArray[Any]) -> bool:
         """Tell whether rows were taken from here."""
         return np.may_share_memory(self._rows, taken)
+
+
+def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[np.void]:
+    """Return the type of a record: float64 fields, then flags of a byte each.
+
+    Parameters
+    ----------
+    numbers, flags
+        Names of the fields, separated by spaces.
+    size
+        Bytes from one record to the next (default: as few as the fields need).
+    """
+    reals, marks = numbers.split(), flags.split()
+    end = 8 * len(reals)
+    return np.dtype(
+        {
+            "names": reals + marks,
+            "formats": ["f8"] * len(reals) + ["?"] * len(marks),
+            "offsets": [*range(0, end, 8), *range(end, end + len(marks))],
+            "itemsize": size or end + -(-len(marks) // 8) * 8,
+        },
+        align=True,
+    )

@@ -14,39 +14,11 @@ A stack of n spheres takes some n iterations, and about n² sweeps; so does a lo
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from carom.physics.contact.load import (
-    ALLOWED,
-    ALPHA,
-    APPROACH,
-    BETA,
-    CHANGE,
-    CLOSING,
-    DIRECTION,
-    DRIFT,
-    DT,
-    FARTHEST,
-    FREE_NORMAL,
-    FREE_TANGENT,
-    NEGLIGIBLE,
-    OVERLAP,
-    PULL_MOST,
-    PUSH_MOST,
-    RESIDUAL,
-    REST,
-    SEARCH,
-    SPINS,
-    STEP,
-    SWEEP,
-    TOLERANCE,
-)
-from carom.physics.contact.velocity import bend, give
-from carom.physics.parallel.jit import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from carom.physics.contact.law import material_index, sticks
+from carom.physics.contact.load import Constraints
+from carom.physics.contact.motion import accumulate_impulse
+from carom.physics.contact.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
+from carom.physics.parallel.jit import inner, kernel
 
 # What a contact may close at when the search ends, in m/s. It begins where one closes at `crew.BAD_ENOUGH` times
 # as much. Chosen so that the columns of tests/physics/test_convergence.py stand; with a tenth of the first number
@@ -58,44 +30,31 @@ DEEP = 5e-3  # of the smaller radius: what rests so deep has sunk, little by lit
 PART_WHEN_DEEP = 1e-2  # of the speed at rest only
 
 
-@kernel
-def measure(
-    lo: int,
-    hi: int,
-    piece: int,
-    pairs: IntArray,
-    C: FloatArray,
-    cold: FloatArray,
-    V: FloatArray,
-    law: FloatArray,
-    found: FloatArray,
-    flags: IntArray,
-    numbers: FloatArray,
-) -> None:
+@inner
+def measure_violation(lo: int, hi: int, piece: int, load: Constraints) -> None:
     """Find by how much, in m/s, a contact misses its condition by more than is tolerated; 0 if none does."""
-    drift, bodies = numbers[DRIFT], len(V) - (len(law) - 1)
-    tolerance, negligible = numbers[TOLERANCE], numbers[NEGLIGIBLE]
+    settings = load.settings[0]
+    drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
+    count = len(load.bodies) - (len(load.materials) - 1)
     excess = 0.0
     for c in range(lo, hi):
-        if C[c, 7] == np.inf:
+        if not load.held[c]:
             continue
-        i, j = pairs[c, 0], pairs[c, 1]
-        nx, ny, nz, Jn = C[c, 0], C[c, 1], C[c, 2], C[c, 8]
-        ux, uy, uz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
-        vn = ux * nx + uy * ny + uz * nz
-        ux, uy, uz = ux - vn * nx, uy - vn * ny, uz - vn * nz
-        allowed = C[c, 7]
-        if drift > 0.0 and j < bodies:
-            allowed += bend(C[c, 3] + C[c, 4] - allowed * drift, (ux * ux + uy * uy + uz * uz) * drift * drift, drift)
-        missed = -(vn + allowed)
-        if Jn > 0.0:
+        i, j = load.pairs[c, 0], load.pairs[c, 1]
+        contact, state = load.contacts[c], load.states[c]
+        vn, ux, uy, uz = relative_velocity(contact, load.bodies[i], load.bodies[j])
+        ri, rj, bias = contact.arm_i, contact.arm_j, contact.velocity_bias
+        if drift > 0.0 and j < count:
+            bias = bias_along_arc(bias, ri + rj, ux, uy, uz, drift)
+        missed = -(vn + bias)
+        if contact.normal_impulse > 0.0:
             missed = abs(missed)
-        small = min(C[c, 3], C[c, 4]) if C[c, 4] > 0.0 else C[c, 3]
+        small = min(ri, rj) if rj > 0.0 else ri
         # Before a drift the approach is that of the step before, which no checkpoint keeps.
-        approach = 0.0 if drift > 0.0 else cold[c, APPROACH]
-        allowed = tolerated(cold[c, REST], approach, cold[c, OVERLAP] / small, small / numbers[DT])
+        approach = 0.0 if drift > 0.0 else state.approach_speed
+        allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
         excess = max(excess, missed - (tolerance * allowed + negligible))
-    found[piece, CHANGE] = excess
+    load.found[piece].residual = excess
 
 
 @kernel
@@ -106,133 +65,104 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
     return min(max(PART_OF_REST * rest_speed, PART_OF_APPROACH * approach), PART_OF_RADIUS * radius_per_step)
 
 
-@kernel
-def descend(
-    lo: int,
-    hi: int,
-    piece: int,
-    pairs: IntArray,
-    C: FloatArray,
-    S: FloatArray,
-    V: FloatArray,
-    law: FloatArray,
-    found: FloatArray,
-    flags: IntArray,
-    numbers: FloatArray,
-) -> None:
+@inner
+def conjugate_step(lo: int, hi: int, piece: int, load: Constraints) -> None:
     """Go α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
-    spins, alpha = flags[SPINS] != 0, numbers[ALPHA]
-    if flags[SWEEP] == 0:
-        begin_search(lo, hi, pairs, C, S, V, law, spins, numbers[DRIFT])
-    total, most, least = 0.0, 0.0, 0.0
+    settings = load.settings[0]
+    alpha = settings.alpha
+    if settings.iteration == 0:
+        begin_search(lo, hi, load)
+    norm, most, least = 0.0, 0.0, 0.0
     for c in range(lo, hi):
-        normal, tangent = S[c, FREE_NORMAL] > 0.0, S[c, FREE_TANGENT] > 0.0
-        if not (normal or tangent):
+        search, contact = load.search[c], load.contacts[c]
+        if not (search.free_normal or search.free_tangent):
             continue
-        if flags[SWEEP] > 0:
-            for k in range(4):
-                S[c, STEP + k] += alpha * S[c, DIRECTION + k]
-            i, j = pairs[c, 0], pairs[c, 1]
-            nx, ny, nz, ri, rj = C[c, 0], C[c, 1], C[c, 2], C[c, 3], C[c, 4]
-            px, py, pz = V[j, 8] - V[i, 8], V[j, 9] - V[i, 9], V[j, 10] - V[i, 10]
-            pn = px * nx + py * ny + pz * nz
-            if normal:
-                S[c, RESIDUAL] -= alpha * pn
-            if tangent:
-                wx, wy, wz = ri * V[i, 11] + rj * V[j, 11], ri * V[i, 12] + rj * V[j, 12], ri * V[i, 13] + rj * V[j, 13]
-                S[c, RESIDUAL + 1] -= alpha * (px - pn * nx - (wy * nz - wz * ny))
-                S[c, RESIDUAL + 2] -= alpha * (py - pn * ny - (wz * nx - wx * nz))
-                S[c, RESIDUAL + 3] -= alpha * (pz - pn * nz - (wx * ny - wy * nx))
-        most, least = max(most, C[c, 8] + S[c, STEP]), min(least, C[c, 8] + S[c, STEP])
-        total += S[c, RESIDUAL] * S[c, RESIDUAL] * C[c, 5]
-        rx, ry, rz = S[c, RESIDUAL + 1], S[c, RESIDUAL + 2], S[c, RESIDUAL + 3]
-        total += (rx * rx + ry * ry + rz * rz) * C[c, 6]
-    found[piece, CHANGE], found[piece, PUSH_MOST], found[piece, PULL_MOST] = total, most, -least
+        if settings.iteration > 0:
+            search.step_normal += alpha * search.direction_normal
+            search.step_x += alpha * search.direction_x
+            search.step_y += alpha * search.direction_y
+            search.step_z += alpha * search.direction_z
+            pn, px, py, pz = change_of_velocity(contact, load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]])
+            if search.free_normal:
+                search.residual_normal -= alpha * pn
+            if search.free_tangent:
+                search.residual_x -= alpha * px
+                search.residual_y -= alpha * py
+                search.residual_z -= alpha * pz
+        impulse = contact.normal_impulse + search.step_normal
+        most, least = max(most, impulse), min(least, impulse)
+        norm += search.residual_normal * search.residual_normal * contact.normal_mass
+        rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
+        norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
+    found = load.found[piece]
+    found.residual_norm, found.largest_push, found.largest_pull = norm, most, -least
 
 
-@kernel
-def begin_search(
-    lo: int,
-    hi: int,
-    pairs: IntArray,
-    C: FloatArray,
-    S: FloatArray,
-    V: FloatArray,
-    law: FloatArray,
-    spins: bool,
-    drift: float,
-) -> None:
+@inner
+def begin_search(lo: int, hi: int, load: Constraints) -> None:
     """Find which impulses are free: normal ones of contacts that push or close, tangential ones of those that stick."""
-    bodies = len(V) - (len(law) - 1)
+    spins, drift = load.settings[0].spins, load.settings[0].drift
+    count = len(load.bodies) - (len(load.materials) - 1)
     for c in range(lo, hi):
-        for k in range(SEARCH):
-            S[c, k] = 0.0
-        if C[c, 7] == np.inf:
+        search, contact = load.search[c], load.contacts[c]
+        search.step_normal = search.step_x = search.step_y = search.step_z = 0.0
+        search.direction_normal = search.direction_x = search.direction_y = search.direction_z = 0.0
+        search.residual_normal = search.residual_x = search.residual_y = search.residual_z = 0.0
+        search.velocity_bias, search.free_normal, search.free_tangent = 0.0, False, False
+        if not load.held[c]:
             continue
-        i, j = pairs[c, 0], pairs[c, 1]
-        nx, ny, nz, ri, rj = C[c, 0], C[c, 1], C[c, 2], C[c, 3], C[c, 4]
-        ux, uy, uz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
-        vn = ux * nx + uy * ny + uz * nz
-        ux, uy, uz = ux - vn * nx, uy - vn * ny, uz - vn * nz
-        allowed = C[c, 7]
-        if drift > 0.0 and j < bodies:
-            allowed += bend(ri + rj - allowed * drift, (ux * ux + uy * uy + uz * uz) * drift * drift, drift)
-        S[c, ALLOWED] = allowed
-        if C[c, 8] > 0.0 or vn + allowed <= 0.0:
-            S[c, FREE_NORMAL], S[c, RESIDUAL] = 1.0, -(vn + allowed)
+        i, j = load.pairs[c, 0], load.pairs[c, 1]
+        body_i, body_j = load.bodies[i], load.bodies[j]
+        vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
+        bias = contact.velocity_bias
+        if drift > 0.0 and j < count:
+            bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, ux, uy, uz, drift)
+        search.velocity_bias = bias
+        if contact.normal_impulse > 0.0 or vn + bias <= 0.0:
+            search.free_normal, search.residual_normal = True, -(vn + bias)
         if spins:
-            most = law[max(0, j - bodies + 1), 1] * C[c, 8]
-            if C[c, 9] * C[c, 9] + C[c, 10] * C[c, 10] + C[c, 11] * C[c, 11] < most * most:
-                wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
-                S[c, FREE_TANGENT] = 1.0
-                S[c, RESIDUAL + 1] = -(ux - (wy * nz - wz * ny))
-                S[c, RESIDUAL + 2] = -(uy - (wz * nx - wx * nz))
-                S[c, RESIDUAL + 3] = -(uz - (wx * ny - wy * nx))
+            tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
+            material = load.materials[material_index(j, count)]
+            if sticks(tx, ty, tz, contact.normal_impulse, material.static_friction):
+                ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
+                search.free_tangent = True
+                search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz
 
 
-@kernel
-def spread(
-    lo: int,
-    hi: int,
-    pairs: IntArray,
-    C: FloatArray,
-    S: FloatArray,
-    V: FloatArray,
-    flags: IntArray,
-    numbers: FloatArray,
-) -> None:
+@inner
+def conjugate_direction(lo: int, hi: int, load: Constraints) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
-    spins, beta = flags[SPINS] != 0, numbers[BETA]
+    spins, beta = load.settings[0].spins, load.settings[0].beta
     for c in range(lo, hi):
-        if S[c, FREE_NORMAL] > 0.0 or S[c, FREE_TANGENT] > 0.0:
-            S[c, DIRECTION] = C[c, 5] * S[c, RESIDUAL] + beta * S[c, DIRECTION]
-            for k in range(1, 4):
-                S[c, DIRECTION + k] = C[c, 6] * S[c, RESIDUAL + k] + beta * S[c, DIRECTION + k]
-            d = S[c, DIRECTION], S[c, DIRECTION + 1], S[c, DIRECTION + 2], S[c, DIRECTION + 3]
-            give(c, 8, pairs, C, V, spins, *d)
+        search, contact = load.search[c], load.contacts[c]
+        if search.free_normal or search.free_tangent:
+            normal = contact.normal_mass * search.residual_normal + beta * search.direction_normal
+            dx = contact.tangent_mass * search.residual_x + beta * search.direction_x
+            dy = contact.tangent_mass * search.residual_y + beta * search.direction_y
+            dz = contact.tangent_mass * search.residual_z + beta * search.direction_z
+            search.direction_normal = normal
+            search.direction_x, search.direction_y, search.direction_z = dx, dy, dz
+            body_i, body_j = load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]]
+            accumulate_impulse(contact, body_i, body_j, spins, normal, dx, dy, dz)
 
 
-@kernel
-def project(
-    lo: int,
-    hi: int,
-    piece: int,
-    pairs: IntArray,
-    C: FloatArray,
-    S: FloatArray,
-    V: FloatArray,
-    found: FloatArray,
-    flags: IntArray,
-) -> None:
+@inner
+def project(lo: int, hi: int, piece: int, load: Constraints) -> None:
     """Let go of contacts that would pull, and lay out what is left of the change for a line search."""
-    spins, slope = flags[SPINS] != 0, 0.0
+    spins, slope = load.settings[0].spins, 0.0
     for c in range(lo, hi):
-        for k in range(4):
-            C[c, 12 + k] = S[c, STEP + k]
-        if C[c, 8] + C[c, 12] < 0.0:
-            for k in range(4):
-                C[c, 12 + k] = -C[c, 8 + k]
-        if C[c, 7] != np.inf:
-            slope += C[c, 12] * S[c, ALLOWED]
-            give(c, 8, pairs, C, V, spins, C[c, 12], C[c, 13], C[c, 14], C[c, 15])
-    found[piece, FARTHEST], found[piece, CLOSING] = 1.0, slope
+        search, contact = load.search[c], load.contacts[c]
+        if contact.normal_impulse + search.step_normal < 0.0:
+            contact.delta_normal, contact.delta_x = -contact.normal_impulse, -contact.friction_x
+            contact.delta_y, contact.delta_z = -contact.friction_y, -contact.friction_z
+        else:
+            contact.delta_normal, contact.delta_x = search.step_normal, search.step_x
+            contact.delta_y, contact.delta_z = search.step_y, search.step_z
+        if load.held[c]:
+            normal = contact.delta_normal
+            slope += normal * search.velocity_bias
+            body_i, body_j = load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]]
+            tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
+            accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
+    found = load.found[piece]
+    found.step_limit, found.slope = 1.0, slope

@@ -6,12 +6,13 @@ kick of length h the impulses λ of all contacts are found together such that
     v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
-by sweeps over the contacts (projected Gauss-Seidel; Moreau 1988, Jean 1999, and as "sequential impulses" Catto 2006).
-The *totals* are clamped, not the increments: what one sweep pushed too far a later one takes back. They begin with the
-totals of the kick before, scaled by the ratio of the lengths, so that a pile at rest needs one sweep.
+by iterations over the contacts (projected Gauss-Seidel; Moreau 1988, Jean 1999; Catto 2006 calls it sequential
+impulses). The *totals* are clamped, not the increments: what one iteration pushed too far a later one takes back. They
+begin with the totals of the kick before, scaled by the ratio of the lengths (warm starting), so that a pile at rest
+needs one iteration.
 
-A sweep hands a load on from contact to contact, and where a light body lies between heavy ones it hands on very
-little: between two sweeps stands a `line_search`. What the impulses do to the energy stands in `booking`.
+An iteration hands a load on from contact to contact, and where a light body lies between heavy ones it hands on very
+little: a line search stands between two of them (`sweep`). What the impulses do to the energy stands in `booking`.
 
 After the last kick c = 0: nothing closes. After the first kick bodies may close by c dt, so that they touch when the
 drift is over: |d n + v dt| ≥ r_i + r_j, with v_t the tangential velocity of the centres,
@@ -36,63 +37,71 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.graph import first_of
-from carom.physics.contact.load import HOT, IMPULSE
+from carom.physics.contact.load import CONTACT
 from carom.physics.parallel.jit import long_kernel
-from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-SOME = 500  # contacts that are worth a part of their own
+MIN_CONTACTS_PER_TASK = 500
+IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t
+
+
+def impulses_of(contacts: Records) -> FloatArray:
+    """Return a copy of λ_n and λ_t, (m, 4) N s."""
+    return np.stack([contacts[name] for name in IMPULSES], axis=-1)
 
 
 @dataclass(slots=True)
-class Hold:
-    """The impulses that a set of contacts carried in the last kick."""
+class ImpulseCache:
+    """The impulses that a set of contacts carried in the last kick, with which the next one begins."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) where the impulse of each stands
-    hot: FloatArray  # (m, 16), λ_n and λ_t in N s from column 8 on, see `Load`
+    place: IntArray  # (m,) where the record of each stands
+    contacts: Records  # (m,) CONTACT
     kick: float  # s, how long that kick was
 
     @classmethod
-    def empty(cls) -> Hold:
+    def empty(cls) -> ImpulseCache:
         """Return what a run begins with."""
-        return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, HOT)), 0.0)
+        return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, CONTACT), 0.0)
 
     @classmethod
-    def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> Hold:
-        """Build what an earlier `impulse` tells of."""
-        hot = np.zeros((len(pairs), HOT))
-        hot[:, IMPULSE : IMPULSE + 4] = impulse
-        return cls(pairs, np.arange(len(pairs)), hot, kick)
+    def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> ImpulseCache:
+        """Rebuild the cache from (m, 4) N s, an earlier `impulse`."""
+        contacts = np.zeros(len(pairs), CONTACT)
+        for k, name in enumerate(IMPULSES):
+            contacts[name] = impulse[:, k]
+        return cls(pairs, np.arange(len(pairs)), contacts, kick)
 
     @property
     def impulse(self) -> FloatArray:
         """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs."""
-        carried: FloatArray = self.hot[self.place, IMPULSE : IMPULSE + 4]
-        return carried
+        return impulses_of(self.contacts)[self.place]
 
-    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, hot: FloatArray, team: Team) -> None:
+    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
         """Write what contacts that were there before carried, for a kick of another length; 0 for new ones.
 
         Parameters
         ----------
         pairs, place
-            (m, 2), sorted, and (m,), where each stands in ``hot``.
+            (m, 2), sorted, and (m,), where the record of each stands.
         kick
             s
-        hot
-            (m, 16), see `Load`; may be the very array in which the impulses stood before, of the same contacts.
+        contacts
+            (m,) `CONTACT`; may be the very array in which the impulses stood before, of the same contacts.
         team
             Who looks for them.
         """
         if self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0:
-            before = (self.pairs, self.place, self.hot, kick / self.kick)
-            team.divide(len(pairs), SOME, _carry, *before, pairs, place, hot)
+            before = (self.pairs, self.place, self.contacts, kick / self.kick)
+            team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _carry, *before, pairs, place, contacts)
         else:
-            hot[:, IMPULSE : IMPULSE + 4] = 0.0
+            for name in IMPULSES:
+                contacts[name] = 0.0
 
 
 @long_kernel
@@ -101,27 +110,27 @@ def _carry(
     hi: int,
     old_pairs: IntArray,
     old_place: IntArray,
-    old: FloatArray,
+    old_contacts: Records,
     ratio: float,
     pairs: IntArray,
     place: IntArray,
-    hot: FloatArray,
+    contacts: Records,
 ) -> None:
     """Find each pair among the old ones, both sorted; turn its tangential impulse into the new tangential plane."""
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
     last, old_last = len(pairs) - 1, len(old_pairs) - 1
     for c in range(lo, hi):
         p, q = place[min(last, c + AHEAD)], old_place[min(old_last, k + AHEAD)]
-        prefetch(hot, p, 0)
-        prefetch(hot, p, 8)
-        prefetch(old, q, 8)
+        prefetch_record(contacts, p, 0)
+        prefetch_record(contacts, p, 1)
+        prefetch_record(old_contacts, q, 1)
         i, j = pairs[c, 0], pairs[c, 1]
         while k < len(old_pairs) and (old_pairs[k, 0] < i or (old_pairs[k, 0] == i and old_pairs[k, 1] < j)):
             k += 1
         known = k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j
-        p, q = place[c], old_place[k] if known else 0
-        Jn, x, y, z = (old[q, 8], old[q, 9], old[q, 10], old[q, 11]) if known else (0.0, 0.0, 0.0, 0.0)
-        nx, ny, nz = hot[p, 0], hot[p, 1], hot[p, 2]
-        along = x * nx + y * ny + z * nz
-        hot[p, 8], hot[p, 9] = ratio * Jn, ratio * (x - along * nx)
-        hot[p, 10], hot[p, 11] = ratio * (y - along * ny), ratio * (z - along * nz)
+        contact, old = contacts[place[c]], old_contacts[old_place[k] if known else 0]
+        normal = old.normal_impulse if known else 0.0
+        x, y, z = (old.friction_x, old.friction_y, old.friction_z) if known else (0.0, 0.0, 0.0)
+        along = x * contact.nx + y * contact.ny + z * contact.nz
+        contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)
+        contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)

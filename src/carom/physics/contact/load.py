@@ -1,4 +1,8 @@
-"""What the kernels that resolve contacts work on, and the phases in which they do."""
+"""The contact constraints of a step as records, and all that the kernels of the solver work on.
+
+What an iteration needs of each contact fits into two cache lines, `CONTACT`; what only the phases before and after need
+stands apart, in `CONTACT_STATE`. A body's velocities fit into two cache lines as well, `BODY_STATE`.
+"""
 
 from __future__ import annotations
 
@@ -7,46 +11,108 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import CACHE_LINE, record
+
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Records = NDArray[np.void]
 
-# What is wanted at every visit of a contact stands in two cache lines, and what is not in two others.
-# hot:  n, ρ_i, ρ_j, 1/(1/m_i + 1/m_j), the mass that a tangential impulse moves, how fast it may close (infinite:
-#       left alone);   λ_n, λ_t, and s, what the last sweep changed of them
-HOT, IMPULSE = 16, 8
-# cold: overlap or minus the gap, overlap as it was found, rest speed, approach, v_n and u before the impulses;
-#       its ledger, Σ δ n of the pushes, what part of an overlap a push undoes, 1 if it was found apart
-COLD = 16
-OVERLAP, FOUND, REST, APPROACH, BEFORE, LEDGER, PUSHES, PART, APART = 0, 1, 2, 3, 4, 8, 11, 14, 15
-# motion, of a body or plane: v, ω, 1/m, 1/I;   what the last sweep changed of v and ω
-MOTION = 16
+BODIES_PER_BLOCK = 1024
+CONTACTS_PER_BLOCK = 1024
 
-# search: s, what conjugate gradients change of λ_n and λ_t; d, the direction; r, the residual;   c, how fast the
-#         contact may close, 1 where λ_n is free to change, 1 where λ_t is
-SEARCH = 16
-STEP, DIRECTION, RESIDUAL, ALLOWED, FREE_NORMAL, FREE_TANGENT = 0, 4, 8, 12, 13, 14
+CONTACT = record(
+    "nx ny nz arm_i arm_j"  # normal from i to j; m, from each centre to the contact point
+    " normal_mass tangent_mass"  # kg, 1/(1/m_i + 1/m_j), and what a tangential impulse moves
+    " velocity_bias"  # m/s, up to which the contact may close; negative: at which it has to separate
+    " normal_impulse friction_x friction_y friction_z"  # N s, λ_n and λ_t
+    " delta_normal delta_x delta_y delta_z",  # N s, s: what the last iteration changed of them
+    size=2 * CACHE_LINE,
+)
 
-BLOCK = 1024  # bodies of a piece of work
+CONTACT_STATE = record(
+    "overlap found_overlap"  # m, now, minus the gap where there is one; as found, before any correction, or 0
+    " rest_speed approach_speed"  # m/s, up to which the contact is at rest; at which it closed before the impulses
+    " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before the impulses that hold it
+    " restitution_loss friction_loss stabilisation_gain"  # J, its ledger
+    " push_x push_y push_z push_fraction",  # m, Σ δ n of the position corrections; part of an overlap that one undoes
+    flags="apart biased",  # whether it was found apart; whether Baumgarte's bias makes it separate
+    size=2 * CACHE_LINE,
+)
 
-# phases: what is done with each piece
-PUSH, STRIKE, BEGIN, PRESS, RELAX, BOOK, AIM, GO, MEASURE, DESCEND, SPREAD, PROJECT = range(12)
-# which one, with which piece it began, after how many sweeps; 1 if bodies turn, if only impacts are resolved, and if
-# conjugate gradients follow the sweeps
-PHASE, FIRST, SWEEP, SPINS, IMPACTS_ONLY, REFINES = range(6)
-DT, DRIFT, KICK, BIAS, ALPHA, BETA, NEGLIGIBLE, TOLERANCE = range(8)
-CHANGE, FARTHEST, CLOSING = range(3)  # what was found in a piece of contacts by a sweep
-PUSH_MOST, PULL_MOST = 1, 2  # N s, by conjugate gradients: the largest impulse that pushes, and that pulls
-FASTEST, RESTING = 1, 2  # by the first one over impacts; in the end the sums of the columns of the ledger
+BODY_STATE = record(
+    "vx vy vz wx wy wz inverse_mass inverse_inertia"  # m/s, rad/s, 1/kg, 1/(kg m²)
+    " dvx dvy dvz dwx dwy dwz",  # what the last iteration changed of the velocities
+    size=2 * CACHE_LINE,
+)
+
+SEARCH = record(  # of the conjugate gradients
+    "step_normal step_x step_y step_z"  # N s, s: the change of the impulses
+    " direction_normal direction_x direction_y direction_z"  # N s, d
+    " residual_normal residual_x residual_y residual_z"  # m/s, r
+    " velocity_bias",  # m/s, c of the drift's end, along the arc
+    flags="free_normal free_tangent",  # whether λ_n and λ_t are free to change
+    size=2 * CACHE_LINE,
+)
+
+PIECE_FINDINGS = record(  # what a phase found in a piece of contacts
+    "residual"  # m/s, the largest speed that is still to be changed; of position corrections 1 if one mattered
+    " residual_norm largest_push largest_pull"  # of conjugate gradients: r·z; N s, the largest impulses of either sign
+    " slope step_limit"  # of the line search: J, s·c; the largest α that lets no contact pull
+    " fastest"  # m/s, the fastest approach
+    " restitution_loss friction_loss stabilisation_gain",  # J
+    flags="any_rests",  # whether a contact is at rest
+    size=2 * CACHE_LINE,
+)
+
+BLOCK_SUMS = record("slope curvature")  # J, of the line search, over a block of bodies
+ISLAND = record("slope curvature scale")  # J, along the impulses of an island; what these are scaled by
+
+SETTINGS = np.dtype(
+    [
+        ("phase", "i8"),
+        ("first_piece", "i8"),  # with which the phase began
+        ("iteration", "i8"),  # how many came before
+        ("dt", "f8"),  # s, the step
+        ("drift", "f8"),  # s, the drift to come; 0 after the last kick
+        ("kick", "f8"),  # s, the kick just done
+        ("bias_rate", "f8"),  # 1/s, Baumgarte: separation speed for each metre of overlap
+        ("alpha", "f8"),  # how many times over a change is made again
+        ("beta", "f8"),  # how much of the last direction stays in the next one
+        ("negligible", "f8"),  # m/s
+        ("tolerance", "f8"),  # in multiples of the speed that is tolerated
+        ("spins", "?"),  # whether impulses turn bodies
+        ("impacts_only", "?"),  # whether contacts at rest are left alone
+        ("refines", "?"),  # whether conjugate gradients follow the iterations
+    ],
+    align=True,
+)
+
+(
+    CORRECT_POSITIONS,
+    RESOLVE_IMPACTS,
+    PREPARE,
+    WARM_START,
+    SOLVE,
+    AUDIT,
+    LINE_SEARCH,
+    EXTRAPOLATE,
+    MEASURE_VIOLATION,
+    CONJUGATE_STEP,
+    CONJUGATE_DIRECTION,
+    PROJECT,
+) = range(12)  # phases: what is done with each piece
 
 
-class Load(NamedTuple):
-    """m contacts in the order of their stages, and the n bodies and p planes at their ends."""
+class Constraints(NamedTuple):
+    """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
     pairs: IntArray  # (m, 2)
     pieces: IntArray  # (k, 2) first contact and the one after the last
-    hot: FloatArray  # (m, 16)
-    cold: FloatArray  # (m, 16)
-    search: FloatArray  # (m, 16)
+    contacts: Records  # (m,) CONTACT
+    held: Flags  # (m,) whether each contact is to be held; impacts and open gaps are left alone
+    states: Records  # (m,) CONTACT_STATE
+    search: Records  # (m,) SEARCH
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s
     spin: FloatArray  # (n + p, 3) rad/s; no rows where impulses turn nothing
@@ -56,12 +122,11 @@ class Load(NamedTuple):
     box: FloatArray  # (3,) m, zeros in open space
     surface: FloatArray  # (p, 3) normals of the planes
     offset: FloatArray  # (p,) m
-    motion: FloatArray  # (n + p, 16)
-    law: FloatArray  # (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane
-    island: IntArray  # (n + p,), a table to write in
-    work: FloatArray  # (n + p, 2), likewise
-    who: IntArray  # (b,) bodies and planes that touch anything
-    found: FloatArray  # (k, 3), of each piece of contacts
-    sums: FloatArray  # (b / BLOCK, 2), of each piece of bodies
-    flags: IntArray  # (6,)
-    numbers: FloatArray  # (8,)
+    bodies: Records  # (n + p,) BODY_STATE
+    materials: Records  # (1 + p,) MATERIAL: between bodies, then of each plane
+    island: IntArray  # (n + p,) workspace
+    islands: Records  # (n + p,) ISLAND, workspace
+    active: IntArray  # (b,) bodies and planes that touch anything
+    found: Records  # (k,) PIECE_FINDINGS
+    sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
+    settings: Records  # (1,) SETTINGS

@@ -10,15 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import OVERLAP
 from carom.physics.parallel.jit import long_kernel
+from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 
 @long_kernel
-def meet(
+def update_geometry(
     lo: int,
     hi: int,
     pairs: IntArray,
@@ -27,34 +28,32 @@ def meet(
     box: FloatArray,
     surface: FloatArray,
     offset: FloatArray,
-    hot: FloatArray,
-    cold: FloatArray,
+    contacts: Records,
+    states: Records,
 ) -> None:
     """Write normals from i to j, lever arms and overlaps of the contacts [lo, hi)."""
     n = len(x)
     for c in range(lo, hi):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j, contact, state = pairs[c, 0], pairs[c, 1], contacts[c], states[c]
         if j >= n:
-            height = -offset[j - n]
+            p = j - n
+            height = -offset[p]
             for k in range(3):
-                height += surface[j - n, k] * x[i, k]
-                hot[c, k] = -surface[j - n, k]
-            hot[c, 3], hot[c, 4] = radius[i], 0.0
-            cold[c, OVERLAP] = radius[i] - height
+                height += surface[p, k] * x[i, k]
+            contact.nx, contact.ny, contact.nz = -surface[p, 0], -surface[p, 1], -surface[p, 2]
+            contact.arm_i, contact.arm_j = radius[i], 0.0
+            state.overlap = radius[i] - height
             continue
-        d2 = 0.0
-        for k in range(3):
-            d = x[j, k] - x[i, k]
-            if box[k] > 0.0:
-                d -= box[k] * np.floor(d / box[k] + 0.5)
-            hot[c, k] = d
-            d2 += d * d
-        d = np.sqrt(d2)
+        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        if box[0] > 0.0:
+            dx = minimum_image(dx, box[0])
+            dy = minimum_image(dy, box[1])
+            dz = minimum_image(dz, box[2])
+        d = np.sqrt(dx * dx + dy * dy + dz * dz)
         if d > 0.0:
-            for k in range(3):
-                hot[c, k] /= d
+            contact.nx, contact.ny, contact.nz = dx / d, dy / d, dz / d
         else:  # coincident centres: any direction will do, as long as it is always the same
-            hot[c, 0], hot[c, 1], hot[c, 2] = 1.0, 0.0, 0.0
+            contact.nx, contact.ny, contact.nz = 1.0, 0.0, 0.0
         share = d / (radius[i] + radius[j])
-        hot[c, 3], hot[c, 4] = share * radius[i], share * radius[j]
-        cold[c, OVERLAP] = radius[i] + radius[j] - d
+        contact.arm_i, contact.arm_j = share * radius[i], share * radius[j]
+        state.overlap = radius[i] + radius[j] - d

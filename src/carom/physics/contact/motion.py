@@ -1,26 +1,29 @@
-"""The motion of the bodies at the ends of contacts, laid out so that a sweep finds each body in two cache lines.
+"""The velocities of bodies in contact, as records that a solver iteration finds in two cache lines each.
 
-Only bodies that touch anything are laid out: among 10⁶ in flight they are few.
+Only bodies that touch anything are gathered: among 10⁶ in flight they are few.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-SOME = 10_000  # contacts that are worth a part of their own
+MIN_CONTACTS_PER_TASK = 10_000
 
 
-def those_that_touch(pairs: IntArray, ends: int, team: Team) -> IntArray:
-    """Return the bodies and planes, out of so many, that are in a pair, in rising order."""
-    touches = np.zeros(ends, dtype=np.bool_)
-    team.divide(len(pairs), SOME, _mark, pairs, touches)
+def active_bodies(pairs: IntArray, count: int, team: Team) -> IntArray:
+    """Return those of `count` bodies and planes that are in a pair, in rising order."""
+    touches = np.zeros(count, dtype=np.bool_)
+    team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _mark, pairs, touches)
     return np.flatnonzero(touches)
 
 
@@ -31,32 +34,118 @@ def _mark(lo: int, hi: int, pairs: IntArray, touches: NDArray[np.bool_]) -> None
 
 
 @long_kernel
-def pack(
+def gather(
     lo: int,
     hi: int,
-    who: IntArray,
+    active: IntArray,
     v: FloatArray,
     omega: FloatArray,
     inverse_mass: FloatArray,
     inverse_inertia: FloatArray,
-    V: FloatArray,
+    bodies: Records,
 ) -> None:
-    """Lay out the motion of the bodies [lo, hi) of those that touch; without spin ``omega`` has no rows."""
+    """Write the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
     for k in range(lo, hi):
-        b = who[k]
-        for axis in range(3):
-            V[b, axis] = v[b, axis]
-            V[b, 3 + axis] = omega[b, axis] if len(omega) > 0 else 0.0
-            V[b, 8 + axis] = V[b, 11 + axis] = 0.0
-        V[b, 6], V[b, 7] = inverse_mass[b], inverse_inertia[b]
+        b = active[k]
+        body = bodies[b]
+        body.vx, body.vy, body.vz = v[b, 0], v[b, 1], v[b, 2]
+        if len(omega) > 0:
+            body.wx, body.wy, body.wz = omega[b, 0], omega[b, 1], omega[b, 2]
+        else:
+            body.wx = body.wy = body.wz = 0.0
+        body.dvx = body.dvy = body.dvz = body.dwx = body.dwy = body.dwz = 0.0
+        body.inverse_mass, body.inverse_inertia = inverse_mass[b], inverse_inertia[b]
 
 
 @long_kernel
-def unpack(lo: int, hi: int, who: IntArray, V: FloatArray, v: FloatArray, omega: FloatArray) -> None:
+def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, omega: FloatArray) -> None:
     """Write their velocities back."""
     for k in range(lo, hi):
-        b = who[k]
-        for axis in range(3):
-            v[b, axis] = V[b, axis]
-            if len(omega) > 0:
-                omega[b, axis] = V[b, 3 + axis]
+        b = active[k]
+        body = bodies[b]
+        v[b, 0], v[b, 1], v[b, 2] = body.vx, body.vy, body.vz
+        if len(omega) > 0:
+            omega[b, 0], omega[b, 1], omega[b, 2] = body.wx, body.wy, body.wz
+
+
+# The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n point in opposite
+# directions, like the impulses, so that r × J is ρ n × λ_t for both. A body that does not move is not written to:
+# contacts of a colour may share it, and threads would pass its cache line around.
+
+
+@inline
+def apply_impulse(contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: float, ty: float, tz: float) -> None:
+    """Change the velocities of two bodies by an impulse λ_n and λ_t, in N s."""
+    push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
+    if turns:
+        turn(contact, a, b, tx, ty, tz)
+
+
+@inline
+def accumulate_impulse(
+    contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: float, ty: float, tz: float
+) -> None:
+    """Add what an impulse would change of the velocities to what the iteration changes of them."""
+    accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
+    if turns:
+        accumulate_turn(contact, a, b, tx, ty, tz)
+
+
+@inline
+def push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
+    """Change the velocities by an impulse J, in N s."""
+    mi, mj = a.inverse_mass, b.inverse_mass
+    if mi > 0.0:
+        a.vx -= Jx * mi
+        a.vy -= Jy * mi
+        a.vz -= Jz * mi
+    if mj > 0.0:
+        b.vx += Jx * mj
+        b.vy += Jy * mj
+        b.vz += Jz * mj
+
+
+@inline
+def turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
+    """Change the angular velocities by a tangential impulse λ_t, in N s."""
+    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    lx, ly, lz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
+    if si > 0.0:
+        a.wx += si * lx
+        a.wy += si * ly
+        a.wz += si * lz
+    if sj > 0.0:
+        b.wx += sj * lx
+        b.wy += sj * ly
+        b.wz += sj * lz
+
+
+@inline
+def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
+    """Add what `push` does to the changes."""
+    mi, mj = a.inverse_mass, b.inverse_mass
+    if mi > 0.0:
+        a.dvx -= Jx * mi
+        a.dvy -= Jy * mi
+        a.dvz -= Jz * mi
+    if mj > 0.0:
+        b.dvx += Jx * mj
+        b.dvy += Jy * mj
+        b.dvz += Jz * mj
+
+
+@inline
+def accumulate_turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
+    """Add what `turn` does to the changes."""
+    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    lx, ly, lz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
+    if si > 0.0:
+        a.dwx += si * lx
+        a.dwy += si * ly
+        a.dwz += si * lz
+    if sj > 0.0:
+        b.dwx += sj * lx
+        b.dwy += sj * ly
+        b.dwz += sj * lz

@@ -13,85 +13,67 @@ component of the collision graph without what is fixed.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from carom.physics.contact.load import BEFORE
+from carom.physics.contact.load import Constraints
 from carom.physics.contact.rest import root_of
-from carom.physics.parallel.jit import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from carom.physics.contact.velocity import relative_velocity, slip
+from carom.physics.parallel.jit import inner
 
 
-@kernel
-def scale_back(
-    pairs: IntArray,
-    C: FloatArray,
-    cold: FloatArray,
-    V: FloatArray,
-    who: IntArray,
-    velocity: FloatArray,
-    spin: FloatArray,
-    island: IntArray,
-    work: FloatArray,
-) -> None:
-    """Scale the impulses of each island back to where they take out most.
-
-    Parameters
-    ----------
-    pairs, C, cold, V, who
-        See `Load`.
-    velocity, spin
-        (n + p, 3) m/s and rad/s before the impulses; ``spin`` has no rows where nothing turns.
-    island, work
-        (n + p,) and (n + p, 2), tables to write in.
-    """
-    for k in range(len(who)):
-        island[who[k]] = who[k]
-        work[who[k], 0] = work[who[k], 1] = 0.0
+@inner
+def scale_back(load: Constraints) -> None:
+    """Scale the impulses of each island back to where they take out most."""
+    pairs, bodies, active = load.pairs, load.bodies, load.active
+    island, islands, spins = load.island, load.islands, len(load.spin) > 0
+    for k in range(len(active)):
+        island[active[k]] = active[k]
+        whole = islands[active[k]]
+        whole.slope = whole.curvature = 0.0
+        whole.scale = 1.0
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
-        if V[i, 6] > 0.0 and V[j, 6] > 0.0:
+        if bodies[i].inverse_mass > 0.0 and bodies[j].inverse_mass > 0.0:
             i, j = root_of(island, i), root_of(island, j)
             island[max(i, j)] = min(i, j)
     for c in range(len(pairs)):
-        if C[c, 7] == np.inf:
+        if not load.held[c]:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
-        ux, uy, uz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
-        vn = ux * nx + uy * ny + uz * nz
-        slope = C[c, 8] * (cold[c, BEFORE] + C[c, 7])
-        curvature = C[c, 8] * (vn - cold[c, BEFORE])
-        if len(spin) > 0:
-            ri, rj = C[c, 3], C[c, 4]
-            wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
-            ux = ux - vn * nx - (wy * nz - wz * ny) - cold[c, BEFORE + 1]
-            uy = uy - vn * ny - (wz * nx - wx * nz) - cold[c, BEFORE + 2]
-            uz = uz - vn * nz - (wx * ny - wy * nx) - cold[c, BEFORE + 3]
-            before = C[c, 9] * cold[c, BEFORE + 1] + C[c, 10] * cold[c, BEFORE + 2] + C[c, 11] * cold[c, BEFORE + 3]
+        contact, state, body_i, body_j = load.contacts[c], load.states[c], bodies[i], bodies[j]
+        vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
+        slope = contact.normal_impulse * (state.normal_before + contact.velocity_bias)
+        curvature = contact.normal_impulse * (vn - state.normal_before)
+        if spins:
+            tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
+            ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
+            ux, uy, uz = ux - state.slip_x, uy - state.slip_y, uz - state.slip_z
+            before = tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
             slope += before
-            curvature += C[c, 9] * ux + C[c, 10] * uy + C[c, 11] * uz
-        own = root_of(island, i if V[i, 6] > 0.0 else j)
-        work[own, 0] += slope
-        work[own, 1] += curvature
-    for k in range(len(who)):
-        b = who[k]
-        if island[b] == b:  # from here on the scale of the island
-            slope, curvature = work[b, 0], work[b, 1]
-            work[b, 0] = max(0.0, -slope / curvature) if -slope < curvature else 1.0
+            curvature += tx * ux + ty * uy + tz * uz
+        whole = islands[root_of(island, i if body_i.inverse_mass > 0.0 else j)]
+        whole.slope += slope
+        whole.curvature += curvature
+    for k in range(len(active)):
+        if island[active[k]] == active[k]:
+            whole = islands[active[k]]
+            if -whole.slope < whole.curvature:
+                whole.scale = max(0.0, -whole.slope / whole.curvature)
     for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        scale = work[root_of(island, i if V[i, 6] > 0.0 else j), 0]
+        i, j, contact = pairs[c, 0], pairs[c, 1], load.contacts[c]
+        scale = islands[root_of(island, i if bodies[i].inverse_mass > 0.0 else j)].scale
         if scale < 1.0:
-            for k in range(8, 12):
-                C[c, k] *= scale
-    for k in range(len(who)):
-        b = who[k]
-        scale = work[root_of(island, b), 0]
-        if V[b, 6] > 0.0 and scale < 1.0:
-            for axis in range(3):
-                V[b, axis] = velocity[b, axis] + scale * (V[b, axis] - velocity[b, axis])
-                if len(spin) > 0:
-                    V[b, 3 + axis] = spin[b, axis] + scale * (V[b, 3 + axis] - spin[b, axis])
+            contact.normal_impulse *= scale
+            contact.friction_x *= scale
+            contact.friction_y *= scale
+            contact.friction_z *= scale
+    for k in range(len(active)):
+        b = active[k]
+        body, scale = bodies[b], islands[root_of(island, b)].scale
+        if body.inverse_mass > 0.0 and scale < 1.0:
+            v, omega = load.velocity, load.spin
+            body.vx = v[b, 0] + scale * (body.vx - v[b, 0])
+            body.vy = v[b, 1] + scale * (body.vy - v[b, 1])
+            body.vz = v[b, 2] + scale * (body.vz - v[b, 2])
+            if spins:
+                body.wx = omega[b, 0] + scale * (body.wx - omega[b, 0])
+                body.wy = omega[b, 1] + scale * (body.wy - omega[b, 1])
+                body.wz = omega[b, 2] + scale * (body.wz - omega[b, 2])

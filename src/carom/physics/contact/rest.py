@@ -1,10 +1,10 @@
 """When a contact is at rest rather than an impact.
 
 A contact at rest closes no faster than gravity makes it close in a step. Bodies that rest on each other share a load,
-so the acceleration that counts is the largest in the whole pile that they belong to, not their own: in its middle
-nothing accelerates and the load is greatest. The pile is the connected component of the collision graph without what is
-fixed; another pile, however heavy, has no say. The uniform field pulls all alike and does not count, unless something
-is fixed and does not fall with the rest. Without gravity the speed is 0: every contact is an impact.
+so the acceleration that counts is the largest in the whole island that they belong to, not their own: in its middle
+nothing accelerates and the load is greatest. The island is the connected component of the collision graph without what
+is fixed; another island, however heavy, has no say. The uniform field pulls all alike and does not count, unless
+something is fixed and does not fall with the rest. Without gravity the speed is 0: every contact is an impact.
 """
 
 from __future__ import annotations
@@ -12,23 +12,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import REST
 from carom.physics.parallel.atomics import atomic_load, atomic_max, atomic_replace
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import Team
+from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-SOME = 1000  # bodies or contacts that are worth a part of their own
-UNLIKE, PRESSES = range(2)  # what was found of all contacts
+MIN_PER_TASK = 1000  # bodies or contacts, about 10 µs of work
+UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed
 
 
-class Piles:
-    """Finds the pile of each contact, and the speed up to which it is at rest there; keeps its tables.
+class Islands:
+    """Finds the island of each contact, and the speed up to which it is at rest there; keeps its tables.
 
-    Threads join piles at the same time: of two roots the higher one is hung below the lower one, so that the root of a
-    pile is the lowest of its bodies in the end, whoever came first.
+    Threads join islands at the same time: of two roots the higher one is hung below the lower one, so that the root of
+    an island is the lowest of its bodies in the end, whoever came first.
 
     Parameters
     ----------
@@ -41,19 +42,19 @@ class Piles:
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
         self._parent = np.empty(ends, dtype=np.int64)  # both are touched only where contacts are
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of a pile the largest in it
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of a island the largest in it
 
     def write_rest_speeds(
         self,
         pairs: IntArray,
-        who: IntArray,
+        active: IntArray,
         acceleration: FloatArray,
         inverse_mass: FloatArray,
         field: FloatArray,
         dt: float,
-        cold: FloatArray,
+        states: Records,
     ) -> bool:
-        """Write the speed up to which each contact is at rest, 2 |a|max dt of its pile, into its row.
+        """Write the speed up to which each contact is at rest, 2 |a|max dt of its island, into its row.
 
         Two bodies that rest on each other close at most that fast at the end of a step that began without motion.
 
@@ -61,7 +62,7 @@ class Piles:
         ----------
         pairs
             (m, 2) contacts.
-        who
+        active
             (b,) bodies and planes that are in any.
         acceleration
             (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
@@ -69,8 +70,8 @@ class Piles:
             (n + p,) 1/kg; what does not move passes no load on.
         field
             (3,) m/s², as far as it pulls all alike.
-        cold
-            (m, 16), see `Load`; speeds in m/s.
+        states
+            (m,) `CONTACT_STATE`; ``rest_speed`` is written.
 
         Returns
         -------
@@ -79,11 +80,13 @@ class Piles:
         """
         team, parent, largest = self._team, self._parent, self._largest
         found = np.zeros(2, dtype=np.bool_)
-        team.divide(len(who), SOME, _stand_alone, who, acceleration, inverse_mass, field, parent, largest, found)
-        if found[UNLIKE]:
-            team.divide(len(pairs), SOME, _join, pairs, inverse_mass, parent)
-            team.divide(len(who), SOME, _load, who, parent, largest.view(np.int64))
-        team.divide(len(pairs), SOME, _write_speeds, pairs, inverse_mass, parent, largest, dt, cold, found)
+        team.divide(
+            len(active), MIN_PER_TASK, _stand_alone, active, acceleration, inverse_mass, field, parent, largest, found
+        )
+        if found[UNEQUAL]:
+            team.divide(len(pairs), MIN_PER_TASK, _join, pairs, inverse_mass, parent)
+            team.divide(len(active), MIN_PER_TASK, _spread_largest, active, parent, largest.view(np.int64))
+        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, parent, largest, dt, states, found)
         return bool(found[PRESSES])
 
 
@@ -101,7 +104,7 @@ def pile_speeds(
     dt: float,
     speeds: FloatArray,
 ) -> None:
-    """Write 2 |a|max dt of the pile of each body, (n + p,) m/s, given all pairs that may touch; 0 for what is fixed.
+    """Write 2 |a|max dt of the island of each body, (n + p,) m/s, given all pairs that may touch; 0 for what is fixed.
 
     Those no farther apart than ``(r_i + r_j) stretch + slack`` do.
     """
@@ -115,7 +118,7 @@ def pile_speeds(
         for k in range(3):
             d = x[j, k] - x[i, k]
             if box[k] > 0.0:
-                d -= box[k] * np.floor(d / box[k] + 0.5)
+                d = minimum_image(d, box[k])
             d2 += d * d
         near = (radius[i] + radius[j]) * stretch + slack
         if d2 <= near * near:
@@ -124,8 +127,8 @@ def pile_speeds(
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
     for i in range(n):
-        pile = root_of(parent, i)
-        speeds[pile] = max(speeds[pile], speeds[i])
+        island = root_of(parent, i)
+        speeds[island] = max(speeds[island], speeds[i])
     for i in range(n):
         speeds[i] = speeds[root_of(parent, i)]
 
@@ -151,7 +154,7 @@ def largest_coordinate(position: FloatArray) -> float:
 
 @kernel
 def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body of the pile that a body belongs to."""
+    """Return the lowest body of the island that a body belongs to."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -162,7 +165,7 @@ def root_of(parent: IntArray, i: int) -> int:
 def _stand_alone(
     lo: int,
     hi: int,
-    who: IntArray,
+    active: IntArray,
     acceleration: FloatArray,
     inverse_mass: FloatArray,
     field: FloatArray,
@@ -170,24 +173,24 @@ def _stand_alone(
     largest: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:
-    """Begin with each body as a pile of its own; tell whether one is accelerated unlike the first: all may fall."""
+    """Begin with each body as a island of its own; tell whether one is accelerated unlike the first: all may fall."""
     first = -1.0
-    for k in range(len(who)):
-        if inverse_mass[who[k]] > 0.0:
-            first = _square(acceleration, field, who[k])
+    for k in range(len(active)):
+        if inverse_mass[active[k]] > 0.0:
+            first = _square(acceleration, field, active[k])
             break
     for k in range(lo, hi):
-        i = who[k]
+        i = active[k]
         parent[i], largest[i] = i, 0.0
         if inverse_mass[i] > 0.0:
             largest[i] = _square(acceleration, field, i)
             if largest[i] != first:
-                found[UNLIKE] = True
+                found[UNEQUAL] = True
 
 
 @long_kernel
 def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
-    """Join the piles at the ends of each contact."""
+    """Join the islands at the ends of each contact."""
     for c in range(lo, hi):
         i, j = pairs[c, 0], pairs[c, 1]
         if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
@@ -198,13 +201,13 @@ def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: I
 
 
 @long_kernel
-def _load(lo: int, hi: int, who: IntArray, parent: IntArray, largest: IntArray) -> None:
-    """Let the lowest of each pile know the largest |a|²; of numbers that are not negative, bits are in their order."""
+def _spread_largest(lo: int, hi: int, active: IntArray, parent: IntArray, largest: IntArray) -> None:
+    """Write the largest |a|² of each island to its root; the bits of non-negative numbers are in the numbers' order."""
     for k in range(lo, hi):
-        i = who[k]
-        pile = root_of(parent, i)
-        if largest[i] > atomic_load(largest, pile):
-            atomic_max(largest, pile, largest[i])
+        i = active[k]
+        island = root_of(parent, i)
+        if largest[i] > atomic_load(largest, island):
+            atomic_max(largest, island, largest[i])
 
 
 @long_kernel
@@ -216,14 +219,15 @@ def _write_speeds(
     parent: IntArray,
     largest: FloatArray,
     dt: float,
-    cold: FloatArray,
+    states: Records,
     found: NDArray[np.bool_],
 ) -> None:
     presses = False
     for c in range(lo, hi):
         mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
-        cold[c, REST] = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
-        presses = presses or cold[c, REST] > 0.0
+        rest_speed = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
+        states[c].rest_speed = rest_speed
+        presses = presses or rest_speed > 0.0
     if presses:
         found[PRESSES] = True
 

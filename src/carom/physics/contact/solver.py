@@ -1,4 +1,4 @@
-"""Impacts: the contacts of a step, colour by colour, in sweeps until nothing approaches.
+"""Impacts: the contacts of a step, colour by colour, in iterations until nothing approaches.
 
 The equations stand in `impulse`. What each impulse does to the energy follows from the impulse itself,
 
@@ -22,76 +22,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.continuous.trajectories import ROUNDING
-from carom.physics.contact.load import (
-    APART,
-    APPROACH,
-    BIAS,
-    CHANGE,
-    FASTEST,
-    FOUND,
-    IMPACTS_ONLY,
-    LEDGER,
-    OVERLAP,
-    REST,
-    RESTING,
-    SPINS,
-    SWEEP,
-)
-from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.contact.law import friction_impulse, material_index
+from carom.physics.contact.load import Constraints
+from carom.physics.contact.motion import push, turn
+from carom.physics.contact.velocity import relative_velocity, slip
+from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-CONVERGED = 1e-9  # a sweep whose largest velocity change is this part of the first sweep's is the last
+CONVERGED = 1e-9  # the last iteration is the one whose largest velocity change is this part of the first one's
 
 
-@kernel
-def strike(
-    lo: int,
-    hi: int,
-    piece: int,
-    pairs: IntArray,
-    C: FloatArray,
-    cold: FloatArray,
-    a: FloatArray,
-    V: FloatArray,
-    law: FloatArray,
-    found: FloatArray,
-    flags: IntArray,
-    numbers: FloatArray,
-) -> None:
-    """Resolve a piece, once; note the largest change of a velocity.
+@inner
+def resolve_impacts(lo: int, hi: int, piece: int, load: Constraints) -> None:
+    """Resolve the impacts of a piece, once; note the largest change of a velocity.
 
-    In the first sweep note the approach, too, the fastest one, and whether a contact is at rest. An impulse from a
-    neighbour may make a contact close faster in a later sweep than it did at first: that is then its approach.
-
-    ``C`` are the contacts' hot columns and ``V`` the bodies' motion, see `Load`.
+    In the first iteration note the approach of each contact, too, the fastest one, and whether a contact is at rest. An
+    impulse from a neighbour may make a contact close faster in a later iteration: that is then its approach.
     """
-    spins, first, impacts_only = flags[SPINS] != 0, flags[SWEEP] == 0, flags[IMPACTS_ONLY] != 0
-    bias_rate = numbers[BIAS]
-    bodies = len(V) - (len(law) - 1)
+    pairs, a, bodies = load.pairs, load.acceleration, load.bodies
+    settings = load.settings[0]
+    spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
+    bias_rate = settings.bias_rate
+    count = len(bodies) - (len(load.materials) - 1)
     last = len(pairs) - 1
-    largest_change, fastest, resting = 0.0, 0.0, False
+    largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
-        prefetch(V, pairs[min(last, c + AHEAD), 0], 0)
-        prefetch(V, pairs[min(last, c + AHEAD), 1], 0)
+        prefetch_record(bodies, pairs[min(last, c + AHEAD), 0], 0)
+        prefetch_record(bodies, pairs[min(last, c + AHEAD), 1], 0)
         i, j = pairs[c, 0], pairs[c, 1]
-        nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
-        vx, vy, vz = V[j, 0] - V[i, 0], V[j, 1] - V[i, 1], V[j, 2] - V[i, 2]
-        vn = vx * nx + vy * ny + vz * nz
-        rests = -vn <= cold[c, REST]
+        contact, state, body_i, body_j = load.contacts[c], load.states[c], bodies[i], bodies[j]
+        nx, ny, nz = contact.nx, contact.ny, contact.nz
+        vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
+        rests = -vn <= state.rest_speed
         if first:
-            cold[c, APPROACH] = max(0.0, -vn)
-            fastest, resting = max(fastest, -vn), resting or rests
-        if impacts_only and (
-            rests or (cold[c, OVERLAP] < 0.0 and cold[c, APART] > 0.0)
-        ):  # where contacts last, one across a gap has time
-            continue
-        material = max(0, j - bodies + 1)
-        e = 0.0 if rests else law[material, 0]
-        overlap = cold[c, FOUND]
+            state.approach_speed = max(0.0, -vn)
+            fastest, any_rests = max(fastest, -vn), any_rests or rests
+        if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):  # a lasting contact is held, and a gap
+            continue  # that is open has time
+        material = load.materials[material_index(j, count)]
+        e = 0.0 if rests else material.restitution
+        overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:
             an = (a[i, 0] - a[j, 0]) * nx + (a[i, 1] - a[j, 1]) * ny + (a[i, 2] - a[j, 2]) * nz
             if an > 0.0:
@@ -101,56 +75,33 @@ def strike(
         if biased <= 0.0:
             continue
         largest_change = max(largest_change, biased)
-        if not rests and -vn > cold[c, APPROACH]:
-            speeds = abs(V[i, 0]) + abs(V[i, 1]) + abs(V[i, 2]) + abs(V[j, 0]) + abs(V[j, 1]) + abs(V[j, 2])
+        if not rests and -vn > state.approach_speed:
+            speeds = abs(body_i.vx) + abs(body_i.vy) + abs(body_i.vz) + abs(body_j.vx) + abs(body_j.vy) + abs(body_j.vz)
             if -vn > ROUNDING * speeds:
-                cold[c, APPROACH] = -vn
-        mi, mj = V[i, 6], V[j, 6]
-        Kn = mi + mj
+                state.approach_speed = -vn
+        Kn = body_i.inverse_mass + body_j.inverse_mass
         Jn = biased / Kn
         Jn_unbiased = max(0.0, change) / Kn
         lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * Kn)
-        cold[c, LEDGER + RESTITUTION] += lost
-        cold[c, LEDGER + STABILISATION] += Jn * (vn + 0.5 * Jn * Kn) + lost
+        state.restitution_loss += lost
+        state.stabilisation_gain += Jn * (vn + 0.5 * Jn * Kn) + lost
         Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
         if spins:
-            ri, rj = C[c, 3], C[c, 4]
-            wx, wy, wz = ri * V[i, 3] + rj * V[j, 3], ri * V[i, 4] + rj * V[j, 4], ri * V[i, 5] + rj * V[j, 5]
-            ux = vx - vn * nx - (wy * nz - wz * ny)
-            uy = vy - vn * ny - (wz * nx - wx * nz)
-            uz = vz - vn * nz - (wx * ny - wy * nx)
-            slip = np.sqrt(ux * ux + uy * uy + uz * uz)
-            if slip > 0.0:
-                Kt = Kn + ri * ri * V[i, 7] + rj * rj * V[j, 7]
-                Jt = slip / Kt
-                if Jt > law[material, 1] * Jn:
-                    Jt = law[material, 2] * Jn
-                cold[c, LEDGER + FRICTION] += Jt * (slip - 0.5 * Jt * Kt)
-                dx, dy, dz = Jt * (ux / slip), Jt * (uy / slip), Jt * (uz / slip)
-                Jx, Jy, Jz = Jx - dx, Jy - dy, Jz - dz
-                # r × J is -ρ n × J_t for both bodies: the arms point in opposite directions, and so do the impulses
-                tx, ty, tz = ny * dz - nz * dy, nz * dx - nx * dz, nx * dy - ny * dx
-                si, sj = ri * V[i, 7], rj * V[j, 7]
-                if si > 0.0:
-                    V[i, 3] += si * tx
-                    V[i, 4] += si * ty
-                    V[i, 5] += si * tz
-                if sj > 0.0:
-                    V[j, 3] += sj * tx
-                    V[j, 4] += sj * ty
-                    V[j, 5] += sj * tz
-        # What does not move is left alone: contacts of a colour may share it, and threads would pass its line around.
-        if mi > 0.0:
-            V[i, 0] -= Jx * mi
-            V[i, 1] -= Jy * mi
-            V[i, 2] -= Jz * mi
-        if mj > 0.0:
-            V[j, 0] += Jx * mj
-            V[j, 1] += Jy * mj
-            V[j, 2] += Jz * mj
-    found[piece, CHANGE] = largest_change
+            ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
+            speed = np.sqrt(ux * ux + uy * uy + uz * uz)
+            if speed > 0.0:
+                ri, rj = contact.arm_i, contact.arm_j
+                Kt = Kn + ri * ri * body_i.inverse_inertia + rj * rj * body_j.inverse_inertia
+                Jt = friction_impulse(speed / Kt, Jn, material.static_friction, material.kinetic_friction)
+                state.friction_loss += Jt * (speed - 0.5 * Jt * Kt)
+                tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
+                Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
+                turn(contact, body_i, body_j, tx, ty, tz)
+        push(body_i, body_j, Jx, Jy, Jz)
+    found = load.found[piece]
+    found.residual = largest_change
     if first:
-        found[piece, FASTEST], found[piece, RESTING] = fastest, resting
+        found.fastest, found.any_rests = fastest, any_rests
 
 
 @long_kernel
@@ -158,17 +109,17 @@ def look_for_closing(
     lo: int,
     hi: int,
     pairs: IntArray,
-    C: FloatArray,
-    cold: FloatArray,
+    contacts: Records,
+    states: Records,
     v: FloatArray,
     negligible: float,
     closing: NDArray[np.bool_],
 ) -> None:
     """Say so if one of the contacts [lo, hi) closes faster than one at rest, and than a negligible speed, in m/s."""
     for c in range(lo, hi):
-        vn = 0.0
-        for k in range(3):
-            vn += (v[pairs[c, 1], k] - v[pairs[c, 0], k]) * C[c, k]
-        if -vn > max(cold[c, REST], negligible):
+        i, j, contact = pairs[c, 0], pairs[c, 1], contacts[c]
+        vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+        vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
+        if -vn > max(states[c].rest_speed, negligible):
             closing[0] = True
             return

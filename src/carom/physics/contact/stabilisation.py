@@ -20,63 +20,51 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.load import CHANGE, LEDGER, PART, PUSHES, REST
-from carom.physics.ledger import STABILISATION
+from carom.physics.contact.law import material_index
+from carom.physics.contact.load import Constraints
 from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 BAUMGARTE = 0.2  # part of the overlap that the bias undoes in a step
 LEAVING = 0.1  # of the rest speed; what separates faster clears itself. 1 raises a slow rebound out of its overlap for
 # nothing (10 times the energy in the worst step), 0 leaves a pile overlapping (a quarter of a radius while it forms)
-ROW = 2.0  # contacts of each body in a row
-ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another sweep
+CONTACTS_IN_ROW = 2.0  # of each body
+ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another iteration
 
 
 @long_kernel
-def count_crowds(lo: int, hi: int, pairs: IntArray, crowd: IntArray) -> None:
+def count_contacts(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
     """Add to the number of contacts of each body or plane."""
     for c in range(lo, hi):
-        atomic_add(crowd, pairs[c, 0], 1)
-        atomic_add(crowd, pairs[c, 1], 1)
+        atomic_add(counts, pairs[c, 0], 1)
+        atomic_add(counts, pairs[c, 1], 1)
 
 
 @long_kernel
-def parts_undone(lo: int, hi: int, pairs: IntArray, crowd: IntArray, cold: FloatArray) -> None:
-    """Find the part of an overlap that a sweep undoes: the less the more contacts both of its ends have.
+def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records) -> None:
+    """Find the part of an overlap that an iteration undoes: the less the more contacts both of its ends have.
 
     A row or a ring is put right by whole overlaps. In a crowd these throw each body into the next, so that a pile that
     has been pressed together never finds rest: no contact is the same in two steps, and no impulse is remembered.
     """
     for c in range(lo, hi):
-        cold[c, PART] = min(1.0, ROW / min(crowd[pairs[c, 0]], crowd[pairs[c, 1]]))
+        states[c].push_fraction = min(1.0, CONTACTS_IN_ROW / min(counts[pairs[c, 0]], counts[pairs[c, 1]]))
 
 
-@kernel
-def push(
-    lo: int,
-    hi: int,
-    piece: int,
-    pairs: IntArray,
-    x: FloatArray,
-    v: FloatArray,
-    inverse_mass: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    surface: FloatArray,
-    offset: FloatArray,
-    law: FloatArray,
-    cold: FloatArray,
-    found: FloatArray,
-) -> None:
+@inner
+def correct_positions(lo: int, hi: int, piece: int, load: Constraints) -> None:
     """Push the contacts at rest of a piece apart, once; note whether an overlap was worth it.
 
-    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound. For
-    the arguments see `Load`; parts are read, ledger and pushes are added to.
+    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
     """
+    pairs, x, v, box = load.pairs, load.position, load.velocity, load.box
+    inverse_mass, radius = load.inverse_mass, load.radius
     n, last, again = len(x), len(pairs) - 1, 0.0
     for c in range(lo, hi):
         ahead = min(last, c + AHEAD)
@@ -84,15 +72,15 @@ def push(
         prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
         i, j = pairs[c, 0], pairs[c, 1]
         if j >= n:
-            nx, ny, nz = -surface[j - n, 0], -surface[j - n, 1], -surface[j - n, 2]
-            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - offset[j - n]
+            nx, ny, nz = -load.surface[j - n, 0], -load.surface[j - n, 1], -load.surface[j - n, 2]
+            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - load.offset[j - n]
             reach = radius[i]
         else:
             dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
             if box[0] > 0.0:
-                dx -= box[0] * np.floor(dx / box[0] + 0.5)
-                dy -= box[1] * np.floor(dy / box[1] + 0.5)
-                dz -= box[2] * np.floor(dz / box[2] + 0.5)
+                dx = minimum_image(dx, box[0])
+                dy = minimum_image(dy, box[1])
+                dz = minimum_image(dz, box[2])
             d = np.sqrt(dx * dx + dy * dy + dz * dz)
             reach = radius[i] + radius[j]
             if d > 0.0:
@@ -102,13 +90,15 @@ def push(
         overlap = reach - d
         if overlap <= 0.0:
             continue
+        state = load.states[c]
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * nx + vy * ny + vz * nz
-        if vn > LEAVING * cold[c, REST] or (-vn > cold[c, REST] and law[max(0, j - n + 1), 0] > 0.0):
+        rebounds = -vn > state.rest_speed and load.materials[material_index(j, n)].restitution > 0.0
+        if vn > LEAVING * state.rest_speed or rebounds:
             continue
         if overlap > ENOUGH * reach:
             again = 1.0
-        delta = cold[c, PART] * overlap
+        delta = state.push_fraction * overlap
         mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
         mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
         if mi > 0.0:
@@ -119,15 +109,15 @@ def push(
             x[j, 0] += mj * delta * nx
             x[j, 1] += mj * delta * ny
             x[j, 2] += mj * delta * nz
-        cold[c, PUSHES + 0] += delta * nx
-        cold[c, PUSHES + 1] += delta * ny
-        cold[c, PUSHES + 2] += delta * nz
+        state.push_x += delta * nx
+        state.push_y += delta * ny
+        state.push_z += delta * nz
         if j >= n:
             continue  # nothing turns about a plane
         scale = d / (d + delta) - 1.0
         tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
-        cold[c, LEDGER + STABILISATION] += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
+        state.stabilisation_gain += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
         if mi > 0.0:
             v[i, 0] -= mi * scale * tx
             v[i, 1] -= mi * scale * ty
@@ -136,18 +126,18 @@ def push(
             v[j, 0] += mj * scale * tx
             v[j, 1] += mj * scale * ty
             v[j, 2] += mj * scale * tz
-    found[piece, CHANGE] = again
+    load.found[piece].residual = again
 
 
 @long_kernel
-def work_of_pushes(
-    lo: int, hi: int, pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, cold: FloatArray
+def audit_corrections(
+    lo: int, hi: int, pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, states: Records
 ) -> None:
     """Book the potential energy that pushes moved, -μ (a_j - a_i)·Σ δ n, into the ledger in J."""
+    a = acceleration
     for c in range(lo, hi):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j, state = pairs[c, 0], pairs[c, 1], states[c]
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
-        work = 0.0
-        for k in range(3):
-            work += (acceleration[j, k] - acceleration[i, k]) * cold[c, PUSHES + k]
-        cold[c, LEDGER + STABILISATION] -= reduced * work
+        ax, ay, az = a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
+        work = ax * state.push_x + ay * state.push_y + az * state.push_z
+        state.stabilisation_gain -= reduced * work

@@ -19,7 +19,7 @@ from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
-from carom.physics.contact.lasting import Hold
+from carom.physics.contact.lasting import ImpulseCache
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.memory import ContactMemory
 from carom.physics.contact.rest import largest_coordinate, largest_square
@@ -27,7 +27,7 @@ from carom.physics.contact.sighting import NOTHING, Sighting
 from carom.physics.contact.stabilisation import BAUMGARTE
 from carom.physics.contact.stages import Stages, stages_of
 from carom.physics.contact.tally import NONE
-from carom.physics.contact.workbench import TOUCHING, Workbench
+from carom.physics.contact.workbench import TOUCHING, ContactSolver
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
@@ -89,11 +89,11 @@ class ContactStage:
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
         own = (contact.restitution, contact.static_friction, contact.kinetic_friction)
-        law = np.vstack((np.array(own), planes.law))
+        materials = materials_of(np.vstack((np.array(own), planes.law)))
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # limits reached and told so far
-        self._bench = Workbench(bodies, planes, law, box, requirements.friction.modelled, team)
+        self._solver = ContactSolver(bodies, planes, materials, box, requirements.friction.modelled, team)
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
@@ -101,14 +101,12 @@ class ContactStage:
         self._event_drift = None
         if requirements.impact_time.modelled:
             drift = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
-            self._event_drift = EventDrivenDrift(
-                bodies, planes, materials_of(law), box, field, *drift, self._search, team
-            )
+            self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._search, team)
         self._compile()
 
     def forget(self) -> None:
         """Begin anew, as before the first step."""
-        self._hold = Hold.empty()
+        self._hold = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
@@ -122,10 +120,10 @@ class ContactStage:
         """A copy of what the next step begins with; None where no contact can last."""
         if not self._lasts:
             return None
-        hold, bench = self._hold, self._bench
+        hold, solver = self._hold, self._solver
         return ContactMemory(
             pairs=self._pairs,
-            rest_speed=bench.rest_speed[bench.stages.place],
+            rest_speed=solver.rest_speed[solver.stages.place],
             dt=self._dt,
             held_pairs=hold.pairs,
             impulse=hold.impulse,
@@ -144,9 +142,9 @@ class ContactStage:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
             self._order_contacts(memory.pairs, memory.dt)
-            self._bench.rest_speed[self._bench.stages.place] = memory.rest_speed
+            self._solver.rest_speed[self._solver.stages.place] = memory.rest_speed
             self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
-            self._hold = Hold.of(memory.held_pairs, memory.impulse, memory.kick)
+            self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
     def begin(self, dt: float) -> None:
         """Find what touches at the start of a run, so that it lasts from the first step on, of about dt."""
@@ -160,7 +158,7 @@ class ContactStage:
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
             self._hold_contacts(self._dt, kick, dt, 0.0)
-            self.held = self._bench.booked
+            self.held = self._solver.audited
 
     def drift(self, kick: float, dt: float) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way."""
@@ -176,7 +174,7 @@ class ContactStage:
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
         if self._pushes and len(pairs):
-            self._bench.part(self._most_sweeps)
+            self._solver.correct_positions(self._most_sweeps)
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
@@ -194,9 +192,9 @@ class ContactStage:
         if len(self._pairs):
             self._resolve(dt, kick, profile)
         else:
-            self._hold = Hold.empty()
+            self._hold = ImpulseCache.empty()
         self._seen = None
-        self.tally = self._bench.tally() if len(self._pairs) else NONE
+        self.tally = self._solver.tally() if len(self._pairs) else NONE
         if len(self.impacts):
             self._seen = self._sighting(dt)
             self.tally = self.tally.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
@@ -210,7 +208,7 @@ class ContactStage:
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
         reached = []
-        if self._contact.colouring == "contacts" and self._bench.stages.count > OVERFLOW:
+        if self._contact.colouring == "contacts" and self._solver.stages.count > OVERFLOW:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
@@ -249,8 +247,8 @@ class ContactStage:
         if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and so their order
             self._pairs = pairs
             self._stages = self._colour()
-        self._bench.lay(self._stages, self._hold.hot, self._rounding)
-        self._presses = self._needs.resting.modelled and self._bench.find_rest_speeds(self._field, dt)
+        self._solver.lay(self._stages, self._hold.contacts, self._rounding)
+        self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s, the step that they are for
         self.sweeps = 0
         self._too_few_sweeps = False
@@ -265,22 +263,22 @@ class ContactStage:
         return stages_of(self._pairs, self._colours, independent=self._body_colours is None)
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        contact, bench = self._contact, self._bench
-        bench.meet()
+        contact, solver = self._contact, self._solver
+        solver.update_geometry()
         if self._pushes:
-            bench.book_pushes()
+            solver.audit_corrections()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
-        self.sweeps = bench.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
+        self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
         profile.mark("response")
-        if lasting and (bench.any_rests or self.sweeps == self._most_sweeps):
+        if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate)
             self.sweeps = max(self.sweeps, held)
             profile.mark("resting")
         else:
-            self._hold = Hold.empty()
+            self._hold = ImpulseCache.empty()
         if self.sweeps >= self._most_sweeps:
-            self._too_few_sweeps = bench.is_closing()
+            self._too_few_sweeps = solver.is_closing()
         profile.mark("response")
 
     def _is_at_rest(self) -> bool:
@@ -289,12 +287,12 @@ class ContactStage:
 
     def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float) -> int:
         """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
-        bench, pairs = self._bench, self._pairs
-        place = bench.stages.place
-        self._hold.carry_to(pairs, place, kick, bench.hot, self._team)
+        solver, pairs = self._solver, self._pairs
+        place = solver.stages.place
+        self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
-            self._hold = Hold(pairs, place, bench.hot, kick)
-        return bench.hold(dt, kick, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
+            self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
+        return solver.hold(dt, kick, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
 
     @property
     def seen(self) -> Sighting:
@@ -306,27 +304,27 @@ class ContactStage:
     @property
     def contributions(self) -> FloatArray:
         """(m, 3) J, the ledger of each contact seen in this step."""
-        return self.seen.sums(self._bench.ledger[self._bench.stages.place[self._shown()]], self.impacts.ledger)
+        return self.seen.sums(self._solver.ledger[self._solver.stages.place[self._shown()]], self.impacts.ledger)
 
     def _sighting(self, dt: float) -> Sighting:
-        bench, shown = self._bench, self._shown()
-        place = bench.stages.place[shown]
-        normals, overlaps = bench.found_normals[place], bench.found_overlaps[place]
+        solver, shown = self._solver, self._shown()
+        place = solver.stages.place[shown]
+        normals, overlaps = solver.found_normals[place], solver.found_overlaps[place]
         graph = CollisionGraph(self._pairs[shown], normals, overlaps, self._colours[shown], self._body_colours)
-        late = Sighting.of(graph, bench.approach[place], bench.rest_speed[place])
+        late = Sighting.of(graph, solver.approach[place], solver.rest_speed[place])
         return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
 
     def _shown(self) -> NDArray[np.bool_]:
-        return self._bench.seen[self._bench.stages.place]
+        return self._solver.seen[self._solver.stages.place]
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
         self.forget()
         if self._pushes:
-            self._bench.part(1)
+            self._solver.correct_positions(1)
         self._resolve(1.0, 1.0, Profile())
-        self._bench.is_closing()
-        self._bench.tally()
+        self._solver.is_closing()
+        self._solver.tally()
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0)

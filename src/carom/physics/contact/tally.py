@@ -6,24 +6,31 @@ together only when somebody looks.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import record
 from carom.physics.bodies import Ends
-from carom.physics.contact.load import APART, APPROACH, BLOCK, COLD, FOUND, HOT, IMPULSE, LEDGER, REST
+from carom.physics.contact.load import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK
 from carom.physics.contact.sighting import Sighting
-from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.ledger import terms_of
+from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-SOME = 1  # block that is worth a part of their own
-# what is counted of a block: its ledger; contacts, impacts, Σ ½ μ v_n² of these; the hardest's and its ends, the
-# deepest's depth and its ends
-COUNTS, CONTACTS, IMPACTS, STRUCK, HARDEST, DEEPEST = 12, 3, 4, 5, 6, 9
+MIN_BLOCKS_PER_TASK = 1
+
+BLOCK_COUNTS = record(  # what is counted of a block of contacts
+    "restitution_loss friction_loss stabilisation_gain"  # J
+    " contacts impacts struck"  # numbers, and J: Σ ½ μ v_n² of the impacts
+    " hardest hardest_i hardest_j"  # J, and the ends
+    " deepest deepest_i deepest_j"  # overlap / smaller radius, and the ends
+)
 
 
 class Tally(NamedTuple):
@@ -39,26 +46,25 @@ class Tally(NamedTuple):
     deepest_pair: tuple[int, int]
 
     @classmethod
-    def of(cls, pairs: IntArray, hot: FloatArray, cold: FloatArray, ends: Ends, team: Team) -> Tally:
-        """Count contacts; for the arrays see `Load`."""
-        blocks = np.empty((-(-len(pairs) // BLOCK), COUNTS))
-        team.divide(len(blocks), SOME, _count, pairs, hot, cold, ends.inverse_mass, ends.radius, blocks)
-        total = np.empty((1, COUNTS))
-        _add_up(blocks, total)
-        contacts, impacts, struck = total[0, CONTACTS:HARDEST].tolist()
-        if contacts == 0:
-            return NONE._replace(work=blocks[:, :CONTACTS])
-        hardest, *hard_pair = total[0, HARDEST:DEEPEST].tolist()
-        deepest, *deep_pair = total[0, DEEPEST:].tolist()
+    def of(cls, pairs: IntArray, contacts: Records, states: Records, ends: Ends, team: Team) -> Tally:
+        """Count contacts; for the arrays see `Constraints`."""
+        blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
+        counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
+        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
+        totals = np.empty(1, BLOCK_COUNTS)
+        _add_up(blocks, totals)
+        total = totals[0]
+        if total["contacts"] == 0:
+            return NONE._replace(work=terms_of(blocks))
         return cls(
-            work=blocks[:, :CONTACTS],
-            contacts=int(contacts),
-            impacts=int(impacts),
-            struck=struck,
-            hardest=hardest,
-            hardest_pair=(int(hard_pair[0]), int(hard_pair[1])),
-            deepest=deepest,
-            deepest_pair=(int(deep_pair[0]), int(deep_pair[1])),
+            work=terms_of(blocks),
+            contacts=int(total["contacts"]),
+            impacts=int(total["impacts"]),
+            struck=float(total["struck"]),
+            hardest=float(total["hardest"]),
+            hardest_pair=(int(total["hardest_i"]), int(total["hardest_j"])),
+            deepest=float(total["deepest"]),
+            deepest_pair=(int(total["deepest_i"]), int(total["deepest_j"])),
         )
 
     def with_impacts(self, sighting: Sighting, ledger: FloatArray, ends: Ends) -> Tally:
@@ -72,9 +78,10 @@ class Tally(NamedTuple):
             (k, 3) J, of the impacts.
         """
         graph = sighting.graph
-        hot, cold = np.zeros((len(graph), HOT)), np.zeros((len(graph), COLD))
-        cold[:, FOUND], cold[:, APPROACH], cold[:, REST] = graph.overlaps, sighting.approach, sighting.rest_speed
-        seen = Tally.of(graph.pairs, hot, cold, ends, SOLO)
+        contacts, states = np.zeros(len(graph), CONTACT), np.zeros(len(graph), CONTACT_STATE)
+        states["found_overlap"], states["rest_speed"] = graph.overlaps, sighting.rest_speed
+        states["approach_speed"] = sighting.approach
+        seen = Tally.of(graph.pairs, contacts, states, ends, SOLO)
         return seen._replace(work=np.concatenate((ledger, self.work)), impacts=sighting.impacts)
 
 
@@ -86,58 +93,66 @@ def _count(
     lo: int,
     hi: int,
     pairs: IntArray,
-    hot: FloatArray,
-    cold: FloatArray,
+    contacts: Records,
+    states: Records,
     inverse_mass: FloatArray,
     radius: FloatArray,
-    blocks: FloatArray,
+    blocks: Records,
 ) -> None:
     """Count the contacts of the blocks [lo, hi)."""
-    for block in range(lo, hi):
-        _begin(blocks, block)
-        contacts, impacts, struck, hardest, deepest = 0, 0, 0.0, 0.0, 0.0
-        for c in range(block * BLOCK, min(len(pairs), (block + 1) * BLOCK)):
-            for k in range(3):
-                blocks[block, k] += cold[c, LEDGER + k]
-            if cold[c, APART] > 0.0 and hot[c, IMPULSE] <= 0.0:
+    for k in range(lo, hi):
+        block = blocks[k]
+        _begin(block)
+        for c in range(k * CONTACTS_PER_BLOCK, min(len(pairs), (k + 1) * CONTACTS_PER_BLOCK)):
+            state = states[c]
+            block.restitution_loss += state.restitution_loss
+            block.friction_loss += state.friction_loss
+            block.stabilisation_gain += state.stabilisation_gain
+            if state.apart and contacts[c].normal_impulse <= 0.0:
                 continue
-            i, j, approach = pairs[c, 0], pairs[c, 1], cold[c, APPROACH]
-            contacts += 1
+            i, j, approach = pairs[c, 0], pairs[c, 1], state.approach_speed
+            block.contacts += 1
             energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])
-            if approach > cold[c, REST]:
-                impacts += 1
-                struck += energy
-            if energy >= hardest:
-                hardest = energy
-                _keep_larger(blocks, block, HARDEST, energy, i, j)
-            depth = cold[c, FOUND] / min(radius[i], radius[j])
-            if depth >= deepest:
-                deepest = depth
-                _keep_larger(blocks, block, DEEPEST, depth, i, j)
-        blocks[block, CONTACTS], blocks[block, IMPACTS], blocks[block, STRUCK] = contacts, impacts, struck
+            if approach > state.rest_speed:
+                block.impacts += 1
+                block.struck += energy
+            _keep_hardest(block, energy, i, j)
+            _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
+
+
+@inline
+def _begin(block: Any) -> None:
+    block.restitution_loss = block.friction_loss = block.stabilisation_gain = 0.0
+    block.contacts = block.impacts = block.struck = block.hardest = block.deepest = 0.0
+    block.hardest_i = block.hardest_j = block.deepest_i = block.deepest_j = np.inf
 
 
 @kernel
-def _begin(counts: FloatArray, row: int) -> None:
-    for k in range(COUNTS):
-        counts[row, k] = 0.0
-    for k in (HARDEST, DEEPEST):
-        counts[row, k + 1] = counts[row, k + 2] = np.inf
+def _add_up(blocks: Records, totals: Records) -> None:
+    total = totals[0]
+    _begin(total)
+    for k in range(len(blocks)):
+        block = blocks[k]
+        total.contacts += block.contacts
+        total.impacts += block.impacts
+        total.struck += block.struck
+        _keep_hardest(total, block.hardest, block.hardest_i, block.hardest_j)
+        _keep_deepest(total, block.deepest, block.deepest_i, block.deepest_j)
 
 
-@kernel
-def _add_up(blocks: FloatArray, total: FloatArray) -> None:
-    _begin(total, 0)
-    for block in range(len(blocks)):
-        for k in range(HARDEST):
-            total[0, k] += blocks[block, k]
-        for k in (HARDEST, DEEPEST):
-            _keep_larger(total, 0, k, blocks[block, k], blocks[block, k + 1], blocks[block, k + 2])
+@inline
+def _keep_hardest(block: Any, energy: float, i: float, j: float) -> None:
+    if _comes_first(energy, i, j, block.hardest, block.hardest_i, block.hardest_j):
+        block.hardest, block.hardest_i, block.hardest_j = energy, i, j
 
 
-@kernel
-def _keep_larger(counts: FloatArray, row: int, k: int, value: float, i: float, j: float) -> None:
-    """Keep the largest value and its pair; of equal values the first pair."""
-    comes_first = i < counts[row, k + 1] or (i == counts[row, k + 1] and j < counts[row, k + 2])
-    if value > counts[row, k] or (value == counts[row, k] and comes_first):
-        counts[row, k], counts[row, k + 1], counts[row, k + 2] = value, i, j
+@inline
+def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
+    if _comes_first(depth, i, j, block.deepest, block.deepest_i, block.deepest_j):
+        block.deepest, block.deepest_i, block.deepest_j = depth, i, j
+
+
+@inline
+def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
+    """Tell whether a value is larger than the largest so far, or as large and of an earlier pair."""
+    return value > largest or (value == largest and (i < first or (i == first and j < second)))

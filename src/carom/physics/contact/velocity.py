@@ -1,48 +1,55 @@
-"""Velocities at a contact: what an impulse changes of them, and how fast a contact may close in a drift."""
+"""Velocities at a contact, of body j as seen from body i.
+
+    v = v_j - v_i,    v_n = v·n,    v_t = v - v_n n,    u = v_t - (ρ_i ω_i + ρ_j ω_j) × n     (slip)
+
+The helpers are inlined by Numba.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from carom.physics.contact.law import slip_velocity
+from carom.physics.parallel.jit import inline
 
 
-@kernel
-def bend(R: float, t2: float, drift: float) -> float:
-    """Return (R - √(R² - t²)) / dt, the closing speed that a way t along the tangent makes up for in a drift."""
-    return t2 / ((R + np.sqrt(R * R - t2)) * drift) if 0.0 < t2 < R * R else 0.0
+@inline
+def relative_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
+    """Return v_n and v_t, in m/s, of two bodies' records."""
+    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
+    vn = ux * nx + uy * ny + uz * nz
+    return vn, ux - vn * nx, uy - vn * ny, uz - vn * nz
 
 
-@kernel
-def give(
-    c: int,
-    to: int,
-    pairs: IntArray,
-    C: FloatArray,
-    V: FloatArray,
-    spins: bool,
-    Jn: float,
-    tx: float,
-    ty: float,
-    tz: float,
-) -> None:
-    """Add what an impulse at a contact changes of the velocities, Δv = J/m and Δω = I⁻¹ (r × J), from a column on."""
-    nx, ny, nz = C[c, 0], C[c, 1], C[c, 2]
-    Jx, Jy, Jz = Jn * nx + tx, Jn * ny + ty, Jn * nz + tz
-    tx, ty, tz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
-    for end in range(2):
-        b = pairs[c, end]
-        w = V[b, 6] if end == 1 else -V[b, 6]
-        if w != 0.0:
-            V[b, to] += Jx * w
-            V[b, to + 1] += Jy * w
-            V[b, to + 2] += Jz * w
-            if spins:
-                s = C[c, 3 + end] * V[b, 7]
-                V[b, to + 3] += s * tx
-                V[b, to + 4] += s * ty
-                V[b, to + 5] += s * tz
+@inline
+def slip(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return u, in m/s, given v_t."""
+    ri, rj = contact.arm_i, contact.arm_j
+    wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
+    return slip_velocity(tx, ty, tz, contact.nx, contact.ny, contact.nz, wx, wy, wz)
+
+
+@inline
+def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
+    """Return what the last iteration changed of v_n and u, in m/s."""
+    nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
+    px, py, pz = b.dvx - a.dvx, b.dvy - a.dvy, b.dvz - a.dvz
+    pn = px * nx + py * ny + pz * nz
+    wx, wy, wz = ri * a.dwx + rj * b.dwx, ri * a.dwy + rj * b.dwy, ri * a.dwz + rj * b.dwz
+    ux, uy, uz = slip_velocity(px - pn * nx, py - pn * ny, pz - pn * nz, nx, ny, nz, wx, wy, wz)
+    return pn, ux, uy, uz
+
+
+@inline
+def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, drift: float) -> float:
+    """Return how fast a contact may close in m/s, given how fast it could on a straight line, so that it just touches.
+
+    Two spheres that roll about each other come apart along the tangent, by R - √(R² - v_t² dt²) in a drift of dt; R is
+    where they are to be, the sum of the lever arms less what they may close.
+    """
+    R = reach - bias * drift
+    t2 = (tx * tx + ty * ty + tz * tz) * drift * drift
+    return bias + (t2 / ((R + np.sqrt(R * R - t2)) * drift) if 0.0 < t2 < R * R else 0.0)

@@ -1,4 +1,4 @@
-"""The contacts of a step laid out for the kernels, and the team that works on them."""
+"""The contact solver: the contacts of one step after the other as records, and the team that works on them."""
 
 from __future__ import annotations
 
@@ -9,60 +9,51 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import Room, aligned_empty
 from carom.physics.bodies import Bodies
-from carom.physics.contact.crew import HELP, HOLDING, IMPACTS, PUSHES, work
+from carom.physics.contact.crew import HELP, IMPACTS, POSITIONS, RESTING, work
+from carom.physics.contact.lasting import impulses_of
 from carom.physics.contact.load import (
-    APART,
-    APPROACH,
-    BIAS,
-    BLOCK,
-    COLD,
-    DRIFT,
-    DT,
-    FASTEST,
-    FOUND,
-    HOT,
-    IMPACTS_ONLY,
-    IMPULSE,
-    KICK,
-    LEDGER,
-    MOTION,
-    OVERLAP,
-    REFINES,
-    REST,
-    RESTING,
+    BLOCK_SUMS,
+    BODIES_PER_BLOCK,
+    BODY_STATE,
+    CONTACT,
+    CONTACT_STATE,
+    ISLAND,
+    PIECE_FINDINGS,
     SEARCH,
-    SPINS,
-    Load,
+    SETTINGS,
+    Constraints,
 )
-from carom.physics.contact.meeting import meet
-from carom.physics.contact.motion import pack, those_that_touch, unpack
-from carom.physics.contact.rest import Piles
+from carom.physics.contact.meeting import update_geometry
+from carom.physics.contact.motion import active_bodies, gather, scatter
+from carom.physics.contact.rest import Islands
 from carom.physics.contact.solver import CONVERGED, look_for_closing
-from carom.physics.contact.stabilisation import count_crowds, parts_undone, work_of_pushes
+from carom.physics.contact.stabilisation import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.stages import Stages, stages_of
 from carom.physics.contact.tally import Tally
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.ledger import terms_of
+from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-SOME = 1000  # contacts or bodies that are worth a part of their own
-TOUCHING = 1e-9  # of the sum of radii; what is so near touches: the sweeps and rounding leave lasting contacts there
-CLOSE = 64  # contacts whose rows are in the nearest cache
+MIN_PER_TASK = 1000  # contacts or bodies
+TOUCHING = 1e-9  # of the sum of radii; a smaller gap is none: iterations and rounding leave lasting contacts there
+CACHED_CONTACTS = 64  # contacts whose records are in the nearest cache
 SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
 
 
-class Workbench:
+class ContactSolver:
     """Resolves the contacts of one step after the other.
 
     Parameters
     ----------
     bodies, planes
         What may touch.
-    law
-        (1 + p, 3) restitution, static and kinetic friction: between bodies, then of each plane.
+    materials
+        (1 + p,) `MATERIAL`: between bodies, then of each plane.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     friction
@@ -72,50 +63,51 @@ class Workbench:
     """
 
     def __init__(
-        self, bodies: Bodies, planes: HalfSpaces, law: FloatArray, box: FloatArray, friction: bool, team: Team
+        self, bodies: Bodies, planes: HalfSpaces, materials: Records, box: FloatArray, friction: bool, team: Team
     ) -> None:
+        count = len(bodies.ends.velocity)
         self._bodies = bodies
         self._planes = planes
-        self._law = law
+        self._materials = materials
         self._box = box
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
-        self._hot = Room(columns=HOT), Room(columns=HOT)
-        self._cold = Room(columns=COLD)
-        self._search = Room(columns=SEARCH)
+        self._contacts = Room(CONTACT), Room(CONTACT)
+        self._held = Room(np.bool_)
+        self._states = Room(CONTACT_STATE)
+        self._search = Room(SEARCH)
         self._normals = Room(columns=3)
-        self._piles = Piles(len(bodies.ends.velocity), team)
+        self._islands = Islands(count, team)
         self.stages = stages_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
-        self._who = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
+        self._active = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
         self._fastest = 0.0  # m/s, at which a contact closed before the impulses
-        self._motion = aligned_empty(len(bodies.ends.velocity), columns=MOTION)
-        self._island = np.empty(len(self._motion), dtype=np.int64)
-        self._work_of_islands = np.empty((len(self._motion), 2))
-        self._flags = np.zeros(6, dtype=np.int64)
-        self._flags[SPINS] = friction
-        self._numbers = np.zeros(8)
+        self._body_states = aligned_empty(count, BODY_STATE)
+        self._island = np.empty(count, dtype=np.int64)
+        self._island_sums = np.empty(count, ISLAND)
+        self._settings = np.zeros(1, SETTINGS)
+        self._settings["spins"] = friction
 
-    def lay(self, stages: Stages, keep: FloatArray | None = None, rounding: float = 0.0) -> None:
+    def lay(self, stages: Stages, keep: Records | None = None, rounding: float = 0.0) -> None:
         """Lay out contacts, with nothing done to them yet, and find where they meet.
 
         Parameters
         ----------
         keep
-            What `hot` was of an earlier step, if it is still wanted.
+            What `contacts` was of an earlier step, if it is still wanted.
         rounding
             m, of the coordinates: a gap up to this is none.
         """
         m, bodies, ends, planes = len(stages.pairs), self._bodies, self._bodies.ends, self._planes
-        room = self._hot[1] if keep is not None and self._hot[0].holds(keep) else self._hot[0]
-        hot, cold = room.take(m), self._cold.take(m)
+        room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
         if stages is not self.stages:
-            self._who = those_that_touch(stages.pairs, len(self._motion), self._team)
+            self._active = active_bodies(stages.pairs, len(self._body_states), self._team)
         self.stages = stages
-        self._load = Load(
+        self._load = Constraints(
             pairs=stages.pairs,
             pieces=stages.pieces,
-            hot=hot,
-            cold=cold,
+            contacts=room.take(m),
+            held=self._held.take(m),
+            states=self._states.take(m),
             search=self._search.take(m),
             position=bodies.position,
             velocity=ends.velocity,
@@ -126,53 +118,52 @@ class Workbench:
             box=self._box,
             surface=planes.normal,
             offset=planes.offset,
-            motion=self._motion,
-            law=self._law,
+            bodies=self._body_states,
+            materials=self._materials,
             island=self._island,
-            work=self._work_of_islands,
-            who=self._who,
-            found=np.empty((len(stages.pieces), 3)),
-            sums=np.empty((-(-len(self._who) // BLOCK), 2)),
-            flags=self._flags,
-            numbers=self._numbers,
+            islands=self._island_sums,
+            active=self._active,
+            found=aligned_empty(len(stages.pieces), PIECE_FINDINGS),
+            sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
+            settings=self._settings,
         )
         self.found_normals = self._normals.take(m)
-        self._team.divide(m, SOME, _lay, *self._geometry(), rounding, self.found_normals)
+        self._team.divide(m, MIN_PER_TASK, _lay, *self._geometry(), rounding, self.found_normals)
 
     @property
-    def hot(self) -> FloatArray:
-        """(m, 16), by place like what follows: see `Load`."""
-        return self._load.hot
-
-    @property
-    def cold(self) -> FloatArray:
-        """(m, 16), likewise."""
-        return self._load.cold
+    def contacts(self) -> Records:
+        """(m,) `CONTACT`, by place like what follows."""
+        return self._load.contacts
 
     @property
     def normals(self) -> FloatArray:
         """(m, 3), from i to j."""
-        return self._load.hot[:, :3]
+        return np.stack([self._load.contacts[name] for name in ("nx", "ny", "nz")], axis=-1)
 
     @property
     def arms(self) -> FloatArray:
         """(m, 2) m, from each end's centre to the contact point."""
-        return self._load.hot[:, 3:5]
+        return np.stack([self._load.contacts[name] for name in ("arm_i", "arm_j")], axis=-1)
+
+    @property
+    def impulses(self) -> FloatArray:
+        """(m, 4) N s, a copy of λ_n and λ_t."""
+        return impulses_of(self._load.contacts)
 
     @property
     def overlaps(self) -> FloatArray:
         """(m,) m; minus the gap where there is one."""
-        return self._load.cold[:, OVERLAP]
+        return self._load.states["overlap"]
 
     @property
     def rest_speed(self) -> FloatArray:
         """(m,) m/s; an approach up to this speed is a contact at rest and does not bounce."""
-        return self._load.cold[:, REST]
+        return self._load.states["rest_speed"]
 
     @property
     def approach(self) -> FloatArray:
         """(m,) m/s: the speed at which each contact closed when it was first visited, or faster when it was struck."""
-        return self._load.cold[:, APPROACH]
+        return self._load.states["approach_speed"]
 
     @property
     def found_overlaps(self) -> FloatArray:
@@ -180,74 +171,74 @@ class Workbench:
 
         What touched then is resolved though a push opens it, or it falls and is pushed back for ever.
         """
-        return self._load.cold[:, FOUND]
+        return self._load.states["found_overlap"]
 
     @property
     def ledger(self) -> FloatArray:
-        """(m, 3) J: what left by restitution and by friction, what stabilisation put in."""
-        return self._load.cold[:, LEDGER : LEDGER + 3]
+        """(m, 3) J, a copy: what left by restitution and by friction, what stabilisation put in."""
+        return terms_of(self._load.states)
 
     @property
-    def booked(self) -> FloatArray:
+    def audited(self) -> FloatArray:
         """(k, 3) J: what holding the contacts last booked into the ledger, in sums over pieces."""
-        return self._load.found
+        return terms_of(self._load.found)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """(m,) whether each contact touched when it was found, or carried an impulse when it was last held."""
-        touches: NDArray[np.bool_] = self._load.cold[:, APART] == 0.0
-        return touches | (self._load.hot[:, IMPULSE] > 0.0)
+        carries: NDArray[np.bool_] = self._load.contacts["normal_impulse"] > 0.0
+        return ~self._load.states["apart"] | carries
 
     def tally(self) -> Tally:
         """Count the contacts that are seen, and what all of them did."""
-        return Tally.of(self._load.pairs, self._load.hot, self._load.cold, self._bodies.ends, self._team)
+        return Tally.of(self._load.pairs, self._load.contacts, self._load.states, self._bodies.ends, self._team)
 
-    def meet(self) -> None:
+    def update_geometry(self) -> None:
         """Find the geometry of the contacts at the present positions."""
-        self._team.divide(len(self._load.pairs), SOME, meet, *self._geometry())
+        self._team.divide(len(self._load.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
-        """Find the speed up to which each contact is at rest, see `Piles`; tell whether one is not 0."""
+        """Find the speed up to which each contact is at rest, see `Islands`; tell whether one is not 0."""
         ends, load = self._bodies.ends, self._load
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
-        return self._piles.write_rest_speeds(load.pairs, load.who, *accelerated, load.cold)
+        return self._islands.write_rest_speeds(load.pairs, load.active, *accelerated, load.states)
 
-    def part(self, most_sweeps: int) -> None:
-        """Push contacts at rest apart, in sweeps, so many at most."""
-        ends, load = self._bodies.ends, self._load
-        crowd = np.zeros(len(ends.inverse_mass), dtype=np.int64)
-        self._team.divide(len(load.pairs), SOME, count_crowds, load.pairs, crowd)
-        self._team.divide(len(load.pairs), SOME, parts_undone, load.pairs, crowd, load.cold)
-        self._work(PUSHES, most_sweeps)
+    def correct_positions(self, max_iterations: int) -> None:
+        """Push contacts at rest apart."""
+        load = self._load
+        counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
+        self._team.divide(len(load.pairs), MIN_PER_TASK, count_contacts, load.pairs, counts)
+        self._team.divide(len(load.pairs), MIN_PER_TASK, find_push_fractions, load.pairs, counts, load.states)
+        self._work(POSITIONS, max_iterations)
 
-    def book_pushes(self) -> None:
+    def audit_corrections(self) -> None:
         """Book the work of the pushes, at the accelerations that follow them."""
         ends, load = self._bodies.ends, self._load
-        self._team.divide(
-            len(load.pairs), SOME, work_of_pushes, load.pairs, ends.acceleration, ends.inverse_mass, load.cold
-        )
+        pushed = (load.pairs, ends.acceleration, ends.inverse_mass, load.states)
+        self._team.divide(len(load.pairs), MIN_PER_TASK, audit_corrections, *pushed)
 
-    def resolve_impacts(self, bias_rate: float, most_sweeps: int, impacts_only: bool) -> int:
-        """Resolve what closes; return the number of sweeps.
+    def resolve_impacts(self, bias_rate: float, max_iterations: int, impacts_only: bool) -> int:
+        """Resolve what closes; return the number of iterations.
 
         Parameters
         ----------
         bias_rate
             1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
-        most_sweeps
-            Sweeps end when one of them changes next to nothing, or here.
+        max_iterations
+            Iterations end when one of them changes next to nothing, or here.
         impacts_only
             Whether contacts at rest are left alone.
         """
-        self._numbers[BIAS] = bias_rate
-        self._flags[IMPACTS_ONLY] = impacts_only
-        sweeps = self._lead(IMPACTS, most_sweeps)
+        self._settings["bias_rate"] = bias_rate
+        self._settings["impacts_only"] = impacts_only
+        iterations = self._lead(IMPACTS, max_iterations)
         found = self._load.found
-        self._fastest, self.any_rests = float(found[:, FASTEST].max(initial=0.0)), bool(found[:, RESTING].any())
-        return sweeps
+        self._fastest = float(found["fastest"].max(initial=0.0))
+        self.any_rests = bool(found["any_rests"].any())
+        return iterations
 
-    def hold(self, dt: float, kick: float, drift: float, bias_rate: float, most_sweeps: int, as_needed: bool) -> int:
-        """Find the impulses of contacts at rest after a kick, beginning with those in ``hot``; return the sweeps.
+    def hold(self, dt: float, kick: float, drift: float, bias_rate: float, max_iterations: int, refines: bool) -> int:
+        """Find the impulses of contacts at rest after a kick, from those in `contacts` on; return the iterations.
 
         Parameters
         ----------
@@ -257,42 +248,43 @@ class Workbench:
             s; the drift to come, 0 after the last kick.
         bias_rate
             1/s.
-        as_needed
-            Whether conjugate gradients follow where the sweeps leave too much.
+        refines
+            Whether conjugate gradients follow where the iterations leave too much.
         """
-        numbers = self._numbers
-        numbers[DT], numbers[KICK], numbers[DRIFT], numbers[BIAS] = dt, kick, drift, bias_rate
-        self._flags[REFINES] = as_needed
-        return self._lead(HOLDING, most_sweeps)
+        settings = self._settings
+        settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
+        settings["bias_rate"], settings["refines"] = bias_rate, refines
+        return self._lead(RESTING, max_iterations)
 
     def is_closing(self) -> bool:
-        """Tell whether a contact closes faster than one at rest after the sweeps: there were too few of them."""
+        """Tell whether a contact closes faster than one at rest after the iterations: there were too few of them."""
         load, closing = self._load, np.zeros(1, dtype=np.bool_)
-        contacts = (load.pairs, load.hot, load.cold, self._bodies.ends.velocity)
-        self._team.divide(len(load.pairs), SOME, look_for_closing, *contacts, CONVERGED * self._fastest, closing)
+        contacts = (load.pairs, load.contacts, load.states, self._bodies.ends.velocity)
+        negligible = CONVERGED * self._fastest
+        self._team.divide(len(load.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, closing)
         return bool(closing[0])
 
     def _geometry(self) -> tuple[NDArray[Any], ...]:
         bodies, planes, load = self._bodies, self._planes, self._load
-        return load.pairs, bodies.position, bodies.radius, self._box, planes.normal, planes.offset, load.hot, load.cold
+        shapes = (bodies.position, bodies.radius, self._box, planes.normal, planes.offset)
+        return load.pairs, *shapes, load.contacts, load.states
 
-    def _lead(self, job: int, most_sweeps: int) -> int:
-        """Do a job on the motion of those that touch; return the number of sweeps."""
-        load, ends, team, b = self._load, self._bodies.ends, self._team, len(self._load.who)
-        packed = (load.who, ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.motion)
-        team.divide(b, SOME, pack, *packed)
-        sweeps = self._work(job, most_sweeps)
-        team.divide(b, SOME, unpack, load.who, load.motion, ends.velocity, self._spin)
-        return sweeps
+    def _lead(self, job: int, max_iterations: int) -> int:
+        """Do a job on the velocities of the active bodies; return the number of iterations."""
+        load, ends, team, b = self._load, self._bodies.ends, self._team, len(self._load.active)
+        gathered = (ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.bodies)
+        team.divide(b, MIN_PER_TASK, gather, load.active, *gathered)
+        iterations = self._work(job, max_iterations)
+        team.divide(b, MIN_PER_TASK, scatter, load.active, load.bodies, ends.velocity, self._spin)
+        return iterations
 
-    def _work(self, job: int, most_sweeps: int) -> int:
-        """Do a job, with the team if it is worth it; return the number of sweeps."""
+    def _work(self, job: int, max_iterations: int) -> int:
+        """Do a job, with the team if it is worth it; return the number of iterations."""
         edges, independent, load = self.stages.edges, self.stages.independent, self._load
-        shared = len(load.pairs) >= SHARED_FROM
-        if not shared:
-            return work(ALONE, job, edges, independent, load, most_sweeps)
+        if len(load.pairs) < SHARED_FROM:
+            return work(ALONE, job, edges, independent, load, max_iterations)
         with self._team.gathered(work, HELP, edges, independent, load, 0) as board:
-            return work(board, job, edges, independent, load, most_sweeps)
+            return work(board, job, edges, independent, load, max_iterations)
 
 
 @long_kernel
@@ -305,24 +297,34 @@ def _lay(
     box: FloatArray,
     surface: FloatArray,
     offset: FloatArray,
-    hot: FloatArray,
-    cold: FloatArray,
+    contacts: Records,
+    states: Records,
     rounding: float,
     normals: FloatArray,
 ) -> None:
-    """Clear the rows of the contacts [lo, hi), find where these meet, and note how they were found."""
-    for first in range(lo, hi, CLOSE):
-        end = min(hi, first + CLOSE)
+    """Clear the records of the contacts [lo, hi), find where these meet, and note how they were found."""
+    for first in range(lo, hi, CACHED_CONTACTS):
+        end = min(hi, first + CACHED_CONTACTS)
         for c in range(first, end):
-            for k in range(HOT):
-                hot[c, k] = 0.0
-            for k in range(COLD):
-                cold[c, k] = 0.0
-        meet(first, end, pairs, x, radius, box, surface, offset, hot, cold)
+            _clear(contacts[c], states[c])
+        update_geometry(first, end, pairs, x, radius, box, surface, offset, contacts, states)
         for c in range(first, end):
-            for k in range(3):
-                normals[c, k] = hot[c, k]
-            overlap = cold[c, OVERLAP]
-            cold[c, FOUND] = max(0.0, overlap)
-            reach = hot[c, 3] + hot[c, 4] + overlap
-            cold[c, APART] = 1.0 if overlap < -(TOUCHING * reach + rounding) else 0.0
+            contact, state = contacts[c], states[c]
+            normals[c, 0], normals[c, 1], normals[c, 2] = contact.nx, contact.ny, contact.nz
+            overlap = state.overlap
+            state.found_overlap = max(0.0, overlap)
+            reach = contact.arm_i + contact.arm_j + overlap
+            state.apart = overlap < -(TOUCHING * reach + rounding)
+
+
+@inline
+def _clear(contact: Any, state: Any) -> None:
+    """Clear what `update_geometry` does not write."""
+    contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
+    contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
+    contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+    state.rest_speed = state.approach_speed = 0.0
+    state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
+    state.restitution_loss = state.friction_loss = state.stabilisation_gain = 0.0
+    state.push_x = state.push_y = state.push_z = state.push_fraction = 0.0
+    state.biased = False

@@ -15,6 +15,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
+from carom.physics.aligned import CACHE_LINE
 from carom.physics.parallel.intrinsics import element_address, instruction
 
 AHEAD = 16  # contacts; 8 are as good in the cache, and cost 45 instead of 38 ns where the bodies do not fit into it
@@ -32,14 +33,23 @@ def prefetch_to_read(typing: Any, rows: Any, row: Any, column: Any) -> Any:
     return types.void(rows, types.intp, types.intp), _fetch(to_write=False)
 
 
-def _fetch(*, to_write: bool) -> Callable[..., Any]:
+@instruction
+def prefetch_record(typing: Any, records: Any, record: Any, line: Any) -> Any:
+    """Fetch a cache line, 0 or 1, of a record in a (k,) array, which will be written to."""
+    return types.void(records, types.intp, types.intp), _fetch(to_write=True, by_line=True)
+
+
+def _fetch(*, to_write: bool, by_line: bool = False) -> Callable[..., Any]:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        address = element_address(context, builder, signature, args[0], args[1:])
+        element = element_address(context, builder, signature, args[0], args[1:2] if by_line else args[1:])
+        address = builder.bitcast(element, ir.IntType(8).as_pointer())
+        if by_line:
+            address = builder.gep(address, [builder.mul(args[2], args[2].type(CACHE_LINE))])
         byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
         fetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
         near, data = word(3), word(1)
-        builder.call(fetch, [builder.bitcast(address, byte), word(int(to_write)), near, data])
+        builder.call(fetch, [address, word(int(to_write)), near, data])
         return context.get_dummy_value()
 
     return generate
