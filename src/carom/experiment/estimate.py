@@ -12,8 +12,8 @@ import numpy as np
 
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of
+from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame
-from carom.physics.gravity.method import gravity_of
 from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import every
 from carom.physics.space import WARM_UP_STEPS, Space
