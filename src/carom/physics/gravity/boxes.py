@@ -15,6 +15,8 @@ coordinate, which have to be made anew wherever they do not tell bodies apart.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,14 +26,27 @@ from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 LEAF = 12  # bodies at most, unless they coincide
 GROUP = 128  # bodies at most that share a walk: at 64, 8 % slower at equal error, since the walks are shared by fewer
 GRAIN = 2048  # bodies at most that one thread sorts to the end; of more it leaves a half to whoever is free
-SOME = 20_000  # bodies that are worth a part of their own when they are copied
+MIN_BODIES_PER_TASK = 20_000  # when they are copied
 
-UNSORTED, PUT, TAKEN, QUEUE = 0, 8, 16, 24  # words of the queue, each in a cache line of its own; then its ranges,
-RANGE = 3  # words each: its end, 0 until it is there, its begin, and the place of its box
+UNSORTED, PUT, TAKEN = 0, 8, 16  # words of the queue's counters, each in a cache line of its own
+COUNTERS = 24
+
+RANGE = np.dtype([("begin", np.int64), ("end", np.int64)])  # of sorted bodies
+BODY = np.dtype([("x", np.float64), ("y", np.float64), ("z", np.float64), ("index", np.int64)])  # a body to be sorted
+
+
+class Queue(NamedTuple):
+    """Ranges of bodies that wait to be sorted."""
+
+    counters: IntArray  # (COUNTERS,) bodies not sorted yet, ranges put into the queue, and those taken from it
+    end: IntArray  # (k,) of each range; 0 until it is there
+    begin: IntArray  # (k,)
+    box: IntArray  # (k,) the place of its first box
 
 
 class Boxes:
@@ -60,16 +75,17 @@ class Boxes:
         self.groups = np.empty(0, np.int64)
         self._mass = mass
         self._team = team
-        self._rows, self._spare = np.empty((n, 4)), np.empty((n, 4))
-        self._queue = np.zeros(QUEUE + RANGE * (n + team.size), np.int64)
-        self._stacks = np.empty((team.size, GRAIN, 2), np.int64)
+        self._rows, self._spare = np.empty(n, BODY), np.empty(n, BODY)
+        ranges = n + team.size
+        self._queue = Queue(np.zeros(COUNTERS, np.int64), *(np.zeros(ranges, np.int64) for _ in range(3)))
+        self._stacks = np.empty((team.size, GRAIN), RANGE)
         self._begins = np.empty(n + 1, np.int64)
         self._edges = np.empty(n + 1, np.int64)
 
     def sort(self, position: FloatArray) -> None:
         """Sort the bodies at (n, 3) m into boxes."""
         n = len(position)
-        self._team.divide(n, SOME, _lay_out, position, self._rows)  # in the same order in every step
+        self._team.divide(n, MIN_BODIES_PER_TASK, _lay_out, position, self._rows)  # in the same order in every step
         _begin(self._queue, n)
         bodies = self._rows, self._spare, self.position, self.mass, self.body
         self._team.divide(
@@ -80,44 +96,46 @@ class Boxes:
 
 
 @long_kernel
-def _lay_out(lo: int, hi: int, position: FloatArray, rows: FloatArray) -> None:
-    """Write a row for each of the bodies from lo to hi: where it is, and its index."""
+def _lay_out(lo: int, hi: int, position: FloatArray, rows: Records) -> None:
+    """Write a record for each of the bodies [lo, hi)."""
     for i in range(lo, hi):
-        rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = position[i, 0], position[i, 1], position[i, 2], i
+        row = rows[i]
+        row.x, row.y, row.z, row.index = position[i, 0], position[i, 1], position[i, 2], i
 
 
 @kernel
-def _begin(queue: IntArray, n: int) -> None:
+def _begin(queue: Queue, n: int) -> None:
     """Clear the queue, and put all bodies on it."""
-    for word in range(QUEUE + RANGE * queue[PUT]):
-        queue[word] = 0
-    queue[UNSORTED] = n
+    counters = queue.counters
+    for k in range(counters[PUT]):
+        queue.end[k] = 0
+    counters[UNSORTED], counters[PUT], counters[TAKEN] = n, 0, 0
     _put(queue, 0, n, 0)
 
 
 @kernel
-def _put(queue: IntArray, lo: int, hi: int, box: int) -> None:
+def _put(queue: Queue, lo: int, hi: int, box: int) -> None:
     """Put a range of bodies on the queue, with the place of its box."""
-    at = QUEUE + RANGE * atomic_add(queue, PUT, 1)
-    queue[at + 1], queue[at + 2] = lo, box
-    atomic_store(queue, at, hi)  # last: who finds it finds the others, too
+    k = atomic_add(queue.counters, PUT, 1)
+    queue.begin[k], queue.box[k] = lo, box
+    atomic_store(queue.end, k, hi)  # last: who finds it finds the others, too
 
 
 @long_kernel
 def _sort(
     lo: int,
     hi: int,
-    queue: IntArray,
+    queue: Queue,
     mass: FloatArray,
-    rows: FloatArray,
-    spare: FloatArray,
+    rows: Records,
+    spare: Records,
     x: FloatArray,
     m: FloatArray,
     body: IntArray,
     first: IntArray,
     last: IntArray,
     boxes: IntArray,
-    stacks: IntArray,
+    stacks: Records,
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
@@ -128,58 +146,61 @@ def _sort(
     Written out in one piece: each call of a function that takes arrays counts their references, in memory that all
     threads write to, and that took half as long again.
     """
-    stack = stacks[lo]
+    stack, counters = stacks[lo], queue.counters
     while True:
-        at = QUEUE + RANGE * atomic_add(queue, TAKEN, 1)
-        while atomic_load(queue, at) == 0:
-            if atomic_load(queue, UNSORTED) == 0:
+        taken = atomic_add(counters, TAKEN, 1)
+        while atomic_load(queue.end, taken) == 0:
+            if atomic_load(counters, UNSORTED) == 0:
                 return
-        i1, i0, box = np.uint64(queue[at]), np.uint64(queue[at + 1]), queue[at + 2]
+        i0, i1, box = np.uint64(queue.begin[taken]), np.uint64(queue.end[taken]), queue.box[taken]
         begin, end, root, top = i0, i1, box, 0
         while True:
             first[box], last[box] = i0, i1
             half = i1
             if i1 - i0 > np.uint64(LEAF):
-                ax = bx = rows[i0, 0]
-                ay = by = rows[i0, 1]
-                az = bz = rows[i0, 2]
+                ax = bx = rows[i0].x
+                ay = by = rows[i0].y
+                az = bz = rows[i0].z
                 for i in range(i0, i1):
-                    ax, bx = min(ax, rows[i, 0]), max(bx, rows[i, 0])
-                    ay, by = min(ay, rows[i, 1]), max(by, rows[i, 1])
-                    az, bz = min(az, rows[i, 2]), max(bz, rows[i, 2])
+                    row = rows[i]
+                    ax, bx = min(ax, row.x), max(bx, row.x)
+                    ay, by = min(ay, row.y), max(by, row.y)
+                    az, bz = min(az, row.z), max(bz, row.z)
                 axis, middle = _longest_side(ax, bx, ay, by, az, bz)
-                along = np.uint64(axis)
                 half = over = i0
                 for i in range(i0, i1):  # without a branch: either half is written to, and one of them moves on
-                    x0, x1, x2, x3 = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
-                    below = np.uint64(rows[i, along] < middle)
-                    rows[half, 0], rows[half, 1], rows[half, 2], rows[half, 3] = x0, x1, x2, x3
-                    spare[over, 0], spare[over, 1], spare[over, 2], spare[over, 3] = x0, x1, x2, x3
+                    row = rows[i]
+                    x0, y0, z0, index = row.x, row.y, row.z, row.index
+                    along = x0 if axis == 0 else (y0 if axis == 1 else z0)
+                    below = np.uint64(along < middle)
+                    lower, upper = rows[half], spare[over]
+                    lower.x, lower.y, lower.z, lower.index = x0, y0, z0, index
+                    upper.x, upper.y, upper.z, upper.index = x0, y0, z0, index
                     half += below
                     over += np.uint64(1) - below
                 for k in range(over - i0):
-                    for c in range(4):
-                        rows[half + k, c] = spare[i0 + k, c]
+                    lower, upper = rows[half + k], spare[i0 + k]
+                    lower.x, lower.y, lower.z, lower.index = upper.x, upper.y, upper.z, upper.index
             if i0 < half < i1:  # else they are few, or at one point, or not finite
                 if i1 - i0 > np.uint64(GRAIN):
                     boxes[box] = 0
                     _put(queue, int(half), int(i1), box + 2 * int(half - i0))
                     root, end = box + 1, half
                 else:
-                    stack[top, 0], stack[top, 1] = half, i1
+                    stack[top].begin, stack[top].end = half, i1
                     top += 1
                 i1 = half
             elif top > 0:
                 top -= 1
-                i0, i1 = np.uint64(stack[top, 0]), np.uint64(stack[top, 1])
+                i0, i1 = np.uint64(stack[top].begin), np.uint64(stack[top].end)
             else:
                 break
             box += 1
         boxes[root] = box + 1 - root
         for i in range(begin, end):
-            b = int(rows[i, 3])
-            x[0, i], x[1, i], x[2, i], m[i], body[i] = rows[i, 0], rows[i, 1], rows[i, 2], mass[b], b
-        atomic_add(queue, UNSORTED, int(begin) - int(end))
+            row = rows[i]
+            x[0, i], x[1, i], x[2, i], m[i], body[i] = row.x, row.y, row.z, mass[row.index], row.index
+        atomic_add(counters, UNSORTED, int(begin) - int(end))
 
 
 @kernel

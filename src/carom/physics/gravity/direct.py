@@ -29,6 +29,9 @@ from carom.physics.parallel.thread_team import SOLO, Team
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+X, Y, Z, MASS = range(4)  # rows of the sources
+AX, AY, AZ, PHI = range(4)  # rows of the sums
+
 LANES = 32
 PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder wants the other core
 SLABS = 16  # of equal work, each with sums of its own: so many threads can share a sum of `PARALLEL_FROM` bodies
@@ -43,8 +46,8 @@ class DirectGravity:
         self._mass = mass
         self._constant = constant
         self._softening_squared = softening * softening
-        self._source = np.zeros((4, blocks * LANES))  # x, y, z, m; what fills the last block has no mass
-        self._source[3, :n] = mass
+        self._source = np.zeros((4, blocks * LANES))  # what fills the last block has no mass
+        self._source[MASS, :n] = mass
         self._edges = _slabs(blocks, SLABS if n >= PARALLEL_FROM else 1)
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
         self._potential = np.zeros(n)
@@ -63,7 +66,7 @@ class DirectGravity:
             Costs about a fifth more.
         """
         n = len(position)
-        self._source[:3, :n] = position.T
+        self._source[X : Z + 1, :n] = position.T
         into = self._potential if potential else None
         law = len(self._mass), self._source, self._softening_squared
         self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
@@ -109,7 +112,7 @@ def _pull(
     for s in range(lo, hi):
         slab = sums[s]
         for k in range(edges[s + 1] * LANES):
-            slab[0, k] = slab[1, k] = slab[2, k] = slab[3, k] = 0.0
+            slab[AX, k] = slab[AY, k] = slab[AZ, k] = slab[PHI, k] = 0.0
         for block in range(edges[s], edges[s + 1]):
             first = np.uint64(block) * L
             twos = np.uint64((min(LANES, n - block * LANES) + 1) // 2)
@@ -121,15 +124,15 @@ def _pull(
                     1.0 if i < first else 0.0
                 )  # a block's own bodies pull its lanes, each once, and nothing is mirrored
                 for k in range(L):
-                    tx[k], ty[k], tz[k] = source[0, i + k], source[1, i + k], source[2, i + k]
-                    tm[k] = weight * source[3, i + k]
+                    tx[k], ty[k], tz[k] = source[X, i + k], source[Y, i + k], source[Z, i + k]
+                    tm[k] = weight * source[MASS, i + k]
                     ax[k] = ay[k] = az[k] = ap[k] = 0.0
                 for two in range(twos):  # sources at a time, which share the loads and stores of the lanes
                     j = first + two + two
                     q = (two + two) * L
                     jj = j + np.uint64(1)
-                    xj, yj, zj, mj = source[0, j], source[1, j], source[2, j], source[3, j]
-                    xx, yy, zz, mm = source[0, jj], source[1, jj], source[2, jj], source[3, jj]
+                    xj, yj, zj, mj = source[X, j], source[Y, j], source[Z, j], source[MASS, j]
+                    xx, yy, zz, mm = source[X, jj], source[Y, jj], source[Z, jj], source[MASS, jj]
                     for k in range(L):
                         dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
                         ex, ey, ez = xx - tx[k], yy - ty[k], zz - tz[k]
@@ -154,11 +157,11 @@ def _pull(
                             bp[q + k] += f * d2
                             bp[q + L + k] += g * e2
                 for k in range(L):
-                    slab[0, i + k] += ax[k]
-                    slab[1, i + k] += ay[k]
-                    slab[2, i + k] += az[k]
+                    slab[AX, i + k] += ax[k]
+                    slab[AY, i + k] += ay[k]
+                    slab[AZ, i + k] += az[k]
                     if potential is not None:
-                        slab[3, i + k] += ap[k]
+                        slab[PHI, i + k] += ap[k]
             for row in range(twos + twos):
                 j, q = first + row, row * L
                 h = H
@@ -170,11 +173,11 @@ def _pull(
                         if potential is not None:
                             bp[q + k] += bp[q + h + k]
                     h = h // np.uint64(2)
-                slab[0, j] += bx[q]
-                slab[1, j] += by[q]
-                slab[2, j] += bz[q]
+                slab[AX, j] += bx[q]
+                slab[AY, j] += by[q]
+                slab[AZ, j] += bz[q]
                 if potential is not None:
-                    slab[3, j] += bp[q]
+                    slab[PHI, j] += bp[q]
 
 
 @kernel
@@ -197,11 +200,11 @@ def _total(
             slab += 1
         ax = ay = az = p = 0.0
         for s in range(slab, len(sums)):
-            ax += sums[s, 0, i]
-            ay += sums[s, 1, i]
-            az += sums[s, 2, i]
+            ax += sums[s, AX, i]
+            ay += sums[s, AY, i]
+            az += sums[s, AZ, i]
             if wanted:
-                p += sums[s, 3, i]
+                p += sums[s, PHI, i]
         acceleration[i, 0] = G * ax
         acceleration[i, 1] = G * ay
         acceleration[i, 2] = G * az

@@ -2,8 +2,8 @@
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 
-They are summed over the bodies of each box, not over its halves: that costs a twelfth of the whole, and
-only so b is exact.
+They are summed over the bodies of each box, not over its halves: that costs a twelfth of the whole, and only so is b
+exact.
 """
 
 from __future__ import annotations
@@ -16,9 +16,26 @@ from carom.physics.parallel.jit import long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-BOXES_AT_A_TIME = 64  # some 10 µs
-FEW = 4  # bodies at most that are taken one by one: hardly slower than their moments, and exact
+BOXES_PER_TASK = 64  # about 10 µs
+EXACT_UP_TO = 4  # bodies, which are taken one by one: hardly slower than their moments, and exact
+
+
+CENTRE = np.dtype(
+    [
+        ("x", np.float64),  # m, X
+        ("y", np.float64),
+        ("z", np.float64),
+        ("far_squared", np.float64),  # m², (b/θ)²: beyond that distance M and Q stand for the bodies
+    ]
+)
+
+MOMENTS = np.dtype(  # a cache line
+    [("mass", np.float64)]  # kg, M
+    + [(component, np.float64) for component in ("xx", "xy", "xz", "yy", "yz", "zz")]  # kg m², of Q
+    + [("trace_sixth", np.float64)]  # kg m², tr Q / 6
+)
 
 
 @long_kernel
@@ -32,15 +49,15 @@ def expand(
     x: FloatArray,
     m: FloatArray,
     theta: float,
-    centre: FloatArray,
-    moment: FloatArray,
+    centres: Records,
+    moments: Records,
 ) -> None:
     """Write the moments of all boxes.
 
     Parameters
     ----------
     lo, hi
-        Threads, of which each takes the next `BOXES_AT_A_TIME` boxes until there are no more.
+        Threads, of which each takes the next `BOXES_PER_TASK` boxes until there are no more.
     turn
         (1,), how often some were taken.
     boxes, first, last
@@ -49,16 +66,14 @@ def expand(
         (3, n) m and (n,) kg, sorted.
     theta
         rad, the opening angle.
-    centre
-        (boxes, 4): X, and the squared distance (b/θ)² beyond which M and Q stand for the bodies.
-    moment
-        (boxes, 8): M, the upper triangle of Q by rows, and tr Q / 6.
+    centres, moments
+        (boxes,) `CENTRE` and `MOMENTS`.
     """
     while True:
-        begin = BOXES_AT_A_TIME * atomic_add(turn, 0, 1)
+        begin = BOXES_PER_TASK * atomic_add(turn, 0, 1)
         if begin >= boxes:
             return
-        for box in range(begin, min(begin + BOXES_AT_A_TIME, boxes)):
+        for box in range(begin, min(begin + BOXES_PER_TASK, boxes)):
             i0, i1 = first[box], last[box]
             x0, y0, z0 = x[0, i0], x[1, i0], x[2, i0]
             M = X = Y = Z = 0.0
@@ -79,9 +94,10 @@ def expand(
                 yz += my * dz
                 zz += mz * dz
                 b2 = max(b2, dx * dx + dy * dy + dz * dz)
-            centre[box, 0], centre[box, 1], centre[box, 2] = X, Y, Z
-            centre[box, 3] = b2 / (theta * theta) if i1 - i0 > FEW else np.inf
-            moment[box, 0] = M
-            moment[box, 1], moment[box, 2], moment[box, 3] = 3.0 * xx, 3.0 * xy, 3.0 * xz
-            moment[box, 4], moment[box, 5], moment[box, 6] = 3.0 * yy, 3.0 * yz, 3.0 * zz
-            moment[box, 7] = 0.5 * (xx + yy + zz)
+            centre, moment = centres[box], moments[box]
+            centre.x, centre.y, centre.z = X, Y, Z
+            centre.far_squared = b2 / (theta * theta) if i1 - i0 > EXACT_UP_TO else np.inf
+            moment.mass = M
+            moment.xx, moment.xy, moment.xz = 3.0 * xx, 3.0 * xy, 3.0 * xz
+            moment.yy, moment.yz, moment.zz = 3.0 * yy, 3.0 * yz, 3.0 * zz
+            moment.trace_sixth = 0.5 * (xx + yy + zz)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import aligned_empty
-from carom.physics.gravity.boxes import GROUP, Boxes
+from carom.physics.gravity.boxes import GROUP, RANGE, Boxes
 from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
-from carom.physics.gravity.multipole import expand
+from carom.physics.gravity.multipole import CENTRE, MOMENTS, expand
 from carom.physics.gravity.walk import pull
 from carom.physics.parallel.thread_team import SOLO, Team
 
@@ -43,13 +43,13 @@ class TreeGravity:
         self._quadrupoles = quadrupoles
         self._team = team if n >= PARALLEL_FROM else SOLO
         self._boxes = Boxes(mass, self._team)
-        self._centre = np.empty((self._boxes.most, 4))
-        self._moment = aligned_empty(self._boxes.most, columns=8)
+        self._centres = np.empty(self._boxes.most, CENTRE)
+        self._moments = aligned_empty(self._boxes.most, MOMENTS)
         self._potential = np.zeros(n)
         self._turn = np.zeros(1, np.int64)  # how many things were taken in turn
         size, most = self._team.size, self._boxes.most
         # for each thread the lanes of a group, and what its walk found, far and near
-        self._lists = np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n, 2), np.int64)
+        self._lists = np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the acceleration of every body; return the potential energy in joules if it is asked for.
@@ -67,7 +67,7 @@ class TreeGravity:
         boxes.sort(position)
         nested = boxes.count, boxes.first, boxes.last
         bodies = boxes.position, boxes.mass
-        moments = self._centre, self._moment
+        moments = self._centres, self._moments
         law = self._constant, self._softening_squared, self._quadrupoles
         found = acceleration, self._potential if potential else None
         self._turn[0] = 0

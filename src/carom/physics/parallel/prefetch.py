@@ -28,9 +28,9 @@ def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
 
 
 @instruction
-def prefetch_to_read(typing: Any, rows: Any, row: Any, column: Any) -> Any:
-    """Fetch the cache line of an element of a (k, l) array; other cores keep it, too."""
-    return types.void(rows, types.intp, types.intp), _fetch(to_write=False)
+def prefetch_to_read(typing: Any, records: Any, record: Any) -> Any:
+    """Fetch the first cache line of a record in a (k,) array; other cores keep it, too."""
+    return types.void(records, types.intp), _fetch(to_write=False)
 
 
 @instruction
