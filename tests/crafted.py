@@ -12,7 +12,7 @@ import xxhash
 from carom.recording.rrd import framing, protobuf
 from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import CHUNK, END
-from carom.recording.rrd.index import RECORDING, decode
+from carom.recording.rrd.messages import RECORDING, decode
 
 Change = Callable[[pa.RecordBatch], pa.RecordBatch]
 

@@ -12,7 +12,7 @@ import pytest
 
 import carom
 from carom.experiment.replay import replay
-from carom.experiment.resume import continuation
+from carom.experiment.resume import resumable_run
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -90,7 +90,7 @@ def test_an_altered_checkpoint_is_not_begun_with(
     with pytest.raises(RecordingError, match=said):
         replay(altered)
     with pytest.raises(RecordingError, match=said.partition(" at ")[0]):
-        continuation(altered, 2.0)
+        resumable_run(altered, 2.0)
 
 
 def test_a_later_checkpoint_that_was_altered_with_its_digest_is_found(whole: Path, tmp_path: Path) -> None:

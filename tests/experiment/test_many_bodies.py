@@ -10,7 +10,7 @@ import carom
 from carom.experiment.replay import replay
 from carom.experiment.report import report
 from carom.experiment.restore import recorded_scene
-from carom.experiment.resume import continuation, resume
+from carom.experiment.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -31,7 +31,7 @@ def assert_read_by_all(recording: carom.Recording, folder: Path, monkeypatch: py
     assert len(recording.scene_toml) > 4_000_000
     assert recorded_scene(recording).toml == recording.scene_toml
     assert replay(recording).same
-    run = continuation(recording, until=0.004)
+    run = resumable_run(recording, until=0.004)
     assert resume(run, run.space(), folder / "longer.rrd").status == "completed"
     monkeypatch.setattr("carom.experiment.report._picture", lambda *_: (None, "not of interest here"))
     assert "same bits" in report(recording, folder / "x.zip").replayed

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pytest
 
 import carom
-from carom.experiment.resume import continuation, resume
+from carom.experiment.resume import resumable_run, resume
 from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
@@ -76,7 +76,7 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
     scene = Scene.load(name, [f"time.duration={0.3 * scene.time.duration}"])
     whole = carom.run(scene, tmp_path / "whole.rrd")
     part = stopped(scene, tmp_path / "part.rrd", 0.6 * scene.time.duration)
-    run = continuation(part)
+    run = resumable_run(part)
     assert run.checkpoint.step > 0
     outcome = resume(run, run.space(threads=1))
     assert outcome.status == carom_outcome(whole) and outcome.path == tmp_path / "part.rrd"
@@ -87,7 +87,7 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
 def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Path) -> None:
     short = carom.run(cloud(time={"duration": 1.503}, record={"every": 0.02}), tmp_path / "short.rrd")
     long = carom.run(cloud(time={"duration": 3.0}, record={"every": 0.02}), tmp_path / "long.rrd")
-    run = continuation(short, until=3.0)
+    run = resumable_run(short, until=3.0)
     assert run.checkpoint.time < 1.503
     outcome = resume(run, run.space(threads=1), tmp_path / "resumed.rrd")
     assert_same_recording(long, Recording.open(outcome.path))
@@ -96,7 +96,7 @@ def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Pa
 
 def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Path) -> None:
     short = carom.run(cloud(time={"duration": 1.0}), tmp_path / "short.rrd")
-    run = continuation(short, until=1.5)
+    run = resumable_run(short, until=1.5)
     resumed = Recording.open(resume(run, run.space()).path)
     assert resumed.versions["carom"] == short.versions["carom"]
     assert resumed.properties["resumed.step"] == run.checkpoint.step
@@ -115,7 +115,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     process.wait()
     killed = Recording.open(path)
     assert not killed.finished and killed.frames > 20
-    run = continuation(killed)
+    run = resumable_run(killed)
     resumed = Recording.open(resume(run, run.space()).path)
     whole = [frame.fingerprint for frame in Space(run.scene).run()]
     assert resumed.fingerprints()["fingerprint"].to_pylist() == whole
@@ -125,9 +125,9 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
 def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Path) -> None:
     recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
     with pytest.raises(RecordingError, match=r"simulated to 0\.5 s already; give a later --until"):
-        continuation(recording)
+        resumable_run(recording)
     with pytest.raises(RecordingError, match="`carom clip` makes it shorter"):
-        continuation(recording, until=0.2)
+        resumable_run(recording, until=0.2)
 
 
 def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repaired(tmp_path: Path) -> None:
@@ -135,13 +135,13 @@ def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repai
     outcome = next(e for e in Recording.open(path).store.entries if e.entity_path == "__properties/outcome")
     os.truncate(path, outcome.offset - 16)  # the header of a message has 16 bytes
     with pytest.raises(RecordingError, match=r"has all its frames and lacks its end only; `carom repair .*` writes it"):
-        continuation(Recording.open(path))
+        resumable_run(Recording.open(path))
 
 
 def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path) -> None:
     recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
     before = recording.path.read_bytes()
-    run = continuation(recording, until=1.0)
+    run = resumable_run(recording, until=1.0)
     space = run.space()
     space.state.velocity[0] = float("nan")
     with pytest.raises(RecordingError, match="as it was: failed: the state is no longer finite"):

@@ -14,7 +14,7 @@ import pytest
 
 import carom
 from carom.experiment.expectation import judge
-from carom.experiment.resume import continuation
+from carom.experiment.resume import resumable_run
 from carom.experiment.run import simulate
 from carom.physics.diagnostics.extremes import Moment, Moments
 from carom.physics.space import Space
@@ -194,7 +194,7 @@ def test_a_run_shortened_by_an_override_does_not_miss_a_promise_about_the_end(tm
     recording = Recording.open(outcome.path)
     expected = recording.summary()["expect"]
     assert expected["max_overlap"]["judged"] and not expected["impacts"]["judged"]
-    longer = continuation(recording, until=4.0)
+    longer = resumable_run(recording, until=4.0)
     assert longer.scene.expect.duration == longer.scene.time.duration == 4.0
 
 

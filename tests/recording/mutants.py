@@ -21,7 +21,7 @@ from carom.experiment.diff.diff import diff
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
-from carom.recording.rrd.index import RECORDING, decode
+from carom.recording.rrd.messages import RECORDING, decode
 from crafted import assembled, messages_of, repacked, stream, with_column, without_column
 from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
 

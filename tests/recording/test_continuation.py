@@ -10,7 +10,7 @@ import pytest
 import rerun as rr
 
 from carom.physics.event import Event
-from carom.recording.edit.continuation import Past
+from carom.recording.edit.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder
@@ -31,7 +31,7 @@ def recorded(path: Path, merry: Merry, event: Event) -> Recording:
 
 
 def texts_carried_over(recording: Recording) -> list[str]:
-    chunks = [chunk for chunk in Past(recording, FRAMES - 1).chunks() if chunk.entity_path == paths.EVENTS]
+    chunks = [chunk for chunk in Continuation(recording, FRAMES - 1).chunks() if chunk.entity_path == paths.EVENTS]
     return [row[0] for chunk in chunks for row in chunk.batch["TextLog:text"].to_pylist()]
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.write.disk_reserve import Reserve
+from carom.recording.write.disk_reserve import DiskReserve
 
 
 @pytest.mark.parametrize("helped", [True, False])
 def test_the_reserve_takes_its_size_on_the_disk(helped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not helped:
         monkeypatch.delattr(os, "posix_fallocate")
-    reserve = Reserve(tmp_path)
+    reserve = DiskReserve(tmp_path)
     for size in (100_000, 50_000, 300_000):
         reserve.grow(size)
     assert reserve.size == 300_000

@@ -8,7 +8,8 @@ from rerun.chunk import RrdReader
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_FOOTER, Message, messages
-from carom.recording.rrd.index import BLUEPRINT, RECORDING, Container
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import BLUEPRINT, RECORDING
 
 
 def without_footer(path: Path) -> Path:

@@ -260,14 +260,15 @@ def test_a_limit_on_the_size_of_files_leaves_a_readable_file(tmp_path: Path) -> 
 def test_a_disk_that_fails_in_the_middle_of_a_message_leaves_whole_messages(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     fail = """
-import errno, carom.recording.write.durable_sink as outlet
+import errno
+from carom.recording.write import durable_sink
 write = os.write
 def fails(descriptor, data):
     if len(data) > 100_000 and os.fstat(descriptor).st_size > 5_000_000:
         write(descriptor, data[:50_000])
         raise OSError(errno.EIO, "Input/output error")
     return write(descriptor, data)
-outlet.os.write = fails
+durable_sink.os.write = fails
 """
     run = child(path, before=fail)
     assert run.returncode == 1, run.stderr

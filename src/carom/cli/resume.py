@@ -34,14 +34,14 @@ def resume(
     """Go on with a run that was stopped, was killed or has ended: the bits are those of one uninterrupted run."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
-    from carom.experiment.resume import claimed_target, continuation, under_way
+    from carom.experiment.resume import claimed_target, resumable_run, under_way
     from carom.experiment.resume import resume as go_on
     from carom.recording.read.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g} is no time to simulate to", param_hint="--until")
     with claimed_target(file, output, force) as claim:
-        run = continuation(Recording.open(file), until)
+        run = resumable_run(Recording.open(file), until)
         progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")
         announce_compilation(progress.say)
         space = run.space(threads)

@@ -14,7 +14,7 @@ from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
 from carom.recording.read.recording import Recording
 from carom.recording.read.rows import RecordedRows, checkpoints_of, rows_of
-from carom.recording.rrd.index import Chunk
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.event_kinds import CLOSING

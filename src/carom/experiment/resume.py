@@ -14,7 +14,7 @@ from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.plan.features import frame_interval
-from carom.recording.edit.continuation import Past
+from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
@@ -26,8 +26,8 @@ UNDER_WAY = ".resumed.rrd"  # what the new recording is called until it is whole
 
 
 @dataclass(frozen=True)
-class Continuation:
-    """A run that is ready to go on."""
+class ResumableRun:
+    """A recording that can be resumed: its scene, and the checkpoint to start from."""
 
     recording: Recording
     scene: Scene
@@ -38,7 +38,7 @@ class Continuation:
         return space_of(self.recording, self.scene, self.checkpoint, threads)
 
 
-def continuation(recording: Recording, until: float | None = None) -> Continuation:
+def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
     """Find where a recording can be gone on from, and how.
 
     Parameters
@@ -71,7 +71,7 @@ def continuation(recording: Recording, until: float | None = None) -> Continuati
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to go on from")
-    return Continuation(recording, scene, recording.checkpoint(steps[-1]))
+    return ResumableRun(recording, scene, recording.checkpoint(steps[-1]))
 
 
 @contextlib.contextmanager
@@ -102,7 +102,7 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
 
 
 def resume(
-    run: Continuation,
+    run: ResumableRun,
     space: Space,
     output: Path | None = None,
     *,
@@ -119,7 +119,7 @@ def resume(
     Parameters
     ----------
     run, space
-        As made by `continuation` and `Continuation.space`.
+        As made by `resumable_run` and `ResumableRun.space`.
     output
         The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
     force
@@ -142,12 +142,17 @@ def resume(
 
 
 def _resume(
-    run: Continuation, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
+    run: ResumableRun, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
 ) -> Outcome:
     source, part = run.recording.path, under_way(target)
-    past = Past(run.recording, run.checkpoint.step)
     outcome = simulate(
-        space, part, force=force, live=live, watch=watch, past=past, properties=_properties(run, space.threads)
+        space,
+        part,
+        force=force,
+        live=live,
+        watch=watch,
+        continued=Continuation(run.recording, run.checkpoint.step),
+        properties=_properties(run, space.threads),
     )
     if outcome.frames <= run.recording.frames:
         part.unlink(missing_ok=True)
@@ -163,7 +168,7 @@ def under_way(target: Path) -> Path:
     return target.with_name(target.stem + UNDER_WAY)
 
 
-def _properties(run: Continuation, threads: int) -> Mapping[str, Scalar]:
+def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
     """Say where the first part came from, and where, when and by what it was continued."""
     first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
     now = {f"resumed.{key}": value for key, value in environment(threads).items()}

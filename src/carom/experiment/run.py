@@ -22,7 +22,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.recording.edit.continuation import Past
+from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember
@@ -107,7 +107,7 @@ def simulate(
     claim: Claim | None = None,
     live: str | None = None,
     watch: Watcher | None = None,
-    past: Past | None = None,
+    continued: Continuation | None = None,
     properties: Mapping[str, Scalar] | None = None,
     member: SweepMember | None = None,
 ) -> Outcome:
@@ -130,8 +130,8 @@ def simulate(
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
         Called about ten times a second with where the run stands.
-    past
-        What an earlier recording holds up to where the space stands; it is written first.
+    continued
+        The frames that a resumed run takes over; they are written first.
     properties
         What the recording says of where it came from, by default what this process knows.
     member
@@ -144,7 +144,7 @@ def simulate(
     """
     path = Path(path)
     with Interrupts() as interrupts, contextlib.nullcontext(claim) if claim else claimed_output(path, force):
-        return _simulate(space, path, live, watch, past, properties, member, interrupts)
+        return _simulate(space, path, live, watch, continued, properties, member, interrupts)
 
 
 def _simulate(
@@ -152,7 +152,7 @@ def _simulate(
     path: Path,
     live: str | None,
     watch: Watcher | None,
-    past: Past | None,
+    continued: Continuation | None,
     properties: Mapping[str, Scalar] | None,
     member: SweepMember | None,
     interrupts: Interrupts,
@@ -163,8 +163,8 @@ def _simulate(
         header = replace(header, properties=properties)
     if member is not None:
         header = replace(header, member=member, properties={**header.properties, "command": member.command})
-    recorder = Recorder(path, header, live=live, past=past)
-    physics = _Physics(space, recorder, past)
+    recorder = Recorder(path, header, live=live, continued=continued)
+    physics = _Physics(space, recorder, continued)
     try:
         _wait(physics, watch, interrupts)
         status, reason = physics.ending(interrupts)
@@ -203,10 +203,10 @@ def _simulate(
 class _Physics:
     """The physics thread: steps a space and hands its frames to the recorder."""
 
-    def __init__(self, space: Space, recorder: Recorder, past: Past | None) -> None:
+    def __init__(self, space: Space, recorder: Recorder, continued: Continuation | None) -> None:
         self.space = space
-        self.warnings = past.recording.warnings(until=past.step) if past else []
-        self._known = past.step if past else -1  # the step whose frame the recorder has
+        self.warnings = continued.recording.warnings(until=continued.step) if continued else []
+        self._known = continued.step if continued else -1  # the step whose frame the recorder has
         self._recorder = recorder
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)

@@ -13,7 +13,7 @@ from carom.experiment.environment import versions
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.folder import NO_ROOM, Folder, put
 from carom.experiment.sweep.plan import Plan, Point
-from carom.recording.write.disk_reserve import Reserve
+from carom.recording.write.disk_reserve import DiskReserve
 from carom.scene.nesting import DEEPEST, is_too_deep
 
 SCHEMA = 1
@@ -64,7 +64,7 @@ class Manifest:
         self.runs = runs  # by name
         self.command = command
         self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
-        self._reserve: Reserve | None = None
+        self._reserve: DiskReserve | None = None
 
     @classmethod
     def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
@@ -109,7 +109,7 @@ class Manifest:
 
     def hold_room(self) -> None:
         """Keep room on the disk for the manifest as it will be, so that a full disk is told of, too."""
-        self._reserve = Reserve(self.folder.root)
+        self._reserve = DiskReserve(self.folder.root)
         try:
             self._reserve.grow(_ENTRY * len(self.runs))
         except OSError as error:

@@ -16,11 +16,12 @@ from carom.recording.edit.selection import Selection
 from carom.recording.errors import RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Chunk, Entry
+from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import Scalar
 from carom.recording.schema.timelines import SIM_TIME, STEP
-from carom.recording.write.chunk_writer import StoredLayout, Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.rerun_compat import StoredLayout
 
 PROPERTY = "clip"
 

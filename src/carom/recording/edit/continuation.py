@@ -1,4 +1,4 @@
-"""What a recording holds up to one of its checkpoints: a run that goes on from there writes it first."""
+"""The frames that a resumed run takes over from its recording, up to the checkpoint that it starts from."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from numpy.typing import NDArray
 
 from carom.recording.read import tables
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Chunk
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.event_kinds import CLOSING, kind_of
 from carom.recording.schema.timelines import STEP
 
 
-class Past:
-    """The frames of a recording up to a step.
+class Continuation:
+    """The frames of a recording up to a checkpoint, which a resumed run writes before its own.
 
     Parameters
     ----------
     recording
-        The run so far, or more than that.
+        The interrupted run; frames after the checkpoint are left out.
     step
-        Of the last frame that counts, one that carries a checkpoint.
+        Step of the checkpoint.
     """
 
     def __init__(self, recording: Recording, step: int) -> None:
@@ -46,7 +46,7 @@ class Past:
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
 
     def chunks(self) -> Iterator[Chunk]:
-        """All rows up to the step, those that closed the recording apart."""
+        """Yield all rows up to the checkpoint, without the events that closed the recording."""
         for chunk in self.recording.temporal_chunks():
             batch = chunk.batch
             kept = pc.less_equal(batch[STEP], self.step)

@@ -10,11 +10,13 @@ from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import UNFINISHED, Recording
-from carom.recording.rrd.index import BLUEPRINT, RECORDING, Container, Entry, Store
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Entry, Store
 from carom.recording.rrd.salvage import Salvage, salvage
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.timelines import STEP
-from carom.recording.write.chunk_writer import StoredLayout, Writer
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.rerun_compat import StoredLayout
 
 PROPERTY = "repair"
 

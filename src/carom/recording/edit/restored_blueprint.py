@@ -9,7 +9,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.view.blueprint import blueprint
-from carom.recording.view.camera import Extent
+from carom.recording.view.camera import CameraFit
 from carom.scene.forces import FORCES
 from carom.scene.halfspace import HalfSpaces
 
@@ -22,17 +22,17 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     entries = sorted(entries, key=lambda entry: entry.first_step or 0)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
-    extent = None
+    fit = None
     for chunk in recording.chunks(some):
         centres = next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
         if centres is None:  # a wrong byte in the component's name
             continue
         first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
-        extent = extent or Extent(header.radius[recording.shown], first)
-        extent.look(last)
-    if extent is None:
-        extent = Extent(header.radius, np.zeros((header.bodies, 3)))
-    return blueprint(header, extent.view())
+        fit = fit or CameraFit(header.radius[recording.shown], first)
+        fit.look(last)
+    if fit is None:
+        fit = CameraFit(header.radius, np.zeros((header.bodies, 3)))
+    return blueprint(header, fit.view())
 
 
 def _header(recording: Recording) -> Header:

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.recording.rrd.index import Chunk
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
 

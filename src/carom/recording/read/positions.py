@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carom.recording.errors import RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Chunk, Entry
+from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
 

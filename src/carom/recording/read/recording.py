@@ -18,7 +18,8 @@ from carom.recording.read import tables
 from carom.recording.read.damage import reading
 from carom.recording.read.summary import summary
 from carom.recording.read.tables import Column
-from carom.recording.rrd.index import BLUEPRINT, RECORDING, Chunk, Container, Entry, Store
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.event_kinds import CLOSING, kind_of

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carom.physics.frame import Frame
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Chunk
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME, STEP

@@ -15,7 +15,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.recording.errors import DamageError
-from carom.recording.rrd.index import Chunk
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import SIM_TIME, STEP
 

@@ -11,7 +11,8 @@ from carom.recording.errors import DamageError, TornFooterError
 from carom.recording.rrd import framing
 from carom.recording.rrd.arrow_stream import LARGEST
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_HEADER, Message
-from carom.recording.rrd.index import RECORDING, Container, Entry, Index, Store, read_body
+from carom.recording.rrd.index import Container, Index
+from carom.recording.rrd.messages import RECORDING, Entry, Store, read_body
 
 _WINDOW = 1 << 22  # bytes that are searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes

@@ -37,7 +37,7 @@ class View:
         return np.asarray(self.target + self.distance * _TO_EYE)
 
 
-class Extent:
+class CameraFit:
     """How far away the eye must be to show most of the bodies. Robust: a few that fly off do not count."""
 
     def __init__(self, radius: FloatArray, first: FloatArray) -> None:

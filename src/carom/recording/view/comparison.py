@@ -20,7 +20,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
-from carom.recording.view.camera import Extent, View
+from carom.recording.view.camera import CameraFit, View
 from carom.recording.write.chunk_writer import Writer
 
 FloatArray = NDArray[np.float64]
@@ -72,7 +72,7 @@ def write_overlay(
     shown = islice(pairs, 0, None, every)
     logarithms = {name: _logarithm(values)[::every] for name, values in series.items()}
     layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
-    extent: Extent | None = None
+    extent: CameraFit | None = None
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
@@ -87,7 +87,7 @@ def write_overlay(
         writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
         done = 0
         while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
-            extent = extent or Extent(radius, batch[0].a - origin)
+            extent = extent or CameraFit(radius, batch[0].a - origin)
             extent.look(batch[-1].a - origin)
             extent.look(batch[-1].b - origin)
             part = {name: values[done : done + len(batch)] for name, values in logarithms.items()}

@@ -13,7 +13,7 @@ from typing import Generic, TypeVar
 _Item = TypeVar("_Item")
 
 
-class Mailbox(Generic[_Item]):
+class BatchQueue(Generic[_Item]):
     """Holds at most ``capacity`` items; hands them out ``batch`` at a time, or what there is after ``seconds``."""
 
     def __init__(self, capacity: int, batch: int, seconds: float) -> None:

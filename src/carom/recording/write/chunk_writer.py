@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -14,10 +14,11 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
-from carom.recording.rrd.index import Chunk, Container
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
-from carom.recording.write.durable_sink import Outlet
+from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 
 _FLUSH = 60.0  # s; a disk that takes longer has hung
@@ -36,15 +37,15 @@ class Writer:
         self._application = application_id
         self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            self._outlet = Outlet(self._part, 0)
+            self._sink = DurableSink(self._part, 0)
         except RecordingError:
             self._claim.release()
             raise
         end_earlier_streams()
         # the name and the start of the recording are among the chunks to be copied
         self._stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
-        self._stream.set_sinks(rr.FileSink(self._outlet.entry))
-        self._outlet.opened()
+        self._stream.set_sinks(rr.FileSink(self._sink.entry))
+        self._sink.opened()
 
     def __enter__(self) -> Self:
         return self
@@ -55,7 +56,7 @@ class Writer:
         """Close; RecordingError if what was sent is not all in the file."""
         try:
             self._stream.disconnect()
-            self._outlet.close()
+            self._sink.close()
             if error is None:
                 self._fail_if_full()
                 self._check()
@@ -88,7 +89,7 @@ class Writer:
     def flush(self) -> None:
         """Wait until all that was sent is in the file; raise if it cannot be."""
         self._stream.flush(timeout_sec=_FLUSH)
-        self._outlet.settle()
+        self._sink.settle()
         self._fail_if_full()
 
     def _check(self) -> None:
@@ -96,17 +97,5 @@ class Writer:
             raise RecordingError(f"{self.path} was written, but did not get its end")
 
     def _fail_if_full(self) -> None:
-        if self._outlet.error is not None:
-            raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
-
-
-class StoredLayout(rrb.Blueprint):
-    """A layout as it was found in another file."""
-
-    def __init__(self, chunks: Iterable[Chunk]) -> None:
-        super().__init__(rrb.Horizontal())
-        self._chunks = list(chunks)
-
-    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
-        for chunk in self._chunks:
-            rr.send_chunks(rerun_chunks(chunk.batch), recording=stream)
+        if self._sink.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._sink.error.strerror}")

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 
-class Reserve:
+class DiskReserve:
     """An unnamed file of the wanted size beside the recording. Dropping it makes room for the last words."""
 
     def __init__(self, folder: Path) -> None:

@@ -21,14 +21,14 @@ from pathlib import Path
 
 from carom.recording.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
-from carom.recording.write.disk_reserve import Reserve
+from carom.recording.write.disk_reserve import DiskReserve
 
 _PIPE = 1 << 20  # bytes; the most an unprivileged process may ask for
 _POLL = 0.0005  # s
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
-class Outlet:
+class DurableSink:
     """Copies a pipe into a file; keeps the file readable whatever happens."""
 
     def __init__(self, path: Path, reserve: int) -> None:
@@ -38,7 +38,7 @@ class Outlet:
         self.messages = 0
         self.written = 0  # bytes, always at the end of a message
         try:
-            self._reserve = Reserve(path.parent)
+            self._reserve = DiskReserve(path.parent)
             self._reserve.grow(reserve)
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
         except OSError as error:
@@ -50,7 +50,7 @@ class Outlet:
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()
         self._turn = threading.Lock()
-        self._thread = threading.Thread(target=self._copy, name="carom-outlet", daemon=True)
+        self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
 
     @property

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
-from carom.recording.edit.continuation import Past
+from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.view.blueprint import blueprint
-from carom.recording.view.camera import Extent, View
-from carom.recording.write.batch_queue import Mailbox
+from carom.recording.view.camera import CameraFit, View
+from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import Stream
 
@@ -41,7 +41,7 @@ _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets its one blueprint
 class Recorder:
     """Writes one recording.
 
-    ``put`` only enqueues, and blocks while the mailbox is full: no frame is dropped, and none piles up. The first fault
+    ``put`` only enqueues, and blocks while the queue is full: no frame is dropped. The first fault
     (a full disk, say) closes the file as well as can be, and is raised by the next ``put`` and by ``finish``.
     """
 
@@ -52,26 +52,26 @@ class Recorder:
         *,
         live: str | None = None,
         queue_size: int | None = None,
-        past: Past | None = None,
+        continued: Continuation | None = None,
     ) -> None:
         rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
         self.path = Path(path)
         self.header = header
         self.frames = 0  # sent so far
-        self._past = past
+        self._continued = continued
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
-        self._clock = past.clock if past else Clock.fitting(header.duration, header.shortest_dt_hint)
+        self._clock = continued.clock if continued else Clock.fitting(header.duration, header.shortest_dt_hint)
         room = queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
-        self._mailbox: Mailbox[Frame] = Mailbox(room, batch, _BATCH_SECONDS)
+        self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
-        # a slot comes round when its frame has been in the mailbox, in the batch being written, and been the last one
+        # a slot comes round when its frame has been in the queue, in the batch being written, and been the last one
         self._slots = max(room, batch) + batch + 2
         self._plan = checkpoint.CheckpointPlan()
         self._encoder: BatchEncoder | None = None
         self._references: dict[str, float] = {}  # as sent
-        self._extent: Extent | None = None
+        self._camera_fit: CameraFit | None = None
         self._framed = 0.0  # m, the eye's distance in the blueprint
         self._last: Frame | None = None
         self._last_checkpoint = -1
@@ -91,8 +91,8 @@ class Recorder:
         return self._store
 
     def put(self, frame: Frame) -> None:
-        """Hand over a frame; wait while the mailbox is full. Raises what stopped the recorder, if anything did."""
-        self._mailbox.put(frame)
+        """Hand over a frame; wait while the queue is full. Raises what stopped the recorder, if anything did."""
+        self._queue.put(frame)
 
     def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
         """Write what is left, the last events and the outcome, close the file, and open it again to check it."""
@@ -118,8 +118,8 @@ class Recorder:
         self._closed = True
 
     def _stop(self) -> None:
-        """End the thread, after it has written what is in the mailbox."""
-        self._mailbox.close()
+        """End the thread after it has written what is in the queue."""
+        self._queue.close()
         self._thread.join()
 
     def _run(self) -> None:
@@ -131,7 +131,7 @@ class Recorder:
             self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
 
     def _record(self) -> None:
-        while batch := self._mailbox.take():
+        while batch := self._queue.take():
             self._write(batch)
 
     def _write(self, batch: list[Frame]) -> None:
@@ -152,34 +152,36 @@ class Recorder:
         self._stream.flush()
 
     def _begin(self, first: Frame) -> BatchEncoder:
-        """Send everything static, which needs the centre of mass of the first frame, and the past, if there is one."""
-        past, position = self._past, first.position
-        if past is not None:
-            position, origin = past.first_position(), past.origin
-            self._encoder = BatchEncoder(self.header, origin, past.arrow_references, past.last_state, past.checkpoint)
+        """Send everything static, and before the first frame of a resumed run the frames that it continues."""
+        continued, position = self._continued, first.position
+        if continued is not None:
+            position, origin = continued.first_position(), continued.origin
+            self._encoder = BatchEncoder(
+                self.header, origin, continued.arrow_references, continued.last_state, continued.checkpoint
+            )
         else:
             origin = np.average(position, axis=0, weights=self.header.mass)
             self._encoder = BatchEncoder(self.header, origin)
         reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
-        self._extent = Extent(self.header.radius, position - origin)
+        self._camera_fit = CameraFit(self.header.radius, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
-        if past is not None:
-            self._stream.send_past(past)
-            self.frames = past.frames
+        if continued is not None:
+            self._stream.send_continued(continued)
+            self.frames = continued.frames
         return self._encoder
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Follow where the bodies are; lay out what there is, early for a live viewer and for a run that is killed."""
-        assert self._extent is not None, "it begins with the first batch"
+        assert self._camera_fit is not None, "it begins with the first batch"
         if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
-            self._send_blueprint(self._extent.view())
-        self._extent.see(batch, origin)
+            self._send_blueprint(self._camera_fit.view())
+        self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
         """Frame the whole recording, if that differs from the first frame so much that one sees it."""
-        if self._extent is not None:
-            view = self._extent.view()
+        if self._camera_fit is not None:
+            view = self._camera_fit.view()
             if view.follows or view.distance > _FRAMED_ANEW * self._framed:
                 self._send_blueprint(view)
 
@@ -194,7 +196,7 @@ class Recorder:
         except Exception as second:  # the first fault is the one to tell
             error.add_note(f"closing it failed, too: {second}")
         self._error = error
-        self._mailbox.fail(error)
+        self._queue.fail(error)
 
     def _close(self, outcome: str, summary: Mapping[str, Scalar], events: tuple[Event, ...]) -> None:
         last, encoder = self._last, self._encoder

@@ -1,24 +1,32 @@
-"""What both writers of recordings hand to Rerun: a layout, and chunks of another file."""
+"""Rerun's private interfaces, and the undocumented behaviour of Rerun 0.41 that carom relies on.
+
+Nothing else in carom uses them. tests/recording/test_rerun_compat.py has a test for each; run it before the upper bound
+of rerun-sdk in pyproject.toml is raised.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pyarrow as pa
 import rerun as rr
+import rerun.blueprint as rrb
 import rerun.chunk as rrc
 import rerun_bindings
 
 from carom.recording.errors import DamageError
+from carom.recording.rrd.messages import Chunk
 
 
 def end_earlier_streams() -> None:
-    """End what Rerun 0.41 keeps of closed streams until someone asks, as `rr.init` does: threads and megabytes."""
+    """Free the threads and megabytes that Rerun keeps of each closed stream until `rr.init` is called."""
     rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
 
-def send_layout(stream: rr.RecordingStream, application: str, layout: rr.blueprint.Blueprint) -> None:
-    """Do as `rr.send_blueprint` does, and end the stream that it makes for the purpose.
+def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
+    """Send a layout as `rr.send_blueprint` does, and close the stream that it is sent through.
 
-    Rerun 0.41 leaves that stream open for good: two threads and 4 MB for each recording of a sweep.
+    `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep.
     """
     own = rr.RecordingStream._from_native(
         rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
@@ -30,8 +38,20 @@ def send_layout(stream: rr.RecordingStream, application: str, layout: rr.bluepri
     own.disconnect()
 
 
+class StoredLayout(rrb.Blueprint):
+    """A layout read from another file, sent as it is."""
+
+    def __init__(self, chunks: Iterable[Chunk]) -> None:
+        super().__init__(rrb.Horizontal())
+        self._chunks = list(chunks)
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        for chunk in self._chunks:
+            rr.send_chunks(rerun_chunks(chunk.batch), recording=stream)
+
+
 def rerun_chunks(batch: pa.RecordBatch) -> list[rrc.Chunk]:
-    """Hand rows over to Rerun, as new ones: their ids are those of another file."""
+    """Make Rerun's chunks of rows read from a file, with new ids: two chunks of one id would replace each other."""
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
     kept = [field for field in batch.schema if kinds[field.name] != b"control"]
     timelines = [name for name, kind in kinds.items() if kind == b"index"]

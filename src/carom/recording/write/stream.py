@@ -11,14 +11,14 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
-from carom.recording.edit.continuation import Past
+from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.schema import checkpoint, paths
 from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write import encoder as entities
-from carom.recording.write.durable_sink import Outlet
+from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.encoder import Rows, event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
@@ -44,11 +44,11 @@ class Stream:
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
         # what is under way when the disk is found full, and the last checkpoint, must still fit
         self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
-        self._outlet = Outlet(path, self._reserve)
+        self._sink = DurableSink(path, self._reserve)
         end_earlier_streams()
         self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
-        self._stream.set_sinks(rr.FileSink(self._outlet.entry))
-        self._outlet.opened()
+        self._stream.set_sinks(rr.FileSink(self._sink.entry))
+        self._sink.opened()
 
     @property
     def is_live(self) -> bool:
@@ -63,10 +63,10 @@ class Stream:
             stream.send_columns(rows.path, self._index, rows.columns)
         self.payload_bytes += rows.bytes
 
-    def send_past(self, past: Past) -> None:
+    def send_continued(self, continued: Continuation) -> None:
         """Send what an earlier recording holds; raises if the disk is full."""
         sent = 0
-        for chunk in past.chunks():
+        for chunk in continued.chunks():
             for stream in self._streams():
                 stream.send_chunks(rerun_chunks(chunk.batch))
             size = chunk.batch.nbytes
@@ -107,25 +107,25 @@ class Stream:
     def flush(self) -> None:
         """Wait until all that was sent is in the file; raise if it cannot be."""
         self._stream.flush(timeout_sec=_FLUSH)
-        self._outlet.settle()
-        self._outlet.reserve(self._reserve + _FOOTER_BYTES * self._outlet.messages)
+        self._sink.settle()
+        self._sink.reserve(self._reserve + _FOOTER_BYTES * self._sink.messages)
         if self._live is not None:
             self._live.flush()
-        if self._outlet.error is not None:
-            raise RecordingError(f"cannot write {self.path}: {self._outlet.error.strerror}")
-        if self._outlet.gone:
+        if self._sink.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._sink.error.strerror}")
+        if self._sink.gone:
             raise RecordingError(f"{self.path} was removed or renamed while it was written")
-        if self._outlet.full:
+        if self._sink.full:
             raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
 
     def close(self) -> None:
         """Write the footer and close the file. Raises if the end could not be written."""
         self._stream.disconnect()
-        self._outlet.close()
+        self._sink.close()
         if self._live is not None:
             self._live.close()
-        if self._outlet.error is not None:
-            raise RecordingError(f"cannot finish {self.path}: {os.strerror(self._outlet.error.errno or 0)}")
+        if self._sink.error is not None:
+            raise RecordingError(f"cannot finish {self.path}: {os.strerror(self._sink.error.errno or 0)}")
 
     def _streams(self) -> tuple[rr.RecordingStream, ...]:
         return (self._stream, *(() if self._live is None else self._live.streams()))

@@ -1,0 +1,119 @@
+"""What carom borrows from the inside of Rerun behaves as carom needs it to."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
+from carom.recording.schema.timelines import STEP
+from carom.recording.write.durable_sink import DurableSink
+from carom.recording.write.rerun_compat import StoredLayout, end_earlier_streams, rerun_chunks, send_layout
+
+APPLICATION = "carom-2-0123456789ab"
+
+
+def stream_to(path: Path) -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION, recording_id="5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77")
+    stream.set_sinks(rr.FileSink(path))
+    return stream
+
+
+def threads() -> int:
+    """Threads of this process, those of Rerun included."""
+    if not Path("/proc/self/task").exists():
+        pytest.skip("Rerun's threads are counted in /proc")
+    return len(list(Path("/proc/self/task").iterdir()))
+
+
+def ended_down_to(count: int) -> bool:
+    """Whether no more threads than that are left once closed streams are ended; they may take a moment."""
+    end_earlier_streams()
+    limit = time.monotonic() + 30.0
+    while threads() > count and time.monotonic() < limit:
+        time.sleep(0.05)
+    return threads() <= count
+
+
+def chunks(path: Path, kind: int) -> list[Chunk]:
+    container = Container.open(path)
+    return [chunk for store in container.stores if store.kind == kind for chunk in container.chunks(store.entries)]
+
+
+def contents(found: list[Chunk]) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Paths and components, without the ids, which are new in each file."""
+    return sorted((c.entity_path, [(n, repr(c.batch[n].to_pylist())) for n in sorted(c.components)]) for c in found)
+
+
+def test_a_layout_is_sent_active_and_its_stream_can_be_ended(tmp_path: Path) -> None:
+    stream = stream_to(tmp_path / "x.rrd")
+    stream.log("a", rr.TextDocument("a"), static=True)
+    end_earlier_streams()
+    before = threads()
+    for name in ("first", "second", "third"):
+        send_layout(stream, APPLICATION, rrb.Blueprint(rrb.Spatial3DView(name=name)))
+    assert ended_down_to(before)
+    stream.disconnect()
+    layouts = [store for store in Container.open(tmp_path / "x.rrd").stores if store.kind == BLUEPRINT]
+    assert len(layouts) == 3  # the index leaves out a layout that was never activated
+    assert {store.application_id for store in layouts} == {APPLICATION}
+
+
+def test_a_layout_of_another_file_is_sent_as_it_was(run_file: Path, tmp_path: Path) -> None:
+    stream = stream_to(tmp_path / "copy.rrd")
+    send_layout(stream, APPLICATION, StoredLayout(Recording.open(run_file).layout()))
+    stream.disconnect()
+    assert contents(chunks(tmp_path / "copy.rrd", BLUEPRINT)) == contents(chunks(run_file, BLUEPRINT))
+
+
+def test_rows_of_another_file_are_sent_as_they_were_under_new_ids(run_file: Path, tmp_path: Path) -> None:
+    rows = [chunk for chunk in chunks(run_file, RECORDING) if chunk.entity_path in ("energy/total", "state/checkpoint")]
+    stream = rr.RecordingStream(APPLICATION, recording_id="5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a78", send_properties=False)
+    stream.set_sinks(rr.FileSink(tmp_path / "copy.rrd"))
+    for chunk in rows:
+        rr.send_chunks(rerun_chunks(chunk.batch), recording=stream)
+    stream.disconnect()
+    copied = chunks(tmp_path / "copy.rrd", RECORDING)
+    assert contents(copied) == contents(rows)
+    assert [chunk.batch[STEP] for chunk in copied if not chunk.is_static] == [
+        c.batch[STEP] for c in rows if not c.is_static
+    ]
+    ids = [{chunk.batch.schema.metadata[b"rerun:id"] for chunk in found} for found in (rows, copied)]
+    assert not ids[0] & ids[1]
+
+
+def test_ending_earlier_streams_ends_the_threads_of_closed_streams(tmp_path: Path) -> None:
+    end_earlier_streams()
+    before = threads()
+    for k in range(4):
+        stream = stream_to(tmp_path / f"{k}.rrd")
+        stream.log("a", rr.TextDocument("a"), static=True)
+        stream.disconnect()
+        del stream
+    assert ended_down_to(before)
+
+
+def test_a_file_sink_writes_into_a_pipe_and_closes_it_when_it_is_disconnected(tmp_path: Path) -> None:
+    sink = DurableSink(tmp_path / "x.rrd", 0)
+    stream = rr.RecordingStream(APPLICATION, recording_id="5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77")
+    stream.set_sinks(rr.FileSink(sink.entry))
+    sink.opened()
+    steps = np.arange(100)
+    stream.send_columns("a", [rr.TimeColumn(STEP, sequence=steps)], rr.Scalars.columns(scalars=np.sqrt(steps)))
+    stream.flush(timeout_sec=60.0)
+    sink.settle()
+    assert sink.written == (tmp_path / "x.rrd").stat().st_size > 800  # what was flushed is in the file
+    stream.disconnect()
+    sink.close()
+    container = Container.open(tmp_path / "x.rrd")
+    assert container.finished and sink.error is None
+    (chunk,) = [c for c in chunks(tmp_path / "x.rrd", RECORDING) if c.entity_path == "a"]
+    assert pa.compute.list_flatten(chunk.batch["Scalars:scalars"]).to_pylist() == np.sqrt(steps).tolist()
