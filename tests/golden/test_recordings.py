@@ -87,7 +87,7 @@ def test_a_recording_of_schema_2_inspects_as_on_the_day_it_was_made(name: str, f
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
-    replayed = told(folder, "replay", f"{name}.rrd", "--threads", "2")
+    replayed = told(folder, "replay", f"{name}.rrd", "--threads", "2", "--yes")
     assert replayed["same"] and replayed["compared"] == INSPECTED[name]["frames"]
     assert replayed["not_compared"] == [f"/{series}, which the recording lacks" for series in ADDED_SINCE]
 
@@ -96,5 +96,5 @@ def test_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: P
 def test_a_clip_of_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
     clipped = told(folder, "clip", f"{name}.rrd", "--from", "0.15", "--to", "0.45", "-o", "clip.rrd")
     assert clipped.items() >= CLIPPED[name].items()
-    replayed = told(folder, "replay", "clip.rrd")
+    replayed = told(folder, "replay", "clip.rrd", "--yes")
     assert replayed["same"] and replayed["compared"] == CLIPPED[name]["frames"]
