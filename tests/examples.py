@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.graph import colour_contacts
+from carom.physics.contact.constraint_graph import colour_contacts
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.stages import stages_of
-from carom.physics.contact.workbench import ContactSolver
+from carom.physics.contact.solve_order import stages_of
+from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start

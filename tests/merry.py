@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from carom.physics.checkpoint import Books
-from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy_monitor import WatchTally
 from carom.physics.diagnostics.extremes import Moment, Moments
 from carom.physics.diagnostics.fingerprint import fingerprint_of

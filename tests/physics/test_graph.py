@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.broad_phase.kd_tree import KdTree
-from carom.physics.contact.graph import (
+from carom.physics.contact.constraint_graph import (
     OVERFLOW,
     colour_bodies,
     colour_contacts,
 )
-from carom.physics.contact.stages import PIECE, stages_of
+from carom.physics.contact.solve_order import PIECE, stages_of
 from examples import random_bodies, solver_of
 
 IntArray = NDArray[np.int64]

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.lasting import IMPULSES, ImpulseCache, impulses_of
-from carom.physics.contact.load import CONTACT
+from carom.physics.contact.constraints import CONTACT
+from carom.physics.contact.solver.warm_start import IMPULSES, ImpulseCache, impulses_of
 from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene

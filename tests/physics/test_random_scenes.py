@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.stage import SWEEPS
+from carom.physics.contact.pipeline import SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -163,10 +163,14 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"gravity.direct._total"}
-TURNING = {"rotation.turn", "contact.stage._turn"}
-MEETING = {"contact.meeting.update_geometry", "contact.graph._colour_contacts", "contact.crew.work"}
-RESTING = {"contact.rest._write_speeds", "contact.rest.largest_square"}
-PUSHING = {"contact.stabilisation.audit_corrections"}  # the pushes themselves are a phase of contact.crew.work
+TURNING = {"rotation.turn", "contact.pipeline._turn"}
+MEETING = {
+    "contact.geometry.update_geometry",
+    "contact.constraint_graph._colour_contacts",
+    "contact.solver.phases.work",
+}
+RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
+PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.uniform_field.add"}, {"timestep._limits"}
 OPTIONAL = ("contact.continuous.", "gravity.multipole.", "gravity.walk.", "gravity.boxes.")  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.physics.contact.load import CONTACT_STATE
-from carom.physics.contact.rest import Islands
+from carom.physics.contact.constraints import CONTACT_STATE
+from carom.physics.contact.islands import Islands
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.space import Space
 from examples import scene_of

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.workbench import SHARED_FROM
+from carom.physics.contact.solver.contact_solver import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
 from carom.physics.parallel.thread_team import END, Team, claim, dismiss, finish, is_over, post, sharing_all, wait
 from carom.physics.space import Space

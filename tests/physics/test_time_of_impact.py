@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import impacts
+from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
-from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
-from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy_monitor import EnergyWatch, Suspects, WatchTally
 from carom.physics.diagnostics.extremes import Moments
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.memory import ContactMemory
+from carom.physics.contact.checkpoint import ContactMemory
 from carom.physics.diagnostics.energy_monitor import WatchTally
 from carom.physics.diagnostics.extremes import Moments
 from carom.physics.diagnostics.fingerprint import fingerprint_of

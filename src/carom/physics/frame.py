@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.contact.memory import ContactMemory
+from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.energy import Energy
 from carom.physics.event import Event
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.bearing import NOTHING_BORNE
+from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
-from carom.physics.contact.graph import CollisionGraph, empty_graph
-from carom.physics.contact.stage import ContactStage
+from carom.physics.contact.pipeline import ContactStage
+from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import Phase
 from carom.physics.diagnostics.extremes import Moments
 from carom.physics.diagnostics.fingerprint import fingerprint

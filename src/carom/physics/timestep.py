@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.bearing import NOTHING_BORNE
+from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team

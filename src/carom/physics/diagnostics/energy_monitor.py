@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.graph import CollisionGraph
+from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.energy import Energy
 from carom.physics.event import Event
 from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from carom.physics.contact.tally import Tally
+from carom.physics.contact.statistics import Tally
 from carom.physics.diagnostics.momentum import Momentum
 from carom.physics.energy import Energy
 from carom.physics.event import Event

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.memory import ContactMemory
+from carom.physics.contact.checkpoint import ContactMemory
 from carom.physics.energy import Energy
 from carom.physics.frame import Frame
 from carom.physics.ledger import Ledger

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.graph import first_of
+from carom.physics.contact.constraint_graph import first_of
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces

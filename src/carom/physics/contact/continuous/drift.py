@@ -27,7 +27,7 @@ from carom.physics.contact.continuous.trajectories import (
     finish,
     write_reaches,
 )
-from carom.physics.contact.rest import pile_speeds
+from carom.physics.contact.islands import pile_speeds
 from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
 from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import kernel

@@ -13,9 +13,9 @@ component of the collision graph without what is fixed.
 
 from __future__ import annotations
 
-from carom.physics.contact.load import Constraints
-from carom.physics.contact.rest import root_of
-from carom.physics.contact.velocity import relative_velocity, slip
+from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.islands import root_of
+from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner
 
 

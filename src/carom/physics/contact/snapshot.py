@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraint_graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.continuous.drift import Impacts
-from carom.physics.contact.graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import Room, aligned_empty
 from carom.physics.bodies import Bodies
-from carom.physics.contact.crew import HELP, IMPACTS, POSITIONS, RESTING, work
-from carom.physics.contact.lasting import impulses_of
-from carom.physics.contact.load import (
+from carom.physics.contact.constraints import (
     BLOCK_SUMS,
     BODIES_PER_BLOCK,
     BODY_STATE,
@@ -23,13 +21,15 @@ from carom.physics.contact.load import (
     SETTINGS,
     Constraints,
 )
-from carom.physics.contact.meeting import update_geometry
-from carom.physics.contact.motion import active_bodies, gather, scatter
-from carom.physics.contact.rest import Islands
-from carom.physics.contact.solver import CONVERGED, look_for_closing
-from carom.physics.contact.stabilisation import audit_corrections, count_contacts, find_push_fractions
-from carom.physics.contact.stages import Stages, stages_of
-from carom.physics.contact.tally import Tally
+from carom.physics.contact.geometry import update_geometry
+from carom.physics.contact.islands import Islands
+from carom.physics.contact.solve_order import Stages, stages_of
+from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
+from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
+from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTING, work
+from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
+from carom.physics.contact.solver.warm_start import impulses_of
+from carom.physics.contact.statistics import Tally
 from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team

@@ -11,14 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.booking import audit
-from carom.physics.contact.conjugate_gradients import (
-    conjugate_direction,
-    conjugate_step,
-    measure_violation,
-    project,
-)
-from carom.physics.contact.load import (
+from carom.physics.contact.constraints import (
     AUDIT,
     CONJUGATE_DIRECTION,
     CONJUGATE_STEP,
@@ -33,10 +26,17 @@ from carom.physics.contact.load import (
     WARM_START,
     Constraints,
 )
-from carom.physics.contact.overshoot import scale_back
-from carom.physics.contact.solver import CONVERGED, resolve_impacts
-from carom.physics.contact.stabilisation import correct_positions
-from carom.physics.contact.sweep import HELD, extrapolate, line_search, prepare, solve, warm_start
+from carom.physics.contact.solver.conjugate_gradients import (
+    conjugate_direction,
+    conjugate_step,
+    measure_violation,
+    project,
+)
+from carom.physics.contact.solver.energy_audit import audit
+from carom.physics.contact.solver.energy_bound import scale_back
+from carom.physics.contact.solver.impacts import CONVERGED, resolve_impacts
+from carom.physics.contact.solver.position_correction import correct_positions
+from carom.physics.contact.solver.solve import HELD, extrapolate, line_search, prepare, solve, warm_start
 from carom.physics.parallel.jit import inline, inner, long_kernel
 from carom.physics.parallel.thread_team import (
     END,

@@ -14,10 +14,10 @@ A stack of n spheres takes some n iterations, and about n² sweeps; so does a lo
 
 from __future__ import annotations
 
+from carom.physics.contact.constraints import Constraints
 from carom.physics.contact.law import material_index, sticks
-from carom.physics.contact.load import Constraints
-from carom.physics.contact.motion import accumulate_impulse
-from carom.physics.contact.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
+from carom.physics.contact.solver.body_state import accumulate_impulse
+from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inner, kernel
 
 # What a contact may close at when the search ends, in m/s. It begins where one closes at `crew.BAD_ENOUGH` times

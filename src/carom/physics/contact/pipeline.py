@@ -13,21 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.bearing import borne
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
+from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
-from carom.physics.contact.graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
-from carom.physics.contact.lasting import ImpulseCache
+from carom.physics.contact.islands import largest_coordinate, largest_square
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.memory import ContactMemory
-from carom.physics.contact.rest import largest_coordinate, largest_square
-from carom.physics.contact.sighting import NOTHING, Sighting
-from carom.physics.contact.stabilisation import BAUMGARTE
-from carom.physics.contact.stages import Stages, stages_of
-from carom.physics.contact.tally import NONE
-from carom.physics.contact.workbench import TOUCHING, ContactSolver
+from carom.physics.contact.snapshot import NOTHING, Sighting
+from carom.physics.contact.solve_order import Stages, stages_of
+from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
+from carom.physics.contact.solver.position_correction import BAUMGARTE
+from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.contact.statistics import NONE
+from carom.physics.contact.support import borne
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel

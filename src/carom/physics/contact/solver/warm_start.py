@@ -36,8 +36,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.graph import first_of
-from carom.physics.contact.load import CONTACT
+from carom.physics.contact.constraint_graph import first_of
+from carom.physics.contact.constraints import CONTACT
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team

@@ -19,10 +19,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from carom.physics.contact.constraints import BODIES_PER_BLOCK, Constraints
 from carom.physics.contact.law import material_index, within_friction_cone
-from carom.physics.contact.load import BODIES_PER_BLOCK, Constraints
-from carom.physics.contact.motion import accumulate_push, accumulate_turn, apply_impulse, push, turn
-from carom.physics.contact.velocity import bias_along_arc, relative_velocity, slip
+from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, apply_impulse, push, turn
+from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
 from carom.physics.parallel.jit import inner
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.graph import OVERFLOW
+from carom.physics.contact.constraint_graph import OVERFLOW
 from carom.physics.parallel.jit import kernel
 
 IntArray = NDArray[np.int64]

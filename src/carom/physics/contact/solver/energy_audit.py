@@ -11,8 +11,8 @@ A body that lies still then loses in the one kick what it gains in the other, an
 
 from __future__ import annotations
 
-from carom.physics.contact.load import Constraints
-from carom.physics.contact.velocity import relative_velocity, slip
+from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 

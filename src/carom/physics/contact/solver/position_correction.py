@@ -20,8 +20,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import Constraints
 from carom.physics.contact.law import material_index
-from carom.physics.contact.load import Constraints
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch

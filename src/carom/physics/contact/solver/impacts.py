@@ -21,11 +21,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import Constraints
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.law import friction_impulse, material_index
-from carom.physics.contact.load import Constraints
-from carom.physics.contact.motion import push, turn
-from carom.physics.contact.velocity import relative_velocity, slip
+from carom.physics.contact.solver.body_state import push, turn
+from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.lasting import ImpulseCache
+from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]

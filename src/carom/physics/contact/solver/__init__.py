@@ -1,0 +1,1 @@
+"""The contact solver: phases over constraint records, from position correction to the energy audit."""
