@@ -20,7 +20,7 @@ from carom.physics.space import WARM_UP_STEPS, Space
 from carom.plan.features import Requirements, frame_interval
 from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents
-from carom.recording.write.size_probe import Taken, trial
+from carom.recording.write.size_probe import Taken, probe
 from carom.scene.forces import FORCES
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
@@ -116,7 +116,7 @@ def estimate(scene: Scene) -> Estimate:
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
     header = header_of(space)
     with tempfile.TemporaryDirectory() as folder:
-        taken = trial(Path(folder) / "trial.rrd", header, few)
+        taken = probe(Path(folder) / "trial.rrd", header, few)
     entities = [_entity_cost(content, taken, frames) for content in contents(header, space.requirements)]
     size = sum(entity.bytes for entity in entities)
     return Estimate(

@@ -1,7 +1,7 @@
-"""One zip file to attach to a bug report, and how one from a stranger is read.
+"""Writes and reads the zip file that is attached to a bug report.
 
-Nothing of a bundle but its recording is ever written to disk, under a name of our own choosing, and no more of it than
-it says it has.
+A bundle may come from a stranger: only its recording is written to disk, under a name of our own, and no more bytes
+than it declares.
 """
 
 from __future__ import annotations

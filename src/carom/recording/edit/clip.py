@@ -1,4 +1,4 @@
-"""Cutting a piece out of a recording: a file of its own that opens, inspects, renders and replays."""
+"""Cuts frames out of a recording into a file that opens, inspects, renders and replays like the whole."""
 
 from __future__ import annotations
 

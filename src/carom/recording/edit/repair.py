@@ -1,4 +1,4 @@
-"""Making a damaged recording whole, as far as it can be: a torn one, one without its footer, one with wrong bytes."""
+"""Repairs a recording that was cut off, lacks its footer or has wrong bytes, as far as it can be read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A layout for a recording that has none: the run was killed before it sent one, or it was lost."""
+"""Makes a layout for a recording without one: the run was killed before it sent one, or it was lost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carom.recording.view.camera import CameraFit
 from carom.scene.forces import FORCES
 from carom.scene.halfspace import HalfSpaces
 
-_LOOKS = 50  # frames that are looked at to find out how far away the eye has to be
+_LOOKS = 50  # frames by which the camera is placed
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:

@@ -1,4 +1,4 @@
-"""`Selection`: what is left of a chunk if only a few of the bodies are to be seen."""
+"""`Selection`: removes all but some bodies, and what belongs to them, from a chunk."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ROUNDING = 8 * float(np.finfo(np.float32).eps)  # of a few float32 operations o
 
 
 class Selection:
-    """Keeps the rows' parts that are about some bodies: their spheres, arrows, and the contacts among them.
+    """Keeps the spheres and arrows of some bodies and the contacts among them.
 
     A contact is kept if both its bodies are, or its body is and the other side is a plane. Which bodies it joins is
     found from where its line ends: the chunk with the centres has to come before that with the contacts.

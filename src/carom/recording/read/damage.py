@@ -1,4 +1,4 @@
-"""What is said of a file that cannot be read."""
+"""Turns whatever goes wrong in reading a file into one sentence that names the file and the remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carom.recording.errors import DamageError, RecordingError
 from carom.recording.rrd.framing import looks_recorded
 from carom.scene.command import command
 
-# What reading meets where a name, a type or a length is not what carom writes. Files come from anywhere.
+# What a wrong name, type or length in a file may raise. Files come from anywhere.
 _SURPRISES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
     pa.ArrowException,
@@ -21,7 +21,7 @@ _SURPRISES = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Name the file and what to do, whatever turns out to be wrong with it.
+    """Raise RecordingError with the file's name and the remedy, whatever is wrong with it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""`Track`: where the bodies of a recording were, frame by frame, read as one goes along."""
+"""`Track`: positions of the bodies of a recording, read frame by frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from carom.recording.schema.timelines import STEP
 
 FloatArray = NDArray[np.float64]
 
-_KEPT = 3  # chunks in memory: neighbouring frames may lie in two of them
+_KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
 
 
 class Track:

@@ -1,4 +1,4 @@
-"""Rows of single frames: those that a recording holds, and those that a frame would be recorded as."""
+"""Rows of single frames, as recorded and as a frame would be recorded: a replay compares the two."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from carom.recording.write.encoder import BatchEncoder, Rows
 
 _KEPT = 2  # chunks of an entity in memory
 _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
-_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS)  # entities that not every frame has one row of
+_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS)  # entities without one row for every frame
 
 
 class RecordedRows:
-    """The rows of a recording by entity and step, read as one goes along."""
+    """The rows of a recording by entity and step; a few chunks are kept in memory."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording

@@ -1,4 +1,4 @@
-"""The numbers that say how a run went, read from its recording: what `carom inspect` prints."""
+"""The summary of a recording that `carom inspect` prints."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def summary(recording: Recording) -> dict[str, Any]:
     """Nested numbers; see docs/recording.md for the keys.
 
-    Worst errors are those of the recorded frames. A run that looked at every step knows better: what it put into the
-    closing property under the same dotted key (``contacts.total``, say) is taken instead. A clip's numbers are those of
-    its own frames; how the run ended and which promises it kept it has from the whole run.
+    Largest errors are those of the recorded frames, unless the run recorded those of all steps in its property
+    `outcome` under the same dotted key, such as ``contacts.total``. The numbers of a clip are those of its own frames;
+    its outcome and expectations are those of the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()

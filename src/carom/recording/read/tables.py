@@ -1,6 +1,6 @@
-"""Rows of an entity as a table: read chunk by chunk, held against what carom writes, and copied out of the chunks.
+"""Reads the rows of an entity into a table, chunk by chunk, and checks their types and order.
 
-Of a chunk nothing stays in memory but the columns asked for, so a table has no more bytes than its rows.
+Only the columns asked for are copied out of a chunk, so that a table takes no more memory than its rows.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import SIM_TIME, STEP
 
-_MOST_TEXT = 1 << 26  # bytes of all texts in a table; a run logs some hundreds of lines
+_MOST_TEXT = 1 << 26  # bytes of all texts in a table; a run logs a few hundred lines
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What every row has in a component."""
+    """Type of a component, and number of values in every row."""
 
     type: pa.DataType
     each: int = 1  # values
@@ -42,11 +42,11 @@ MOMENTA = {
     "angular_momentum_error": Column(pa.float64()),
 }
 
-_UNORDERED = (paths.EVENTS,)  # what a run says at its end is about moments before
+_UNORDERED = (paths.EVENTS,)  # events logged at the end of a run are about earlier steps
 
 
 def table(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], optional: Sequence[str] = ()) -> pa.Table:
-    """Join the rows of an entity; a component of one value a row comes without its lists.
+    """Join the rows of an entity. Components with one value a row become plain columns.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""From the bytes of an Arrow IPC stream to a record batch, checked before memory is taken for it.
+"""Decodes an Arrow IPC stream into a record batch; its claims are checked before memory is allocated.
 
-Arrow has types of which a hundred bytes may stand for 10⁸ rows: nulls, run ends, lists of a fixed size, views,
-dictionaries. Buffers may be packed a second time, and may be used twice. carom writes none of these.
+In some Arrow types a hundred bytes can stand for 10⁸ rows: nulls, run-end encoding, fixed-size lists, views,
+dictionaries. Buffers can be compressed a second time or shared. carom writes none of these and refuses them.
 """
 
 from __future__ import annotations

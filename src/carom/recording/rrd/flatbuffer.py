@@ -1,4 +1,4 @@
-"""As much of FlatBuffers as it takes to see how much an Arrow record batch claims to hold, before it is built."""
+"""Reads from FlatBuffers metadata how much data an Arrow record batch claims to hold, before it is built."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """What a record batch says of itself."""
+    """The size that a record batch claims to have."""
 
     rows: int
     lengths: NDArray[np.int64]  # of each array and of each child of one
     buffer_bytes: int  # summed over all buffers
-    compressed: bool  # buffers are packed once more, and say themselves how much they unpack to
+    compressed: bool  # its buffers are compressed and state their uncompressed sizes themselves
 
 
 def claims(message: bytes) -> Claims:
@@ -30,7 +30,7 @@ def claims(message: bytes) -> Claims:
     Raises
     ------
     DamageError
-        If the metadata are not whole.
+        If the metadata are incomplete.
     """
     try:
         batch = _table(message, _root(message), _HEADER)
@@ -44,7 +44,7 @@ def claims(message: bytes) -> Claims:
             compressed=_field(message, batch, _COMPRESSION) is not None,
         )
     except (struct.error, ValueError) as error:
-        raise DamageError("a record batch whose header is not whole") from error
+        raise DamageError("a record batch with an incomplete header") from error
 
 
 def _root(buffer: bytes) -> int:
@@ -52,7 +52,7 @@ def _root(buffer: bytes) -> int:
 
 
 def _field(buffer: bytes, table: int, number: int) -> int | None:
-    """Return where a field of a table lies; None if it is left out."""
+    """Return the offset of a field of a table; None if it is absent."""
     vtable = table - struct.unpack_from("<i", buffer, table)[0]
     place = 4 + 2 * number
     if vtable < 0 or place >= struct.unpack_from("<H", buffer, vtable)[0]:

@@ -64,7 +64,7 @@ class Container:
             )
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
-        """Read chunks, one after the other. DamageError if one is not what the index says."""
+        """Read chunks in order. DamageError if one is not what the index says."""
         with self.path.open("rb") as file:
             for entry in entries:
                 file.seek(entry.offset)
@@ -75,7 +75,7 @@ class Container:
 
 
 def _scan(file: BinaryIO) -> list[Store]:
-    """Index a file without a footer: look into every message."""
+    """Index a file without a footer by decoding every message."""
     index = Index()
     for message in framing.messages(file):
         index.add(message, read_body(file, message))
@@ -83,14 +83,14 @@ def _scan(file: BinaryIO) -> list[Store]:
 
 
 class Index:
-    """Grows message by message, where there is no footer to read it from."""
+    """An index built message by message, for files without a footer."""
 
     def __init__(self) -> None:
         self._stores: dict[tuple[int, str], Store] = {}
         self._activated: set[str] = set()
 
     def add(self, message: Message, body: bytes) -> None:
-        """Take a message in. DamageError if it cannot be decoded."""
+        """Add a message. DamageError if it cannot be decoded."""
         match message.kind:
             case framing.STORE:
                 self._known(store_of(body))
@@ -101,7 +101,7 @@ class Index:
                 self._known(store).entries.append(entry_of(chunk, message))
 
     def stores(self) -> list[Store]:
-        """Return what was found, without layouts that were not sent to their end."""
+        """Return the stores found, without layouts that were not sent completely."""
         return [s for s in self._stores.values() if s.kind != BLUEPRINT or s.store_id in self._activated]
 
     def _known(self, store: Store) -> Store:
@@ -113,7 +113,7 @@ def _manifests(footer: bytes, size: int) -> list[Store]:
     stores = []
     for manifest in protobuf.fields(memoryview(footer)).get(1, []):
         if not isinstance(manifest, memoryview):
-            raise DamageError("its footer is none")
+            raise DamageError("malformed footer")
         parts = protobuf.fields(manifest)
         table = protobuf.fields(protobuf.data(parts, 4))
         batch = record_batch(protobuf.data(table, 2), protobuf.number(table, 3), protobuf.number(table, 4))
@@ -129,7 +129,7 @@ def _entries(manifest: pa.RecordBatch, size: int) -> list[Entry]:
         raise DamageError(f"its footer tells of {manifest.num_rows} chunks in {size} bytes")
     columns = [_manifest_column(manifest, name, kind) for name, kind in _MANIFEST.items()]
     if any(None in column for column in columns):
-        raise DamageError("its footer leaves out what a chunk is")
+        raise DamageError("its footer describes chunks incompletely")
     for name in (f"{STEP}:start", f"{STEP}:end"):
         there = name in manifest.schema.names
         columns.append(_manifest_column(manifest, name, pa.int64()) if there else [None] * manifest.num_rows)
@@ -150,7 +150,7 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
 
 
 def _refuse_overlap(entries: list[Entry], size: int) -> None:
-    """Refuse an index in which chunks share bytes: a small file could stand for any amount of rows."""
+    """Refuse an index in which chunks share bytes: a small file could then claim any number of rows."""
     end = framing.STREAM_HEADER
     for entry in sorted(entries, key=lambda entry: entry.offset):
         if entry.length > LARGEST:

@@ -28,25 +28,25 @@ _KIND = b"rerun:kind"
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """Rows of one entity, read and checked."""
+    """Rows of one entity, decoded and checked."""
 
     entity_path: str  # without the slash in front
     batch: pa.RecordBatch  # columns: row ids, timelines and components
 
     @property
     def is_static(self) -> bool:
-        """Whether it holds for all times."""
+        """Whether it is static: on no timeline."""
         return not any(_kind(column) == b"index" for column in self.batch.schema)
 
     @property
     def components(self) -> list[str]:
-        """Names of what the rows hold: lists, one a row."""
+        """Names of the components; each row holds a list of values."""
         return [column.name for column in self.batch.schema if _kind(column) == b"data"]
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Where a chunk lies, and what one knows of it without reading it."""
+    """Position of a chunk in the file, and what the index knows about it."""
 
     entity_path: str
     is_static: bool
@@ -57,7 +57,7 @@ class Entry:
     length: int
 
     def holds(self, step: int) -> bool:
-        """Tell whether a step may be in it."""
+        """Tell whether the chunk may have rows of a step."""
         return self.first_step is not None and self.last_step is not None and self.first_step <= step <= self.last_step
 
 
@@ -84,17 +84,17 @@ def store_of(body: bytes) -> Store:
 
 
 def activated_by(body: bytes) -> Store:
-    """Decode the message that ends a layout: only then has all of it been sent."""
+    """Decode the message that ends a layout; a layout without it was not sent completely."""
     return store_named(protobuf.data(protobuf.fields(memoryview(body)), 1))
 
 
 def decode(body: bytes) -> tuple[Store, Chunk]:
-    """Decode and check a chunk; return it and the store that it belongs to, without its entries.
+    """Decode and check a chunk; return its store, without entries, and the chunk.
 
     Raises
     ------
     DamageError
-        If anything about it is not as Rerun writes it.
+        If it is malformed.
     """
     message = protobuf.fields(memoryview(body))
     if protobuf.number(message, 4) != _ARROW_IPC:
@@ -107,7 +107,7 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
 
 
 def entry_of(chunk: Chunk, message: Message) -> Entry:
-    """Index a chunk that was decoded."""
+    """Make the index entry of a decoded chunk."""
     first = last = None
     if STEP in chunk.batch.schema.names and chunk.batch.num_rows:
         ends = pc.min_max(chunk.batch[STEP])
@@ -133,7 +133,7 @@ def _entity_path(batch: pa.RecordBatch) -> str:
 
 
 def _check(chunk: Chunk) -> None:
-    """Hold a chunk against what readers of carom's rely on."""
+    """Check what the readers of a chunk rely on."""
     batch = chunk.batch
     timelines = {STEP: pa.int64(), SIM_TIME: pa.duration("ns")}
     for column in batch.schema:

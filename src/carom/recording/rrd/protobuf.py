@@ -1,4 +1,4 @@
-"""As much of Protocol Buffers' wire format as the messages of an .rrd need: a message's fields, by number."""
+"""Decodes the fields of a Protocol Buffers message, as far as the messages of an .rrd need it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _MOST_FIELDS = 1000  # of a message; an .rrd's have up to six
 
 
 def fields(message: memoryview) -> Fields:
-    """Take a message apart. A field may come more than once; nested messages stay bytes.
+    """Decode the fields of a message. A field may occur more than once; nested messages stay bytes.
 
     Raises
     ------
     DamageError
-        If it is no message.
+        If the bytes are not a message.
     """
     found: Fields = {}
     at = count = 0
@@ -37,13 +37,13 @@ def fields(message: memoryview) -> Fields:
             case 5:
                 value, at = _bytes(message, at, 4)
             case _:
-                raise DamageError("a field of no known kind")
+                raise DamageError("a field of unknown wire type")
         found.setdefault(tag >> 3, []).append(value)
     return found
 
 
 def number(message: Fields, field: int, default: int = 0) -> int:
-    """Read a number; a field that is left out has its default."""
+    """Return an integer field, or the default if it is absent."""
     value = message.get(field, [default])[-1]
     if not isinstance(value, int):
         raise DamageError("bytes where a number should be")
@@ -51,7 +51,7 @@ def number(message: Fields, field: int, default: int = 0) -> int:
 
 
 def data(message: Fields, field: int) -> memoryview:
-    """Read bytes, or the nested message in them; left out, they are empty."""
+    """Return a bytes field or nested message; empty if it is absent."""
     value = message.get(field, [memoryview(b"")])[-1]
     if not isinstance(value, memoryview):
         raise DamageError("a number where bytes should be")
@@ -59,11 +59,11 @@ def data(message: Fields, field: int) -> memoryview:
 
 
 def text(message: Fields, field: int) -> str:
-    """Read a text."""
+    """Return a text field."""
     try:
         return bytes(data(message, field)).decode()
     except UnicodeDecodeError as error:
-        raise DamageError("a text that is none") from error
+        raise DamageError("a text that is not UTF-8") from error
 
 
 def _varint(message: memoryview, at: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Which messages of a damaged file can still be read, and where it is broken."""
+"""Finds the messages of a damaged file that can still be read, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from carom.recording.rrd.messages import RECORDING, Entry, Store, read_body
 
 _WINDOW = 1 << 22  # bytes that are searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
-_PATIENCE = 4  # times the file's size: so much is read at most in search of messages
+_PATIENCE = 4  # times the file's size: the most bytes read in search of messages
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Bytes that nothing can be made of."""
+    """Bytes that cannot be decoded."""
 
     offset: int
     length: int
@@ -30,13 +30,13 @@ class Gap:
 
 @dataclass(slots=True)
 class Salvage:
-    """What a pass through a file found."""
+    """The result of a pass through a file."""
 
     stores: list[Store] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    missing: list[Entry] = field(default_factory=list)  # of the recording: the footer tells of them, but they are gone
+    missing: list[Entry] = field(default_factory=list)  # of the recording: listed in the footer, but unreadable
     layout_lost: bool = False
-    finished: bool = False  # it has its footer, and the footer is right
+    finished: bool = False  # it has a footer that matches its chunks
 
 
 def salvage(path: Path) -> Salvage:
@@ -52,7 +52,7 @@ def salvage(path: Path) -> Salvage:
 
 
 def _compare(found: Salvage, listed: list[Store]) -> None:
-    """Believe only chunks that are what the footer says of them."""
+    """Keep only chunks that match the footer."""
     readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
     for store in listed:
         gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
@@ -67,7 +67,7 @@ def _compare(found: Salvage, listed: list[Store]) -> None:
 
 
 def _listed(path: Path) -> list[Store] | None:
-    """Read the footer's index, if it has a good one."""
+    """Read the footer's index; None without a valid one."""
     with path.open("rb") as file:
         try:
             if framing.read_footer(file) is None:
@@ -81,7 +81,7 @@ def _listed(path: Path) -> list[Store] | None:
 
 
 class _Pass:
-    """One pass through a file, from message to message, and where there is none to the next one."""
+    """One pass through a file, from message to message, skipping what is not one."""
 
     def __init__(self, file: BinaryIO, size: int, found: Salvage) -> None:
         self._file = file
@@ -91,7 +91,7 @@ class _Pass:
         self._budget = _PATIENCE * size
 
     def go(self) -> None:
-        """Fill in what is found."""
+        """Go through the file and fill in the result."""
         at = STREAM_HEADER
         if not framing.is_rrd(self._file):
             self._found.gaps.append(Gap(0, STREAM_HEADER, "it does not begin like a recording"))
@@ -111,7 +111,7 @@ class _Pass:
         self._found.stores = self._index.stores()
 
     def _message(self, at: int) -> Message:
-        """Take the message at a place, if it is one."""
+        """Decode and index the message at an offset. DamageError if there is none."""
         message = next(framing.messages(self._file, at))
         self._index.add(message, self._body(message))
         return message
@@ -127,7 +127,7 @@ class _Pass:
         return read_body(self._file, message)
 
     def _next(self, at: int) -> int:
-        """Find the next place at which a message begins that can be read; the file's end if there is none."""
+        """Return the offset of the next readable message, or the file's size."""
         while at < self._size and self._budget > 0:
             self._file.seek(at)
             window = self._file.read(_WINDOW + MESSAGE_HEADER)

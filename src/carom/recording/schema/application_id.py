@@ -1,4 +1,4 @@
-"""The application id: which layout a viewer keeps for a recording, and which schema the file has."""
+"""The application id: names the schema version and, by a hash, the layout that a viewer keeps."""
 
 from __future__ import annotations
 

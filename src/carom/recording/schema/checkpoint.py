@@ -1,4 +1,4 @@
-"""The exact state of a run, float64, as it is kept in a recording: enough to go on from, bit for bit."""
+"""Encodes and decodes checkpoints: the float64 state from which a run can be resumed bit for bit."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
-_FULL = 7  # contacts a body, of a dense packing and what is near
+_FULL = 7  # contacts per body in a dense packing, near ones included
 
 
 def size(frame: Frame) -> int:
@@ -45,7 +45,7 @@ def size(frame: Frame) -> int:
 
 
 def largest_size(header: Header) -> int:
-    """Bytes that a checkpoint takes where bodies are packed densely."""
+    """Bytes of a checkpoint of densely packed bodies."""
     lasts = header.collides and len(header.forces) > 0
     return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0, len(header.forces))
 

@@ -1,4 +1,4 @@
-"""The two timelines of a recording, and the scale that makes any scene's times fit into int64 nanoseconds."""
+"""Converts simulated time to the timelines of a recording, scaled to fit into int64 nanoseconds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FINE = 1.0e-6  # s; what the shortest step becomes when it has to be scaled up
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Converts simulated seconds to what the timeline shows.
+    """Converts simulated seconds to times on the timeline.
 
     ``scale`` is a power of ten: one second on the timeline stands for ``scale`` seconds of simulated time.
     """
@@ -31,7 +31,7 @@ class Clock:
     def fitting(cls, duration: float, shortest_dt: float) -> Clock:
         """Choose the scale: 1 if it can be, more for long scenes, less for very short steps.
 
-        A duration that fits is worth more than a step that is resolved.
+        If both cannot be had, the duration fits and short steps are rounded.
         """
         least = math.ceil(math.log10(duration / _LONGEST)) if _positive(duration) else -300
         if least > 0:

@@ -1,4 +1,4 @@
-"""What is known of a run before its first frame."""
+"""What a recording says about a run before its first frame."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ _FORCES = {kind.recorded_with: kind.name for kind in FORCES}
 
 @dataclass(frozen=True, slots=True)
 class SweepMember:
-    """What a run is within a sweep."""
+    """A run's place in its sweep."""
 
     name: str  # shown in place of the title
-    parameters: Mapping[str, Any]  # what varies, and the seed; of TOML
-    command: str  # of the sweep: the run itself was started by a worker
+    parameters: Mapping[str, Any]  # keys that vary, and the random seed, as in TOML
+    command: str  # that started the sweep
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """Everything static about a run: who the bodies are, and which parts of the model the scene requires.
+    """Everything static about a run: its bodies, and which parts of the model the scene requires.
 
-    A part that is not required (a flag below is false) leaves no entity and no byte in the recording.
+    A part whose flag is false has no entity in the recording.
     """
 
     title: str

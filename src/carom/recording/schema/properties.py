@@ -1,4 +1,4 @@
-"""The recording properties: which keys carom writes, and what their values are."""
+"""The recording properties: their keys, and which values are valid."""
 
 from __future__ import annotations
 

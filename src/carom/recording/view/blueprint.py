@@ -15,11 +15,11 @@ from carom.recording.view.camera import View
 from carom.recording.write import encoder as entities
 
 _GHOST = 0x8A93A630
-_WIRE = 0x8A93A6FF  # bodies in the second view: only a hint of where they are
+_WIRE = 0x8A93A6FF  # bodies in the second view, behind arrows and edges
 
 
 def blueprint(header: Header, view: View) -> rrb.Blueprint:
-    """Lay out this scene, looking at what the view says."""
+    """Lay out a recording of this scene, with the camera at this view."""
     return rrb.Blueprint(
         rrb.Vertical(
             rrb.Horizontal(*_spatial(header, view), column_shares=_shares(header)),

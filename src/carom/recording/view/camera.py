@@ -1,4 +1,4 @@
-"""Where the bodies are, so that the first look at a recording shows them."""
+"""Places the camera so that a recording opens with its bodies in view."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from carom.physics.frame import Frame
 
 FloatArray = NDArray[np.float64]
 
-_MOST = 95.0  # per cent of the bodies to be seen; the rest may be on their way out
-_GROWTH = 2.5  # an eye further away than so many times what the first frame asks for would show it too small
+_MOST = 95.0  # per cent of the bodies in view; the others may be escaping
+_GROWTH = 2.5  # limit of the distance, in units of that for the first frame: farther away, bodies look too small
 _MARGIN = 1.05
 
 _TO_EYE = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # from the scene; z is up
@@ -25,7 +25,7 @@ _ASPECT = 1.25  # of the narrower of the two 3D views
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where an eye should be, and whether it should follow the bodies, which leave its view as a whole."""
+    """Position of the camera, and whether it follows the bodies because they leave its view as a whole."""
 
     target: FloatArray  # (3,) m
     distance: float  # m, of the eye from the target
@@ -38,7 +38,7 @@ class View:
 
 
 class CameraFit:
-    """How far away the eye must be to show most of the bodies. Robust: a few that fly off do not count."""
+    """Fits the camera's distance to most of the bodies; a few that escape do not count."""
 
     def __init__(self, radius: FloatArray, first: FloatArray) -> None:
         self._radius = radius
@@ -60,7 +60,7 @@ class CameraFit:
         self._still = max(self._still, self._distance(position, self._centre))
 
     def view(self) -> View:
-        """Show the first frame and, if that leaves it large enough, all others."""
+        """Return a view of the first frame and, unless bodies would look too small, of all others."""
         follows = self._drift > self._first / 2
         distance = self._moving if follows else self._still
         return View(self._centre, min(distance, _GROWTH * self._first), follows)

@@ -1,4 +1,4 @@
-"""Two recordings in one, to look at: the bodies of both, lines between counterparts, and how far apart they are."""
+"""Writes two recordings into one for comparison: the bodies of both, lines between counterparts, their distances."""
 
 from __future__ import annotations
 

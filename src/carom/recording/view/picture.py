@@ -9,7 +9,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.viewer import Viewer
 
-_ALIKE = 3  # so many equal pictures in a row: nothing is loading or settling any more
+_ALIKE = 3  # equal pictures in a row, after which nothing is still loading
 _PAUSE = 0.7  # s between two of them
 _LIMIT = 120.0  # s
 

@@ -1,4 +1,4 @@
-"""What a person reads first: the text of /scene, in Markdown."""
+"""The text at /scene, in Markdown: the run, the scales and the colours."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several runs of one scene in one recording: trajectories that lie over a reference, and how far they are from it."""
+"""Writes several runs of one scene into one recording: trajectories over a reference, and distances from it."""
 
 from __future__ import annotations
 

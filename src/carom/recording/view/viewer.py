@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process that one can drive: with a window, or without a screen for pictures."""
+"""Starts Rerun's viewer as a process and drives it: with a window, or headless for pictures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
 _START = 60.0  # s
 _LOAD = 120.0  # s
 _POLL = 0.1  # s
-_DYING = 2.0  # s a viewer may take to end after it stopped answering
+_DYING = 2.0  # s in which a viewer that stopped answering may end
 _GRACE = 5.0  # s between asking the process to end and ending it
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
@@ -108,7 +108,7 @@ class Viewer:
             return probe.connect_ex((_HOST, self._port)) == 0
 
     def _ask(self, question: Callable[[], _T]) -> _T:
-        """Ask the viewer something; a viewer that died meanwhile is the better explanation of a failure."""
+        """Ask the viewer; on failure report that its process has ended, if it has."""
         try:
             return question()
         except Exception as error:
@@ -118,7 +118,7 @@ class Viewer:
             raise RecordingError(f"the viewer does not answer: {error}") from error
 
     def until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
-        """Poll until something is done; RecordingError if the process ends or time runs out before."""
+        """Poll until something is done; RecordingError if the process ends or the time runs out first."""
         end = time.monotonic() + limit
         while not done():
             self._fail_if_ended()
@@ -170,7 +170,7 @@ def open_viewer(path: str | Path, at: float | None = None) -> None:
 
 
 def _reason(said: str) -> str:
-    """Say what a person can do about a viewer that ended, from its own words."""
+    """Turn the log of a viewer that ended into an explanation with a remedy."""
     lowered = said.lower()
     if "wgpu" in lowered or "vulkan" in lowered or "graphics" in lowered or "adapter" in lowered:
         return _VULKAN

@@ -1,7 +1,7 @@
-"""A bounded queue that hands out batches.
+"""A bounded queue between the physics thread and the recorder, read in batches.
 
-The reader sleeps until a batch is full or due. Woken for every frame, as by `queue.Queue`, it would take the
-interpreter's lock from the physics every time: a tenth of the run for 1000 bodies (benchmarks/recording.py).
+The reader sleeps until a batch is full or due. `queue.Queue` would wake it for every frame, and each time it would take
+the interpreter lock from the physics: a tenth of the run for 1000 bodies (benchmarks/recording.py).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _Item = TypeVar("_Item")
 
 
 class BatchQueue(Generic[_Item]):
-    """Holds at most ``capacity`` items; hands them out ``batch`` at a time, or what there is after ``seconds``."""
+    """Holds at most ``capacity`` items. `take` returns ``batch`` of them, or after ``seconds`` as many as there are."""
 
     def __init__(self, capacity: int, batch: int, seconds: float) -> None:
         self._capacity = max(capacity, batch)
@@ -22,12 +22,12 @@ class BatchQueue(Generic[_Item]):
         self._seconds = seconds
         self._items: list[_Item] = []
         self._changed = threading.Condition()
-        self._oldest = 0.0  # when the first of the items came
+        self._oldest = 0.0  # monotonic time when the first of the items was put in
         self._closed = False
         self._error: Exception | None = None
 
     def put(self, item: _Item) -> None:
-        """Add an item; wait while the box is full. Raises what `fail` was told, if anything was."""
+        """Add an item; wait while the queue is full. Raises the error given to `fail`, if any."""
         with self._changed:
             self._changed.wait_for(lambda: self._error is not None or len(self._items) < self._capacity)
             if self._error is not None:
@@ -35,23 +35,23 @@ class BatchQueue(Generic[_Item]):
             if not self._items:
                 self._oldest = time.monotonic()
             self._items.append(item)
-            if len(self._items) in (1, self._batch):  # the reader wants to know when to look, and when to take
+            if len(self._items) in (1, self._batch):  # the first starts the reader's clock, the last fills a batch
                 self._changed.notify_all()
 
     def close(self) -> None:
-        """Let the reader take what is left, and then end."""
+        """Let the reader take the remaining items; after them `take` returns an empty batch."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def fail(self, error: Exception) -> None:
-        """Let the writer know that nobody reads any more, and why."""
+        """Make every later `put` raise this error: the reader has stopped."""
         with self._changed:
             self._error = error
             self._changed.notify_all()
 
     def take(self) -> list[_Item]:
-        """Wait for a batch; an empty one is the end."""
+        """Wait for a batch; an empty one means that the queue is closed."""
         with self._changed:
             while not self._closed and len(self._items) < self._batch:
                 left = self._oldest + self._seconds - time.monotonic() if self._items else None

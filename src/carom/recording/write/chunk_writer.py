@@ -1,4 +1,4 @@
-"""`Writer`: makes an .rrd out of chunks of others."""
+"""`Writer`: writes an .rrd from the chunks of other files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from carom.recording.write.claim import Claim
 from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 
-_FLUSH = 60.0  # s; a disk that takes longer has hung
+_FLUSH = 60.0  # s; a disk that takes longer counts as failed
 
 
 class Writer:
-    """Writes one file, under another name until it is whole: nobody ever finds half of it, nor loses the one before.
+    """Writes one file under a temporary name, and renames it once it is complete.
 
     Leaving the context closes the file and gives it its name; leaving it with an exception removes what there is.
     """
@@ -53,7 +53,7 @@ class Writer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Close; RecordingError if what was sent is not all in the file."""
+        """Close the file. RecordingError if not everything sent is in it."""
         try:
             self._stream.disconnect()
             self._sink.close()
@@ -71,11 +71,11 @@ class Writer:
             rr.send_chunks(part, recording=self._stream)
 
     def send_columns(self, path: str, index: list[rr.TimeColumn], columns: rr.ComponentColumnList) -> None:
-        """Send rows of an entity that are made anew."""
+        """Send new rows of an entity."""
         self._stream.send_columns(path, index, columns)
 
     def log(self, path: str, archetype: rr.AsComponents) -> None:
-        """Send what holds for the whole recording."""
+        """Send static data."""
         self._stream.log(path, archetype, static=True)
 
     def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
@@ -87,7 +87,7 @@ class Writer:
         send_layout(self._stream, self._application, layout)
 
     def flush(self) -> None:
-        """Wait until all that was sent is in the file; raise if it cannot be."""
+        """Wait until everything sent is in the file; raises if it cannot be written."""
         self._stream.flush(timeout_sec=_FLUSH)
         self._sink.settle()
         self._fail_if_full()

@@ -1,4 +1,4 @@
-"""The sole right to write a file: two programs that write one file leave neither's recording."""
+"""An exclusive lock on an output file: two processes that wrote one file would destroy both recordings."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Claim:
     def release(self) -> None:
         """Let others write the path."""
         with contextlib.suppress(OSError):
-            self._lock.unlink()  # while it is locked: whoever opened it meanwhile sees that it has gone
+            self._lock.unlink()  # while still locked: a process that opened it meanwhile notices that it is gone
         os.close(self._descriptor)
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 
 class DiskReserve:
-    """An unnamed file of the wanted size beside the recording. Dropping it makes room for the last words."""
+    """An unnamed file beside the recording. Releasing it frees the space for the end of the recording."""
 
     def __init__(self, folder: Path) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it lives as long as the recording
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Hold at least ``size`` bytes. OSError (ENOSPC) if the disk has not got them."""
+        """Reserve at least ``size`` bytes. OSError (ENOSPC) if the disk is too full."""
         if size > self.size:
             self._allocate(size - self.size)
             self.size = size
@@ -27,7 +27,7 @@ class DiskReserve:
     def _allocate(self, more: int) -> None:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._file.fileno(), self.size, more)
-        else:  # macOS: what is written is surely there
+        else:  # macOS: only written bytes are surely allocated
             self._file.seek(self.size)
             self._file.write(bytes(more))
             self._file.flush()

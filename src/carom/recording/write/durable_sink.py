@@ -1,9 +1,8 @@
-"""The end of a recording that touches the disk.
+"""Writes the recording to disk and keeps the file readable when writing fails.
 
-Rerun's file sink is given a pipe instead of the file. A sink whose write fails loses its thread, leaves half a message
-behind and can hang the process at exit; so it never sees a failure. What comes out of the pipe is written here, whole
-message by whole message. When the disk is full the reserve is dropped and writing goes on: there is room for what is
-under way and for a proper end.
+When a write of Rerun's own file sink fails, its thread dies, half a message stays in the file, and the process may hang
+at exit. So the sink writes into a pipe, which never fails, and `DurableSink` copies the pipe to the file, one whole
+message at a time. When the disk is full it releases a reserve, which leaves room for pending messages and the footer.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 from carom.recording.write.disk_reserve import DiskReserve
 
-_PIPE = 1 << 20  # bytes; the most an unprivileged process may ask for
+_PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
 _POLL = 0.0005  # s
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
@@ -33,8 +32,8 @@ class DurableSink:
 
     def __init__(self, path: Path, reserve: int) -> None:
         self.path = path
-        self.full = False  # the disk is full, the reserve is being used: close now
-        self.error: OSError | None = None  # nothing can be written any more
+        self.full = False  # the disk is full and the reserve in use: close the recording now
+        self.error: OSError | None = None  # the write error after which nothing more is written
         self.messages = 0
         self.written = 0  # bytes, always at the end of a message
         try:
@@ -44,7 +43,7 @@ class DurableSink:
         except OSError as error:
             raise RecordingError(f"cannot write {path}: {error.strerror}") from error
         self._source, self._entry = os.pipe()
-        if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux; elsewhere a pipe has the size that it has
+        if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux only
             fcntl.fcntl(self._entry, fcntl.F_SETPIPE_SZ, _PIPE)
         soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
@@ -59,11 +58,11 @@ class DurableSink:
         return f"/dev/fd/{self._entry}"
 
     def opened(self) -> None:
-        """Tell that the sink has opened the entry: from now on the pipe ends when the sink closes it."""
+        """Close our end of the pipe after Rerun's sink opened its own: the pipe then ends when that sink closes."""
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
-        """Keep so many bytes for the end; a disk that has not got them counts as full."""
+        """Reserve this many bytes for closing the file; without room for them the disk counts as full."""
         if self.full:
             return
         try:
@@ -101,7 +100,9 @@ class DurableSink:
     def _copy(self) -> None:
         while True:
             select.select([self._source], [], [])
-            with self._turn:  # read and write in one turn: an empty pipe then means that all is written
+            with (
+                self._turn
+            ):  # read and write under one lock: `settle` may then conclude from an empty pipe that all is written
                 piece = os.read(self._source, _PIPE)
                 for message in self._splitter.feed(piece):
                     self._write(message)
@@ -110,9 +111,9 @@ class DurableSink:
 
     def _write(self, message: bytes) -> None:
         if self.error is not None:
-            return  # keep the pipe empty all the same, or the sink would wait for ever
+            return  # keep draining the pipe, or Rerun's sink would block for ever
         if self._limit is not None and self.written + len(message) > self._limit - self._reserve.size:
-            self._use_reserve()  # a limit on the file's size is met like a full disk: early enough
+            self._use_reserve()  # treat a file size limit like a full disk, before it is reached
         rest = memoryview(message)
         while rest:
             try:

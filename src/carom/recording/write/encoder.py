@@ -1,7 +1,7 @@
-"""Frames → Rerun's columns.
+"""Encodes batches of frames as Rerun's columns.
 
-One :class:`Rows` is one entity's part of a batch: what `send_columns` takes, with the bytes of the arrays in it. A part
-of the model that the scene does not require has no entity here.
+A `Rows` holds one entity's part of a batch, as `send_columns` takes it, and the size of its arrays. Parts of the model
+that the scene does not require have no entity.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Rows:
 
 
 def shape(header: Header) -> str:
-    """How bodies are drawn: "ellipsoids", "mesh" (many, turning) or "points" (many, not turning)."""
+    """Return how bodies are drawn: "ellipsoids", or if there are many "mesh" (with orientations) or "points"."""
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
     return "mesh" if header.has_orientation else "points"
@@ -73,7 +73,7 @@ def arrow_length(header: Header, path: str) -> float:
 
 
 def surroundings(header: Header) -> list[str]:
-    """Entities of what stands still."""
+    """Return the entities of planes, walls and periodic box that the scene has."""
     parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
     return [path for path, part in parts if part is not None]
 
@@ -120,7 +120,7 @@ class BatchEncoder:
         yield self._momenta(batch)
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
-        """Keep the exact state of some frames."""
+        """Encode the exact state of some frames."""
         encoded = checkpoint.encode([frame.checkpoint for frame in frames])
         columns = [
             column for name, (values, each) in encoded.items() for column in _any_column(name, values).partition(each)
@@ -193,7 +193,7 @@ class BatchEncoder:
         return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin, body))
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
-        """Estimate what takes a body's momentum, at its rim, in one step: no tiny torque or angular acceleration."""
+        """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""
         if frame.dt <= 0:
             return 0.0
         drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
@@ -236,7 +236,7 @@ class BatchEncoder:
             yield _rows(series.path, batch, rr.Scalars.columns(scalars=values), _bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
-        """Rows only where the state differs from the one before."""
+        """Yield rows only for frames whose state differs from the frame before."""
         changed = []
         for frame in batch:
             if self._last_state.get(path) != state(frame):

@@ -1,8 +1,7 @@
-"""The loops over bodies and contacts of a batch of frames: float64 state into the float32 that is drawn.
+"""Loops over the bodies and contacts of a batch of frames that turn float64 state into the float32 that is drawn.
 
-They are kernels for the sake of the physics, not of speed as such: NumPy would hold the interpreter's lock meanwhile,
-and the physics wants it back after every kernel of its own. One call serves a whole batch: with one a frame, each of
-them took the lock from the physics once more, and that cost twice the work itself.
+They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. One
+call handles a whole batch: a call for every frame takes the lock so often that it costs twice the work itself.
 """
 
 from __future__ import annotations

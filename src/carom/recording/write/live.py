@@ -1,4 +1,4 @@
-"""A second stream to a viewer that watches the run. It may go away at any time; the file goes on."""
+"""A second stream, to a running viewer. The viewer may close at any time; the recording continues."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rerun as rr
 from carom.recording.errors import RecordingError
 
 _PROBE = 2.0  # s
-_PATIENCE = 5.0  # s; a viewer that takes longer for a second's worth of frames has hung
+_PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts as hung
 
 
 class LiveView:
@@ -24,11 +24,11 @@ class LiveView:
         self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
 
     def streams(self) -> tuple[rr.RecordingStream, ...]:
-        """Give the stream to send to, or none once the viewer has gone."""
+        """Return the stream to send to, or none once the viewer has closed."""
         return () if self._stream is None else (self._stream,)
 
     def flush(self) -> None:
-        """Wait until the viewer has what was sent; stop sending if it has gone, for its queue would only grow."""
+        """Wait until the viewer has received everything; stop sending if it has closed, since the queue would grow."""
         if self._stream is None:
             return
         try:
@@ -38,12 +38,12 @@ class LiveView:
             self._hang_up()
 
     def close(self) -> None:
-        """Send what is left and hang up."""
+        """Send what is left and disconnect."""
         self.flush()
         self._hang_up()
 
     def _hang_up(self) -> None:
-        """Disconnect, but do not wait for a viewer that never answers."""
+        """Disconnect; a viewer that does not answer is left after `_PATIENCE`."""
         if self._stream is not None:
             disconnecting = threading.Thread(target=self._stream.disconnect, name="carom-live-end", daemon=True)
             disconnecting.start()

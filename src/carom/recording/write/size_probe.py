@@ -1,4 +1,4 @@
-"""What a recording will take, found out by writing one batch of frames: bytes and time, entity by entity."""
+"""Measures bytes and time per entity by writing one batch of frames to a temporary file."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.statics import statics
 from carom.recording.write.stream import Stream
 
-BATCH_BYTES = 4_000_000  # as the recorder's, for a call costs 0.2 ms besides its data
+BATCH_BYTES = 4_000_000  # as the recorder's: a call costs 0.2 ms besides its data
 BATCH_FRAMES = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """What an entity takes."""
+    """The cost of one entity."""
 
-    once: int  # bytes, however long the recording is
-    bytes: float  # a frame, of the arrays
-    seconds: float  # a frame, in the recorder's thread
+    once: int  # bytes of static data
+    bytes: float  # bytes of arrays per frame
+    seconds: float  # s of the recorder's thread per frame
 
 
-def trial(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
-    """Write frames, over and over until they fill a batch, to a file that is then of no use.
+def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
+    """Write a batch that repeats some frames, and measure what each entity takes. The file is of no further use.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def trial(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
-        _send(batch, stream, BatchEncoder(header, origin), clock)  # loads what is loaded once
+        _send(batch, stream, BatchEncoder(header, origin), clock)  # the first call loads libraries and kernels
         sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
     finally:
         stream.close()

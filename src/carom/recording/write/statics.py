@@ -1,4 +1,4 @@
-"""What is logged once and holds for the whole recording: texts, sizes, colours, names of series."""
+"""Static data, logged once: texts, sizes, colours, names of series."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Static = tuple[str, rr.AsComponents]
 
 _THICK, _THIN = 0.16, 0.07  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
-_PLANE_REACH = 1.5  # of the distance to which the bodies begin
+_PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _PLANE_LINES = 13  # in each direction
-_MESH_RINGS = 8  # from pole to pole: 8 rings of 16 look round at the size that one of thousands has
+_MESH_RINGS = 8  # from pole to pole; enough for a sphere among thousands to look round
 
 
 def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
-    """Everything static, entity by entity; ``reach`` is how far from the origin the bodies begin, in m."""
+    """Yield everything static, entity by entity; at the start all bodies are within ``reach`` (m) of the origin."""
     yield (
         paths.SCENE,
         rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
@@ -81,7 +81,7 @@ def _bodies(header: Header) -> Iterable[Static]:
 
 
 def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
-    """Draw what stands still: the box, and planes as grids of squares."""
+    """Draw the walls or the periodic box, and each plane as a square grid."""
     for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.box)):
         if size is not None:
             yield (
@@ -116,7 +116,7 @@ def _grid(normal: NDArray[np.float64], offset: float, reach: float) -> NDArray[n
 
 
 def _two_tone_sphere() -> rr.Mesh3D:
-    """Make a unit sphere whose half is dark, so that turning shows."""
+    """Make a unit sphere with one dark half, so that rotation is visible."""
     polar = np.linspace(0.0, np.pi, _MESH_RINGS + 1)
     around = np.linspace(0.0, 2.0 * np.pi, 2 * _MESH_RINGS, endpoint=False)
     theta, phi = np.meshgrid(polar, around, indexing="ij")

@@ -1,4 +1,4 @@
-"""`Stream`: Rerun's recording stream into a file and, if one listens, into a live viewer."""
+"""`Stream`: sends rows, properties and layouts to the file and to the live viewer, if there is one."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks
 from carom.recording.write.statics import statics
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
-_FLUSH = 60.0  # s; a disk that takes longer has hung
+_FLUSH = 60.0  # s; a disk that takes longer counts as failed
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
 
 
 class Stream:
-    """Where rows go. Counts the bytes of the arrays, and notices when the disk is full."""
+    """Sends what is recorded. Counts the bytes of all arrays, and raises when the disk is full."""
 
     def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
         self.path = path
@@ -42,7 +42,7 @@ class Stream:
         self._index: list[rr.TimeColumn] = []
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
-        # what is under way when the disk is found full, and the last checkpoint, must still fit
+        # room for a batch in flight when the disk fills up, for the last checkpoint and for the end of the file
         self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
         self._sink = DurableSink(path, self._reserve)
         end_earlier_streams()
@@ -52,7 +52,7 @@ class Stream:
 
     @property
     def is_live(self) -> bool:
-        """Whether somebody watches."""
+        """Whether a live viewer is connected."""
         return self._live is not None
 
     def send(self, rows: Rows, clock: Clock) -> None:
@@ -64,7 +64,7 @@ class Stream:
         self.payload_bytes += rows.bytes
 
     def send_continued(self, continued: Continuation) -> None:
-        """Send what an earlier recording holds; raises if the disk is full."""
+        """Send the frames that a resumed run takes over; raises if the disk is full."""
         sent = 0
         for chunk in continued.chunks():
             for stream in self._streams():
@@ -81,7 +81,7 @@ class Stream:
         self.send(event_rows([event]), clock)
 
     def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
-        """Send everything that holds for the whole recording; the bodies begin up to ``reach`` from the origin."""
+        """Send everything static; at the start all bodies are within ``reach`` (m) of the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
         self.send_property("carom", self._identity(clock, origin))
@@ -94,18 +94,18 @@ class Stream:
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
 
     def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.float64]]) -> None:
-        """Send a recording property; an empty one is left out."""
+        """Send a recording property, unless it is empty."""
         for stream in self._streams():
             if values:
                 stream.send_property(name, rr.AnyValues(True, **values))
 
     def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
-        """Send a layout; the last one sent is the one that opens."""
+        """Send a layout; the file opens with the last one sent."""
         for stream in self._streams():
             send_layout(stream, self._application, layout)
 
     def flush(self) -> None:
-        """Wait until all that was sent is in the file; raise if it cannot be."""
+        """Wait until everything sent is in the file; raises if it cannot be written."""
         self._stream.flush(timeout_sec=_FLUSH)
         self._sink.settle()
         self._sink.reserve(self._reserve + _FOOTER_BYTES * self._sink.messages)
@@ -119,7 +119,7 @@ class Stream:
             raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
 
     def close(self) -> None:
-        """Write the footer and close the file. Raises if the end could not be written."""
+        """Write the footer and close the file; raises if the footer cannot be written."""
         self._stream.disconnect()
         self._sink.close()
         if self._live is not None:
