@@ -143,7 +143,7 @@ def assert_the_small_ones_are_there(folder: Path, ended: subprocess.CompletedPro
 
 def test_a_run_too_large_for_the_disk_leaves_the_others(tmp_path: Path) -> None:
     write_scene(tmp_path)
-    ended = carom_process("sweep", "spheres.toml", *DISK, "-o", "out", cwd=tmp_path, limit=8_000_000)
+    ended = carom_process("sweep", "spheres.toml", *DISK, "-o", "out", cwd=tmp_path, limit=12_000_000)
     assert_the_small_ones_are_there(tmp_path / "out", ended)
 
 

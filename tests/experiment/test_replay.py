@@ -28,7 +28,8 @@ from carom.scene.schema import Scene
 from crafted import changed, mapped
 from examples import cloud
 
-SHORT = {"kepler-orbits": 0.1, "planet-with-gravel": 0.2, "rubble-collision": 0.3}  # parts of their durations
+# parts of their durations
+SHORT = {"kepler-orbits": 0.1, "marbles-in-a-box": 0.2, "planet-with-gravel": 0.2, "rubble-collision": 0.3}
 
 
 @pytest.mark.parametrize("name", bundled_scenes())

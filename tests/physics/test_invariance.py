@@ -88,7 +88,7 @@ def in_other_units(document: Document, length: float, mass: float, time: float) 
 powers = st.integers(-20, 20).map(lambda k: 2.0**k)  # far from underflow: the smallest square is some 10⁻⁵⁰ of a unit
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(document=documents(), length=powers, mass=powers, time=powers)
 def test_units_that_are_powers_of_two_change_no_bit(
     document: Document, length: float, mass: float, time: float
@@ -122,7 +122,7 @@ def same(a: NDArray[Any] | None, b: NDArray[Any] | None, factor: float = 1.0) ->
         assert np.array_equal(a * factor, b)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(document=documents(periodic=False), axis=st.sampled_from([1, 2]))
 def test_a_mirror_image_has_the_same_bits(document: Document, axis: int) -> None:
     # A change of sign commutes with every operation: nothing in a step knows left from right. Not mirrored in x, since

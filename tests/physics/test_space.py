@@ -174,11 +174,10 @@ def test_the_cradle_sends_out_as_many_as_came_in() -> None:
     assert np.allclose(speed, [0, 0, 0, 0, 0, 1, 1], rtol=0, atol=1e-14)
 
 
-@pytest.mark.parametrize("threads", [2, 4])
-def test_threads_change_no_bit_of_a_run(threads: int) -> None:
-    assert [frame.fingerprint for frame in Space(big(), threads).run()] == [
-        frame.fingerprint for frame in Space(big(), 1).run()
-    ]
+def test_threads_change_no_bit_of_a_run() -> None:
+    alone, two, four = ([frame.fingerprint for frame in Space(big(), threads).run()] for threads in (1, 2, 4))
+    assert two == alone
+    assert four == alone
 
 
 def big() -> Scene:
@@ -235,7 +234,7 @@ def test_frames_come_at_the_first_step_past_each_multiple() -> None:
         assert 0.5 * k <= time < 0.5 * k + 0.02
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 10**6), e=st.floats(0, 1), mu=st.floats(0, 1.5))
 def test_any_collapse_keeps_momentum_and_gains_no_energy(seed: int, e: float, mu: float) -> None:
     scene = cloud(seed=seed, count=15, contact={"restitution": e, "static_friction": mu, "kinetic_friction": mu / 2})

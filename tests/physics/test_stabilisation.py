@@ -90,6 +90,7 @@ def test_what_impacts_leave_is_undone_by_pushes_and_by_nothing_else() -> None:
     assert left["split"] < 1e-2 * left["none"]
 
 
+@pytest.mark.slow
 def test_a_frictionless_column_that_falls_into_a_box_finds_rest() -> None:
     # Ten layers on average. Pushed apart by whole overlaps the column never rested: a kinetic energy of 0.13 m g d each
     # for ever, fed by pushes, and overlaps of 1.4 radii.
