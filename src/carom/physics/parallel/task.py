@@ -1,8 +1,7 @@
-"""A kernel and its arguments as two addresses, so that any thread can do a piece of it without the interpreter.
+"""A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
-A helper that has to ask the interpreter what to call needs its lock, which the leader is holding, or waits for: half a
-dozen pieces cost 10 to 30 µs for that alone. Numba knows functions as values, but only those whose arguments it
-knows, and to hand a kernel to another one compiles it once more.
+A helper that asks the interpreter what to call waits for its lock: 10 to 30 µs for half a dozen pieces. Numba can pass
+a kernel to another kernel as a value, but then compiles the other one again for each kernel and each set of arguments.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ from numba.core import callconv, cgutils
 from carom.physics.parallel.intrinsics import instruction
 
 WORD = ir.IntType(64)
-PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does, of the job at an address, a piece of some number
-FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job: error code and its exception, if a piece failed
+PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does a piece: address of the job, number of the piece
+FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job; error code (0: none), exception
 
 
 def address_of(kernel: Callable[..., None], kind: int) -> int:
-    """Return where the machine code of a kernel begins that takes such a kind of arguments, lo and hi before them."""
+    """Return the address of a kernel's machine code for (lo, hi, *arguments) of some kind, see `kind_of`."""
     for compiled in kernel.overloads.values():  # type: ignore[attr-defined]
         if _kind(compiled.signature.args[2:]) == kind:
             address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
@@ -38,7 +37,7 @@ def _kind(kinds: Sequence[Any]) -> int:
 
 @instruction
 def kind_of(typing: Any, arguments: Any) -> Any:
-    """Return a number, not 0, that tells of the types of a tuple's members."""
+    """Return a number, not 0, that identifies the types of a tuple's members."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return WORD(_kind(list(arguments)))
@@ -53,7 +52,7 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
     Returns
     -------
     doer, job
-        The address of what does a piece of such a job, and that of the job.
+        Addresses of the function that does a piece of such a job, and of the job.
     """
     kinds = (types.int64, types.int64, *arguments)
 
@@ -71,9 +70,9 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
 
 
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
-    """Write the function that calls the kernel of a job with lo and hi of a piece, and with its arguments.
+    """Write the function that calls the kernel of a job on a piece.
 
-    It notes in the job the first exception that the kernel raises, for `raise_fault`.
+    It keeps the first exception of a job there, for `raise_fault`.
     """
     doer = ir.Function(module, PIECE, module.get_unique_name("do_a_piece"))
     doer.linkage = "internal"

@@ -1,17 +1,21 @@
-"""Threads that share out the pieces of a kernel's work among them, without waiting for each other's beginning.
+"""A team of threads that divides the work of a kernel: a leader and helpers.
 
-One thread leads: it posts a phase of so many pieces on a board, takes pieces like everybody else, and posts the next
-phase when all of them are done. The others help: they take pieces as long as there are any. Which piece is done by whom
-is left to chance, so a phase may only hold pieces that are independent, and then the bits do not depend on it.
+The leader posts a phase of independent pieces on a board, takes pieces itself, and posts the next phase when all are
+done. Helpers take pieces while there are any. Chance decides which thread does which piece, so the pieces of a phase
+must be independent: then the bits do not depend on the number of threads.
 
-The leader waits for pieces that were taken, never for helpers: with a helper that another process keeps from running
-it does the work alone. A helper offers its core to other processes between two pieces, so that it is seldom stopped in
-the middle of one. That is what threads that meet at a barrier cannot do. Rejected: `prange`, whose threads meet
-after each of hundreds of colours (2 µs in quiet, 7.8 ms beside two busy processes with libgomp as it comes, and a layer
-of threads that differs from machine to machine); a task of a thread pool for each phase (20 µs, and 60 to 80 µs where
-the thread has been asleep for a millisecond; a helper that still looks out for work begins in 1); helpers that ask the
-interpreter what to call (for its lock they and the leader waited 10 to 30 µs a phase, which took 1.2 instead of 1.65
-from a step of 10⁴ bodies on two threads).
+The leader waits for pieces that somebody has taken, never for a helper to start. If another process keeps a helper from
+running, the leader does the work alone. Helpers yield their core between pieces, so they are rarely interrupted within
+one.
+
+Rejected, with what was measured:
+
+- `prange`: its threads meet at a barrier after each of hundreds of colours, 2 µs on a quiet machine and 7.8 ms beside
+  two busy processes with libgomp's defaults. Its threading layer differs from machine to machine.
+- One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
+  still looks at the board begins within 1 µs.
+- Helpers that ask the interpreter what to call: they and the leader wait for its lock, 10 to 30 µs a phase. A step of
+  10⁴ bodies gained a factor of 1.2 from a second thread that way, 1.65 without.
 """
 
 from __future__ import annotations
@@ -34,28 +38,28 @@ from carom.physics.parallel.task import address_of, c_function, call, do, kind_o
 IntArray = NDArray[np.int64]
 
 LEFT, BACK, DONE, OVER, CALLS, DOER = 0, 8, 16, 24, 32, 40  # words of the board, each in a cache line of its own
-FAILED = OVER + 1  # whether a helper has
-JOB = DOER + 1  # only the leader writes to either
+FAILED = OVER + 1  # not 0 if a helper raised an exception
+JOB = DOER + 1  # written by the leader only, like DOER
 WORDS = 48
-PATIENCE = 5000  # looks at the board, some 20 µs, before a helper without work gives its core away
-LOOKOUT = 50 * PATIENCE  # looks between two jobs, before it goes to sleep; with a fifth of it, 1.38 instead of 1.53
-SHIFT = 32  # pieces, half a millisecond, after which it offers it to others
+PATIENCE = 5000  # looks at the board, about 20 µs, before an idle helper yields its core
+LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; a fifth of it gained 1.38 instead of 1.53
+SHIFT = 32  # pieces, about half a millisecond, before a busy helper yields its core
 END, YIELD, REST = range(3)  # what a helper does next
-SHARED = 0  # what a leader ends with, unless it was given the code for another kind of arguments
-PIECES = 16  # for each thread, at most: the last ones end at about the same time
-NAP = 50e-6  # s, for how long
+SHARED = 0  # returned by `_lead` when the job is done; otherwise the kind of arguments that it needs code for
+PIECES = 16  # for each thread, at most: enough for all threads to finish at about the same time
+NAP = 50e-6  # s, between two looks of a helper that rests
 
 
 class Team:
-    """Helpers for kernels that share their work. One thread at a time may lead them.
+    """A leader and its helpers. One thread at a time may lead.
 
     Parameters
     ----------
     threads
-        The leader included; with one there are no helpers.
+        Including the leader.
     """
 
-    least = 2  # parts, that are worth to be shared out
+    least = 2  # grains of work; less is not shared
 
     def __init__(self, threads: int) -> None:
         self.size = threads
@@ -63,21 +67,22 @@ class Team:
         self._board = np.zeros(WORDS, dtype=np.int64)
         self._falling_asleep = threading.Lock()
         self._awake = [True] + [False] * (threads - 1)
-        self._answered = [0] * threads  # the last call that each has heard
+        self._answered = [0] * threads  # the last call that each has answered
         self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
         self._call: _Call | None = None
         self._leading = threading.Lock()
 
     @contextmanager
     def gathered(self, help_out: Callable[..., int], *work: Any) -> Iterator[IntArray]:
-        """Let helpers begin on a board of their own, and hand it out; it is empty if there are none.
+        """Call the helpers to a board of its own, which is yielded; it is empty if there are no helpers.
 
-        The leader dismisses them, or an exception does. One that a helper raises is raised here.
+        They are dismissed at the end of the block, if the leader has not done so. An exception that a helper raises is
+        raised here.
 
         Parameters
         ----------
         help_out
-            Kernel called with the board and ``work`` until it returns `END`; after `REST` not at once.
+            Kernel that helpers call with the board and ``work`` until it returns `END`; after `REST` they pause first.
         """
         if self._pool is None:
             yield ALONE
@@ -95,16 +100,18 @@ class Team:
             self._leading.release()
 
     def divide(self, count: int, grain: int, work: Callable[..., None], *arguments: Any) -> None:
-        """Call a kernel, whose first arguments are lo and hi, on parts that make up [0, count).
+        """Call ``work(lo, hi, *arguments)`` on pieces that make up [0, count).
+
+        An exception that it raises in a piece is raised here when all pieces are done.
 
         Parameters
         ----------
         grain
-            So many take some 10 µs: fewer are not worth a part of their own.
+            Elements that take about 10 µs: the smallest piece.
         work
-            Lets go of the interpreter. An exception that it raises on any part is raised here when all are done.
+            A `long_kernel`, which releases the interpreter's lock.
         """
-        if self._pool is None or count < self.least * grain:  # asked first: of a few bodies all of it is calls
+        if self._pool is None or count < self.least * grain:  # first: with few bodies, calls are most of a step's time
             work(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
@@ -132,14 +139,14 @@ class Team:
     def _rouse(self) -> None:
         """Wake the helpers that are asleep."""
         assert self._pool is not None
-        with self._falling_asleep:  # a helper that is about to has either seen what was posted, or is seen asleep
+        with self._falling_asleep:  # a helper either sees what was posted before it sleeps, or is seen asleep here
             for who, awake in enumerate(self._awake):
                 if not awake:
                     self._awake[who] = True
                     self._pool.submit(self._look_out, who)
 
     def _look_out(self, who: int) -> None:
-        """Help with whatever comes, until nothing has come for a while."""
+        """Help with jobs and calls; return after a while without any."""
         while self._awake[who]:
             if _look(self._board, self._answered[who], OFFER):
                 self._answered[who] = int(self._board[CALLS])
@@ -154,13 +161,11 @@ class Team:
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers
-
-
 SOLO = Team(1)
 
 
 class _Call:
-    """What helpers of a team are called to, on a board of its own."""
+    """Work that helpers are called to, with a board of its own."""
 
     def __init__(self, help_out: Callable[..., int], work: tuple[Any, ...]) -> None:
         self.board: IntArray = np.zeros(WORDS, dtype=np.int64)
@@ -168,7 +173,7 @@ class _Call:
         self._fault: BaseException | None = None
 
     def help(self) -> None:
-        """Help until dismissed. An exception is kept for the leader, who would wait for the piece for ever."""
+        """Help until dismissed. An exception is kept for the leader, who is told not to wait for its piece."""
         try:
             while (then := self._help_out(self.board, *self._work)) != END:
                 if then == REST:
@@ -177,7 +182,7 @@ class _Call:
                     _offer_core()
         except BaseException as fault:
             self._fault = fault
-            _fail(self.board)
+            self.board[FAILED] = 1
 
     def end(self) -> None:
         """Dismiss the helpers, and raise what one of them raised."""
@@ -201,7 +206,7 @@ def cores() -> int:
 
 @kernel
 def post(board: IntArray, pieces: int) -> None:
-    """Post a phase of so many pieces; what they need to know has been written before."""
+    """Post a phase of so many pieces. Write what helpers read of it first."""
     atomic_store(board, DONE, 0)
     atomic_store(board, BACK, pieces)
     atomic_store(board, LEFT, pieces)
@@ -209,16 +214,16 @@ def post(board: IntArray, pieces: int) -> None:
 
 @kernel
 def claim(board: IntArray) -> bool:
-    """Claim one piece of the phase on the board, if there is one left: the leader the next one from the front."""
+    """Claim a piece of the phase; False if none is left. The leader takes the next one from the front."""
     claimed: bool = atomic_load(board, LEFT) > 0 and atomic_add(board, LEFT, -1) > 0
     return claimed
 
 
 @kernel
 def last_piece(board: IntArray) -> int:
-    """Return which piece a helper that claimed one does: the next one from the back.
+    """Return the piece for a helper that claimed one: the next one from the back.
 
-    From phase to phase bodies then mostly stay in the cache of the core that had them before.
+    With the leader at the front, bodies mostly stay in the same core's cache from phase to phase.
     """
     piece: int = atomic_add(board, BACK, -1) - 1
     return piece
@@ -226,7 +231,7 @@ def last_piece(board: IntArray) -> int:
 
 @kernel
 def finish(board: IntArray) -> None:
-    """Say that a piece is done."""
+    """Count a piece as done."""
     atomic_add(board, DONE, 1)
 
 
@@ -238,14 +243,9 @@ def wait(board: IntArray, pieces: int) -> None:
             raise RuntimeError("a helper failed")
 
 
-@kernel
-def _fail(board: IntArray) -> None:
-    atomic_store(board, FAILED, 1)
-
-
 @long_kernel
 def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
-    """Do the pieces of [0, count) with the code of a kernel: return `SHARED`, or the kind that it should be for."""
+    """Do the pieces of [0, count) with a kernel's code; return `SHARED`, or the kind that it should be for."""
     needed: int = kind_of(arguments)
     if kind != needed:
         return needed
@@ -257,7 +257,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 
 @kernel
 def _take_part(board: IntArray, pieces: int) -> None:
-    """Post the pieces of the job on the board, and do them with the others: apart, to be compiled for all kinds."""
+    """Post the pieces of the job and do them with the helpers. Compiled once, unlike `_lead`, for all arguments."""
     post(board, pieces)
     k = 0
     while claim(board):
@@ -269,14 +269,14 @@ def _take_part(board: IntArray, pieces: int) -> None:
 
 @long_kernel
 def _look(board: IntArray, calls: int, offer: int) -> bool:
-    """Help until nothing has come for a while, or until there is a call; tell which: whether there is one.
+    """Help with jobs until there is a call, True, or until there has been nothing to do for a while, False.
 
     Parameters
     ----------
     calls
-        How many have been answered.
+        Number of calls that this helper has answered.
     offer
-        The address of what offers the core to others, or 0.
+        Address of the C function that yields the core, or 0.
     """
     idle = 0
     while idle < LOOKOUT:
@@ -294,7 +294,7 @@ def _look(board: IntArray, calls: int, offer: int) -> bool:
 
 @contextmanager
 def sharing_all() -> Iterator[None]:
-    """Share out even what is not worth it, so that the kernels that this takes are compiled or loaded."""
+    """Share even the smallest work, so that the kernels for sharing are compiled or loaded."""
     least, Team.least = Team.least, 0
     try:
         yield
@@ -303,20 +303,20 @@ def sharing_all() -> Iterator[None]:
 
 
 def load_helpers() -> None:
-    """Load the kernel that helpers wait in; a run does so when it first shares work out."""
+    """Load the kernel in which helpers wait, as a run does when it first shares work."""
     board = np.zeros(WORDS, dtype=np.int64)
-    _look(board, int(board[CALLS]) - 1, OFFER)  # as if there were a call: it ends at once
+    _look(board, int(board[CALLS]) - 1, OFFER)  # returns at once, since there seems to be a call
 
 
 @kernel
 def dismiss(board: IntArray) -> None:
-    """Send the helpers away."""
+    """Dismiss the helpers."""
     if len(board) > 0:
         atomic_store(board, OVER, 1)
 
 
 @kernel
 def is_over(board: IntArray) -> bool:
-    """Tell whether the helpers have been sent away."""
+    """Tell whether the helpers have been dismissed."""
     over: bool = atomic_load(board, OVER) != 0
     return over
