@@ -12,7 +12,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
-from carom.physics.timestep import BLOCK, SOME, Timestep
+from carom.physics.timestep import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
 from carom.plan.features import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
 from examples import kinetic_energy_of, random_bodies
@@ -78,7 +78,10 @@ def test_a_scene_that_falls_as_a_whole_gets_the_same_steps() -> None:
 def test_threads_that_share_the_bodies_find_the_same_step(
     rule: Literal["every-body", "fastest-body"], target_dx: float
 ) -> None:
-    bodies, time = random_bodies(2 * SOME * BLOCK + 1, seed=4), Time(max_dt=100.0, velocity_limit=rule)
+    bodies, time = (
+        random_bodies(2 * MIN_SHARED_BLOCKS * BODIES_PER_BLOCK + 1, seed=4),
+        Time(max_dt=100.0, velocity_limit=rule),
+    )
     bodies.acceleration[:] = bodies.velocity[::-1]
     bodies.velocity[[3, -3]] = [100.0, 0.0, 0.0]  # which of two equals sets the limit must not depend on them either
     chosen = {

@@ -26,7 +26,7 @@ TWO_PI = 6.28318530717958647693
 LARGEST = 1e5  # rad
 TWO_OVER_PI = 0.63661977236758134308
 
-SOME = 500  # bodies that are worth a part of their own
+MIN_BODIES_PER_TASK = 500
 
 
 @inline
@@ -75,7 +75,7 @@ def sine_cosine(theta: float) -> tuple[float, float]:
 
 def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it; a negative dt takes a turn back."""
-    team.divide(len(orientation), SOME, turn, orientation, angular_velocity, dt)
+    team.divide(len(orientation), MIN_BODIES_PER_TASK, turn, orientation, angular_velocity, dt)
 
 
 @long_kernel

@@ -20,6 +20,7 @@ for, so ours is taken at once.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +35,42 @@ from carom.plan.step_limits import HELD_PART
 from carom.scene.schema import Time
 
 FloatArray = NDArray[np.float64]
-# |a|max, m/s²; dt_v, s, of the fastest body and of every body, infinite at rest; |a|max of what contacts do not hold,
-# m/s²; the shortest time in which what they hold moves by its radius, s; and the most that they bear, m/s²
-Limits = tuple[float, float, float, float, float, float]
+Records = NDArray[np.void]
 
-BLOCK = 1000  # bodies, some 10 µs
-SOME = 10  # blocks that are worth being shared out
+BODIES_PER_BLOCK = 1000  # about 10 µs
+MIN_SHARED_BLOCKS = 10
 BORNE = 0.5  # of its acceleration; a body of which contacts bear less is as good as free, and a bounce bears none
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
+
+
+LIMITS = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "largest_acceleration",  # m/s²
+            "largest_free_acceleration",  # m/s², of what contacts do not hold
+            "largest_borne",  # m/s², the most that contacts bear of an acceleration
+            "velocity_step",  # s, dt_v of every body; infinite at rest
+            "fastest_step",  # s, dt_v of the fastest body
+            "fastest_squared",  # m²/s², its speed
+            "held_time",  # s, the shortest time in which what contacts hold moves by its radius
+        )
+    ]
+)
+
+
+class Limits(NamedTuple):
+    """What the bodies allow, as in `LIMITS`."""
+
+    largest_acceleration: float = 0.0
+    largest_free_acceleration: float = 0.0
+    largest_borne: float = 0.0
+    velocity_step: float = math.inf
+    fastest_step: float = math.inf
+    held_time: float = math.inf
+
+
+NO_LIMITS = Limits()
 
 
 class Timestep:
@@ -133,40 +162,41 @@ class Timestep:
     def target(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         dt, limit = self._time.max_dt, "cap"
-        if self._target_dx is None and self._cfl is None and (self._pull is None or self._pull.of_pairs):
-            a_max, fastest, every, a_free, turn, b_max = 0.0, math.inf, math.inf, 0.0, math.inf, 0.0
-        else:
-            a_max, fastest, every, a_free, turn, b_max = self._limits(bodies, borne)
+        idle = self._target_dx is None and self._cfl is None and (self._pull is None or self._pull.of_pairs)
+        limits = NO_LIMITS if idle else self._limits(bodies, borne)
         if self._cfl is not None:
-            dt_v = fastest if self._time.velocity_limit == "fastest-body" else every
+            fastest_body = self._time.velocity_limit == "fastest-body"
+            dt_v = limits.fastest_step if fastest_body else limits.velocity_step
             dt, limit = (dt_v, "velocity") if dt_v < dt else (dt, limit)
-        if self._target_dx is not None and a_max > 0.0:
-            dt_a, why = self._of_acceleration(self._target_dx, a_max, a_free, turn, b_max)
+        if self._target_dx is not None and limits.largest_acceleration > 0.0:
+            dt_a, why = self._of_acceleration(self._target_dx, limits)
             dt, limit = (dt_a, why) if dt_a < dt else (dt, limit)
         if self._pull is not None:
-            dt_p = self._pull.step(bodies, a_max)
+            dt_p = self._pull.step(bodies, limits.largest_acceleration)
             dt, limit = (dt_p, "pull") if dt_p < dt else (dt, limit)
         return dt, limit
 
-    def _of_acceleration(self, dx: float, a_max: float, a_free: float, turn: float, b_max: float) -> tuple[float, str]:
+    def _of_acceleration(self, dx: float, limits: Limits) -> tuple[float, str]:
         """Return the step that the largest acceleration allows, and the limit that it is."""
+        a_max, a_free = limits.largest_acceleration, limits.largest_free_acceleration
         dt_a = math.sqrt(2.0 * dx / a_max)
         if self._held_dx is None or a_free == a_max:
             return dt_a, "acceleration"
         dt_free = math.sqrt(2.0 * dx / a_free) if a_free > 0.0 else math.inf
-        dt_held = max(dt_a, min(math.sqrt(2.0 * self._held_dx / max(a_max, b_max)), self._held_part * turn))
+        by_load = math.sqrt(2.0 * self._held_dx / max(a_max, limits.largest_borne))
+        dt_held = max(dt_a, min(by_load, self._held_part * limits.held_time))
         return (dt_free, "acceleration") if dt_free < dt_held else (dt_held, "held")
 
     def _limits(self, bodies: Bodies, borne: FloatArray) -> Limits:
         """Find the limits that all bodies set."""
-        blocks, velocity, anchored = -(-len(bodies) // BLOCK), bodies.velocity, self._anchored
+        blocks, velocity, anchored = -(-len(bodies) // BODIES_PER_BLOCK), bodies.velocity, self._anchored
         state = velocity, bodies.acceleration, bodies.radius, borne, self._field, self._cfl or 1.0
-        if self._team.size == 1 or blocks < SOME:
-            return _limits(*state, bodies.mass, anchored)
+        if self._team.size == 1 or blocks < MIN_SHARED_BLOCKS:
+            return Limits(*_limits(*state, bodies.mass, anchored))
         V = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, bodies.mass)
-        found = np.empty((blocks, 7))
+        found = np.empty(blocks, LIMITS)
         self._team.divide(blocks, 1, _look, *state, *V, found)
-        return _strictest(found)
+        return Limits(*_strictest(found))
 
 
 @kernel
@@ -179,10 +209,10 @@ def _limits(
     cfl: float,
     mass: FloatArray,
     anchored: bool,
-) -> Limits:
+) -> tuple[float, float, float, float, float, float]:
     """Find the limits that all bodies set, in one call: a step of a few bodies consists of calls."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
-    found = np.empty((-(-len(mass) // BLOCK), 7))
+    found = np.empty(-(-len(mass) // BODIES_PER_BLOCK), LIMITS)
     _look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
     return _strictest(found)
 
@@ -200,12 +230,12 @@ def _look(
     Vx: float,
     Vy: float,
     Vz: float,
-    found: FloatArray,
+    found: Records,
 ) -> None:
     """Write the limits that the bodies of the blocks from lo to hi set."""
     for block in range(lo, hi):
         a_max, v2_max, fastest, every, a_free, turn, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
-        for i in range(block * BLOCK, min((block + 1) * BLOCK, len(radius))):
+        for i in range(block * BODIES_PER_BLOCK, min((block + 1) * BODIES_PER_BLOCK, len(radius))):
             ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
             a = np.sqrt(ax * ax + ay * ay + az * az)
             a_max = max(a_max, a)
@@ -223,18 +253,21 @@ def _look(
             v2 = vx * vx + vy * vy + vz * vz
             if v2 > v2_max:
                 v2_max, fastest = v2, s / np.sqrt(v2)
-        found[block, 0], found[block, 1], found[block, 2], found[block, 3] = a_max, every, v2_max, fastest
-        found[block, 4], found[block, 5], found[block, 6] = a_free, turn, b_max
+        limits = found[block]
+        limits.largest_acceleration, limits.largest_free_acceleration, limits.largest_borne = a_max, a_free, b_max
+        limits.velocity_step, limits.held_time = every, turn
+        limits.fastest_step, limits.fastest_squared = fastest, v2_max
 
 
 @kernel
-def _strictest(found: FloatArray) -> Limits:
-    """Return the strictest limits of all blocks: each is that of one body, so that the blocks do not change it."""
-    a_max, every, v2_max, fastest, a_free, turn, b_max = 0.0, np.inf, 0.0, np.inf, 0.0, np.inf, 0.0
+def _strictest(found: Records) -> tuple[float, float, float, float, float, float]:
+    """Return the fields of `Limits` over all blocks: each is set by one body, so the blocks do not change it."""
+    a_max, a_free, b_max, every, fastest, v2_max, turn = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
-        a_max, every = max(a_max, found[block, 0]), min(every, found[block, 1])
-        a_free, turn = max(a_free, found[block, 4]), min(turn, found[block, 5])
-        b_max = max(b_max, found[block, 6])
-        if found[block, 2] > v2_max:
-            v2_max, fastest = found[block, 2], found[block, 3]
-    return a_max, fastest, every, a_free, turn, b_max
+        limits = found[block]
+        a_max = max(a_max, limits.largest_acceleration)
+        a_free, b_max = max(a_free, limits.largest_free_acceleration), max(b_max, limits.largest_borne)
+        every, turn = min(every, limits.velocity_step), min(turn, limits.held_time)
+        if limits.fastest_squared > v2_max:
+            v2_max, fastest = limits.fastest_squared, limits.fastest_step
+    return a_max, a_free, b_max, every, fastest, turn

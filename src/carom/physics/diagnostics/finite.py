@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 
 MOST_NAMES = 5
 MOST_TURNS = 1e6
-SOME = 5000  # bodies that are worth a part of their own
+MIN_BODIES_PER_TASK = 5000
 
 
 def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, team: Team = SOLO) -> None:
@@ -26,7 +26,7 @@ def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, 
         If one is infinite or not a number; it names the bodies, the step and the time in seconds.
     """
     lost = np.zeros(1, dtype=np.bool_)
-    team.divide(len(bodies), SOME, _look_for_infinities, bodies.position, bodies.velocity, lost)
+    team.divide(len(bodies), MIN_BODIES_PER_TASK, _look_for_infinities, bodies.position, bodies.velocity, lost)
     if not lost[0]:
         return
     finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)

@@ -92,9 +92,9 @@ def _relative(difference: FloatArray, scale: float) -> float:
 
 
 def _sums(bodies: Bodies) -> tuple[FloatArray, FloatArray, float, float]:
-    sums = np.zeros(8)
-    _add_momentum(bodies.position, bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia, sums)
-    return sums[0:3], sums[3:6], float(sums[6]), float(sums[7])
+    linear, angular, velocities = np.zeros(3), np.zeros(3), (bodies.velocity, bodies.angular_velocity)
+    scales = _add_momentum(bodies.position, *velocities, bodies.mass, bodies.inertia, linear, angular)
+    return linear, angular, *scales
 
 
 @kernel
@@ -111,23 +111,31 @@ def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, floa
 
 @kernel
 def _add_momentum(
-    x: FloatArray, v: FloatArray, omega: FloatArray, mass: FloatArray, inertia: FloatArray, sums: FloatArray
-) -> None:
-    """Add p, L, Σ m |v| and Σ (m |x| |v| + I |ω|) of all bodies to ``sums``, (8,)."""
+    x: FloatArray,
+    v: FloatArray,
+    omega: FloatArray,
+    mass: FloatArray,
+    inertia: FloatArray,
+    linear: FloatArray,
+    angular: FloatArray,
+) -> tuple[float, float]:
+    """Add p and L of all bodies to two vectors, (3,); return Σ m |v| and Σ (m |x| |v| + I |ω|)."""
+    linear_scale, angular_scale = 0.0, 0.0
     for i in range(len(mass)):
         m = mass[i]
-        sums[0] += m * v[i, 0]
-        sums[1] += m * v[i, 1]
-        sums[2] += m * v[i, 2]
-        sums[3] += m * (x[i, 1] * v[i, 2] - x[i, 2] * v[i, 1])
-        sums[4] += m * (x[i, 2] * v[i, 0] - x[i, 0] * v[i, 2])
-        sums[5] += m * (x[i, 0] * v[i, 1] - x[i, 1] * v[i, 0])
+        linear[0] += m * v[i, 0]
+        linear[1] += m * v[i, 1]
+        linear[2] += m * v[i, 2]
+        angular[0] += m * (x[i, 1] * v[i, 2] - x[i, 2] * v[i, 1])
+        angular[1] += m * (x[i, 2] * v[i, 0] - x[i, 0] * v[i, 2])
+        angular[2] += m * (x[i, 0] * v[i, 1] - x[i, 1] * v[i, 0])
         speed = np.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
-        sums[6] += m * speed
-        sums[7] += m * speed * np.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
+        linear_scale += m * speed
+        angular_scale += m * speed * np.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
     for i in range(len(omega)):
         I = inertia[i]  # noqa: E741 - the symbol of the equation
-        sums[3] += I * omega[i, 0]
-        sums[4] += I * omega[i, 1]
-        sums[5] += I * omega[i, 2]
-        sums[7] += I * np.sqrt(omega[i, 0] * omega[i, 0] + omega[i, 1] * omega[i, 1] + omega[i, 2] * omega[i, 2])
+        angular[0] += I * omega[i, 0]
+        angular[1] += I * omega[i, 1]
+        angular[2] += I * omega[i, 2]
+        angular_scale += I * np.sqrt(omega[i, 0] * omega[i, 0] + omega[i, 1] * omega[i, 1] + omega[i, 2] * omega[i, 2])
+    return linear_scale, angular_scale
