@@ -36,7 +36,7 @@ def settle(solver: str, sweeps: int) -> dict[str, Any]:
         "sweeps": sweeps,
         "kinetic": (energy.translational + energy.rotational) / abs(energy.gravitational),
         "overlap": float((contacts.overlaps / smaller).max()),
-        "deepest": space.moments.overlap.value if space.moments.overlap else 0.0,
+        "deepest": space.extremes.overlap.value if space.extremes.overlap else 0.0,
         "ms_per_simulated_second": 1e3 * seconds / space.time,
         "steps": space.step,
     }

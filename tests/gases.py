@@ -82,7 +82,7 @@ def rotational_temperature(space: Space) -> float:
 
 def collisions_per_sphere(space: Space) -> float:
     """Collisions of one sphere so far; each is shared by two."""
-    return 2 * space.moments.impacts / len(space.state)
+    return 2 * space.extremes.impacts / len(space.state)
 
 
 def normal_impulses(contacts: CollisionGraph, change: FloatArray) -> FloatArray:
@@ -124,15 +124,15 @@ def measure_equilibrium(
     while collisions_per_sphere(space) < melting:
         step += 1
         space.compute_dynamics(step)
-    begin, before, virial = space.time, space.moments.impacts, 0.0
-    while space.moments.impacts - before < collisions:
+    begin, before, virial = space.time, space.extremes.impacts, 0.0
+    while space.extremes.impacts - before < collisions:
         step += 1
         velocity = space.state.velocity.copy()
         space.compute_dynamics(step)
         if len(space.contacts):
             impulses = normal_impulses(space.contacts, space.state.velocity - velocity)
             virial += float(impulses @ (DIAMETER - space.contacts.overlaps))
-    count, elapsed, counted = len(space.state), space.time - begin, space.moments.impacts - before
+    count, elapsed, counted = len(space.state), space.time - begin, space.extremes.impacts - before
     return Equilibrium(
         compressibility=1 + virial / (3 * count * temperature(space) * elapsed),
         rate=2 * counted / count / elapsed,

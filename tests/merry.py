@@ -9,8 +9,8 @@ import numpy as np
 
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
-from carom.physics.diagnostics.energy_monitor import WatchTally
-from carom.physics.diagnostics.extremes import Moment, Moments
+from carom.physics.diagnostics.energy_monitor import MonitorState
+from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.energy import Energy, EnergyBaseline, Origin
@@ -128,8 +128,8 @@ class Merry:
         return Books(
             energy=EnergyBaseline(energy.total, energy.scale, Origin(energy.total, 0.0, 0.0)),
             momentum=MomentumBaseline(nothing, nothing, nothing, 1.0, 1.0),
-            watch=WatchTally(energy, 0.5, 3),
-            moments=Moments(impact=Moment(0.1, 7, 0.35, (1, 2)), total_contacts=5),
+            watch=MonitorState(energy, 0.5, 3),
+            moments=Extremes(impact=Extreme(0.1, 7, 0.35, (1, 2)), total_contacts=5),
             activity=0.1,
             phase="free",
             limits=("a limit",),

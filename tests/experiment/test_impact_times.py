@@ -34,12 +34,12 @@ def rolling_pair(dt: float, timing: str, integrator: str = "leapfrog") -> Scene:
 
 
 def moments_of(scene: Scene) -> list[float]:
-    """Moments of all impacts in s."""
+    """Times of all impacts in s."""
     space, moments = Space(scene), []
     while space.time < scene.time.duration:
-        before, count = space.time, space.moments.impacts
+        before, count = space.time, space.extremes.impacts
         space.compute_dynamics(space.step + 1)
-        if space.moments.impacts > count:
+        if space.extremes.impacts > count:
             into_step = space.contacts.into_step
             moments.append(before + (space.dt if into_step is None else float(into_step[0])))
     return moments

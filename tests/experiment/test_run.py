@@ -16,7 +16,7 @@ import carom
 from carom.experiment.expectation import judge
 from carom.experiment.resume import resumable_run
 from carom.experiment.run import simulate
-from carom.physics.diagnostics.extremes import Moment, Moments
+from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
@@ -160,28 +160,28 @@ def test_a_defect_in_the_physics_is_raised_after_the_recording_is_closed(tmp_pat
 
 
 def test_a_quantity_that_is_not_conserved_keeps_no_promise() -> None:
-    moments = Moments(angular_momentum_error=None, overlap=Moment(0.1, 1, 1.0))
-    verdicts = judge(pair(expect={"angular_momentum_error": 1.0, "max_overlap": 0.2}), moments, 10.0)
+    extremes = Extremes(angular_momentum_error=None, overlap=Extreme(0.1, 1, 1.0))
+    verdicts = judge(pair(expect={"angular_momentum_error": 1.0, "max_overlap": 0.2}), extremes, 10.0)
     assert [verdict.met for verdict in verdicts] == [False, True]
 
 
 def test_a_promise_of_impacts_is_one_from_below() -> None:
-    few, enough = (judge(pair(expect={"impacts": 2}), Moments(impacts=n), 10.0)[0] for n in (1, 2))
+    few, enough = (judge(pair(expect={"impacts": 2}), Extremes(impacts=n), 10.0)[0] for n in (1, 2))
     assert not few.met and enough.met
     assert str(few) == "impacts: 1 (at least 2; missed)"
 
 
 def test_a_promise_about_the_end_is_judged_at_the_end_that_it_was_made_for() -> None:
     scene = pair(time={"duration": 4.0}, expect={"impacts": 2, "final_kinetic": 0.0, "max_overlap": 0.0})
-    moments = Moments(impacts=1, overlap=Moment(0.1, 1, 1.0), kinetic=Moment(0.5, 9, 3.0))
+    extremes = Extremes(impacts=1, overlap=Extreme(0.1, 1, 1.0), kinetic=Extreme(0.5, 9, 3.0))
     judged = {
-        time: {verdict.name: verdict.met for verdict in judge(scene, moments, time) if verdict.judged}
+        time: {verdict.name: verdict.met for verdict in judge(scene, extremes, time) if verdict.judged}
         for time in (3.0, 4.0, 5.0)
     }
     assert judged[3.0] == {"max_overlap": False}
     assert judged[4.0] == {"max_overlap": False, "impacts": False, "final_kinetic": False}
     assert judged[5.0] == {"max_overlap": False, "impacts": False}, "there are no fewer impacts in a longer run"
-    early = {verdict.name: verdict for verdict in judge(scene, moments, 3.0)}["final_kinetic"]
+    early = {verdict.name: verdict for verdict in judge(scene, extremes, 3.0)}["final_kinetic"]
     assert early.met and str(early) == "final_kinetic: 0.5 (at most 0 at t = 4 s; not judged)"
 
 
@@ -202,11 +202,11 @@ def test_the_energy_gain_counts_from_the_lowest_energy_so_far() -> None:
     # The rebound takes three quarters of the energy out; a rise after it that stays below the start must still be seen.
     space = Space(pair())
     start, *_, last = list(space.run())
-    moments, energy = space.moments, last.energy
-    assert moments.energy_gain.value <= 1e-15  # no gravity: round-off of the impulse
-    moments.see_energy(last.step + 1, 99.0, replace(energy, translational=energy.translational + 0.1))
-    assert moments.energy_gain.value == pytest.approx(0.1 / energy.scale, rel=1e-12)  # the subtraction's round-off
-    assert moments.energy_gain.time == 99.0 and start.energy.total > energy.total + 0.1
+    extremes, energy = space.extremes, last.energy
+    assert extremes.energy_gain.value <= 1e-15  # no gravity: round-off of the impulse
+    extremes.see_energy(last.step + 1, 99.0, replace(energy, translational=energy.translational + 0.1))
+    assert extremes.energy_gain.value == pytest.approx(0.1 / energy.scale, rel=1e-12)  # the subtraction's round-off
+    assert extremes.energy_gain.time == 99.0 and start.energy.total > energy.total + 0.1
 
 
 @pytest.mark.parametrize("name", bundled_scenes())

@@ -41,7 +41,7 @@ def test_an_extreme_meets_its_criteria(name: str) -> None:
     space = extreme(name)
     run_through(space)
     assert space.time == space.scene.time.duration
-    missed = [str(verdict) for verdict in judge(space.scene, space.moments, space.time) if not verdict.met]
+    missed = [str(verdict) for verdict in judge(space.scene, space.extremes, space.time) if not verdict.met]
     assert not missed
 
 
@@ -75,7 +75,7 @@ def test_without_friction_no_spin_changes_in_any_bit() -> None:
     space = extreme("friction-zero")
     spins = space.state.angular_velocity.copy()
     run_through(space)
-    assert space.moments.impacts > 100
+    assert space.extremes.impacts > 100
     assert np.array_equal(space.state.angular_velocity, spins)
 
 

@@ -33,7 +33,7 @@ def end_of(scene: Scene) -> Space:
 
 
 def deepest(space: Space) -> float:
-    return space.moments.overlap.value if space.moments.overlap else 0.0
+    return space.extremes.overlap.value if space.extremes.overlap else 0.0
 
 
 @pytest.mark.parametrize("masses", [[1.0, 10.0, 1e3, 1e5, 1e6], [3.0**k for k in range(7)]])

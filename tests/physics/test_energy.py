@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from carom.experiment.expectation import judge
-from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyWatch
-from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
+from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.energy import Energy, EnergyAccount
 from carom.physics.event import Event
 from carom.physics.ledger import Ledger
@@ -74,7 +74,7 @@ def test_an_orbit_that_loses_its_energy_misses_its_promise_and_is_said_to_be_los
     lost = next(event for event in events if event.kind == "energy-lost")
     assert lost.text.startswith("An orbit is lost")
     expect = Expect(energy_error=1e-4, warned=("energy-lost",))
-    promise, warned = judge(space.scene.model_copy(update={"expect": expect}), space.moments, space.time)
+    promise, warned = judge(space.scene.model_copy(update={"expect": expect}), space.extremes, space.time)
     assert not promise.met and warned.met
 
 
@@ -84,7 +84,7 @@ def test_balls_at_rest_on_a_plane_have_the_scale_of_lifting_them_by_their_radius
     energy = space.energy()
     assert energy.scale == pytest.approx(2 * 9.81, rel=1e-12)
     # 19.62 J in the field are rounded to 4 × 10⁻¹⁵ J in each of a hundred steps
-    assert space.moments.energy_error is not None and space.moments.energy_error.value <= 1e-13
+    assert space.extremes.energy_error is not None and space.extremes.energy_error.value <= 1e-13
     assert not kinds(events)
 
 
@@ -178,7 +178,7 @@ def energies(*totals: float) -> list[Energy]:
 
 
 def watched(tolerance: float, *found: Energy, contact_gain: float = 0.0) -> list[Event]:
-    watch = EnergyWatch(tolerance, Names(["a", "b"], []))
+    watch = EnergyMonitor(tolerance, Names(["a", "b"], []))
     return [event for k, energy in enumerate(found) for event in watch.check(k, 0.5 * k, energy, contact_gain, [])]
 
 
@@ -206,11 +206,11 @@ def test_an_integration_error_of_a_tenth_of_the_scale_is_warned_of_once() -> Non
     assert "11% of the energy scale" in events[0].text
 
 
-def see(moments: Moments, *ledgers: Ledger) -> Moments:
-    """Show moments a run in which contacts alone change the energy of 1 J."""
+def see(extremes: Extremes, *ledgers: Ledger) -> Extremes:
+    """Show extremes a run in which contacts alone change the energy of 1 J."""
     for step, ledger in enumerate(ledgers):
-        moments.see_energy(step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
-    return moments
+        extremes.see_energy(step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
+    return extremes
 
 
 @pytest.mark.parametrize(
@@ -223,10 +223,10 @@ def see(moments: Moments, *ledgers: Ledger) -> Moments:
     ids=["restitution", "friction", "given-back"],
 )
 def test_energy_that_contacts_put_in_misses_the_promise_of_an_energy_error(ledgers: list[Ledger]) -> None:
-    moments = see(Moments(), *ledgers)
-    assert moments.contact_gain.value == pytest.approx(0.02) and moments.energy_error is not None
-    assert moments.energy_error.value == 0.0
-    (verdict,) = judge(pair(expect={"energy_error": 0.01}), moments, 10.0)
+    extremes = see(Extremes(), *ledgers)
+    assert extremes.contact_gain.value == pytest.approx(0.02) and extremes.energy_error is not None
+    assert extremes.energy_error.value == 0.0
+    (verdict,) = judge(pair(expect={"energy_error": 0.01}), extremes, 10.0)
     assert not verdict.met
     assert str(verdict) == "energy_error: 0.02, put in by impulses of contacts (at most 0.01; missed)"
 
@@ -248,4 +248,4 @@ def test_the_watch_goes_on_after_a_checkpoint_as_if_the_run_had_not_stopped() ->
     again = Space(space.scene)
     again.restore(checkpoint)
     assert run(again) == whole
-    assert replace(again.moments) == replace(space.moments)
+    assert replace(again.extremes) == replace(space.extremes)

@@ -201,8 +201,8 @@ def test_a_row_struck_at_its_end_has_one_impact_for_each_contact_in_any_order_of
     space = Space(scene_of([row[k] for k in order], gravity={"constant": 0.0}, contact=late, time=time))
     for _ in space.run():
         pass
-    assert space.moments.impacts == 4
-    assert space.moments.impact is not None and space.moments.impact.value == 0.25, "½ μ v²: the first blow"
+    assert space.extremes.impacts == 4
+    assert space.extremes.impact is not None and space.extremes.impact.value == 0.25, "½ μ v²: the first blow"
 
 
 def test_the_hardest_impact_may_be_one_that_a_neighbour_passed_on() -> None:
@@ -216,6 +216,6 @@ def test_the_hardest_impact_may_be_one_that_a_neighbour_passed_on() -> None:
         space = Space(scene)
         for _ in space.run():
             pass
-        assert space.moments.impacts == 2, "the third blow is of the first pair again, in the same step"
-        assert space.moments.impact is not None and space.moments.impact.value == 0.5625
-        assert set(space.moments.impact.bodies) == {order.index(1), order.index(2)}
+        assert space.extremes.impacts == 2, "the third blow is of the first pair again, in the same step"
+        assert space.extremes.impact is not None and space.extremes.impact.value == 0.5625
+        assert set(space.extremes.impact.bodies) == {order.index(1), order.index(2)}

@@ -63,7 +63,7 @@ def test_a_stack_of_twenty_stands(restitution: float) -> None:
         if frame.time > 2.0:
             assert frame.contacts.overlaps.max() <= 1e-8  # pushes leave 10⁻⁹ of the sum of radii, each of twenty
             assert frame.sweeps == 1, "the impulses of the step before hold"
-    assert space.moments.overlap is not None and space.moments.overlap.value <= G * 0.01**2
+    assert space.extremes.overlap is not None and space.extremes.overlap.value <= G * 0.01**2
     weight = 20 * float(space.state.mass[0]) * G
     assert kinetic(space) <= 1e-16 * weight * 1.0  # of what falling by a metre would give
     assert np.allclose(space.state.position[:, 2], 1.0 + 2.0 * np.arange(20), rtol=0, atol=1e-6)
@@ -80,7 +80,7 @@ def test_the_same_stack_does_not_stand_on_stages_alone() -> None:
         record={"every": 1.0, "check_every": 10},
     )
     space = end_of(scene)
-    assert space.moments.overlap is not None and space.moments.overlap.value > 0.1
+    assert space.extremes.overlap is not None and space.extremes.overlap.value > 0.1
 
 
 @pytest.mark.parametrize("dt", [*(pytest.param(dt, marks=pytest.mark.slow) for dt in (0.2, 0.5)), None])
@@ -93,7 +93,7 @@ def test_two_touching_spheres_stay_where_they_are_for_ten_thousand_free_falls(dt
         assert frame.energy.translational <= 1e-20
         assert abs(frame.energy.total - -0.5) <= 1e-12
     assert dt is not None or space.step <= 16_001
-    assert space.moments.impacts == 0
+    assert space.extremes.impacts == 0
 
 
 @pytest.mark.parametrize("dt", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
@@ -114,8 +114,8 @@ def test_a_contact_binary_that_turns_as_one_keeps_touching(part: float, dt: floa
     # 10⁵ steps of round-off add up like a random walk, 3 × 10² × 10⁻¹⁶.
     assert space.energy().total == pytest.approx(start, rel=1e-12)
     assert np.allclose(space.state.angular_velocity, [[0, 0, omega]] * 2, rtol=0, atol=1e-12)
-    assert space.moments.angular_momentum_error is not None and space.moments.angular_momentum_error.value <= 1e-12
-    assert space.moments.impacts == 0
+    assert space.extremes.angular_momentum_error is not None and space.extremes.angular_momentum_error.value <= 1e-12
+    assert space.extremes.impacts == 0
 
 
 def two_body_bounce(solver: str) -> Scene:
@@ -223,8 +223,8 @@ def test_a_pile_that_lasts_keeps_momentum_and_comes_to_rest(seed: int, mu: float
         record={"every": 1.0, "check_every": 10},
     )
     space = end_of(scene)
-    assert space.moments.momentum_error is not None and space.moments.momentum_error.value <= 1e-12
-    assert space.moments.angular_momentum_error is not None and space.moments.angular_momentum_error.value <= 1e-12
+    assert space.extremes.momentum_error is not None and space.extremes.momentum_error.value <= 1e-12
+    assert space.extremes.angular_momentum_error is not None and space.extremes.angular_momentum_error.value <= 1e-12
     # leapfrog's error of the collapse, as in test_space
     assert space.energy().relative_error <= 1e-2
     assert space.contacts.overlaps.max() <= 1e-2 * float(space.state.radius.min())
@@ -245,7 +245,7 @@ def test_a_light_ball_between_heavy_ones_holds_them_apart(ratio: float, sweeps: 
     space = end_of(scene)
     # A sweep is the last at 10⁻¹⁰ of the largest velocity undone. That is the light one's under a heavy one's impulse,
     # 2 × 10⁻³ m/s × ratio, so that up to 2 × 10⁻⁴ m/s is left to later steps; by 10⁻⁵ m it sank at worst.
-    assert space.moments.overlap is not None and space.moments.overlap.value <= 1e-5
+    assert space.extremes.overlap is not None and space.extremes.overlap.value <= 1e-5
 
 
 def test_a_heavy_ball_lies_on_a_light_one() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from carom.physics.diagnostics.pace import PaceWatch
+from carom.physics.diagnostics.pace import PaceMonitor
 
 
 def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:
-    watch = PaceWatch(duration=100.0, first_dt=1e-2)  # promises 10⁴ steps
+    watch = PaceMonitor(duration=100.0, first_dt=1e-2)  # promises 10⁴ steps
     assert watch.look(1000, 10.0, 1e-2, "velocity") is None
     assert watch.look(1100, 10.1, 1e-4, "held") is None, "few steps so far: it may pass"
     warning = watch.look(50_000, 15.0, 1e-4, "held")
@@ -25,12 +25,12 @@ def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise(
 
 
 def test_steps_that_were_short_for_a_while_are_no_crawl() -> None:
-    watch = PaceWatch(duration=100.0, first_dt=1e-2)
+    watch = PaceMonitor(duration=100.0, first_dt=1e-2)
     watch.look(60_000, 6.0, 1e-4, "velocity")
-    again = PaceWatch(duration=100.0, first_dt=1e-2)
+    again = PaceMonitor(duration=100.0, first_dt=1e-2)
     assert again.look(60_000, 6.0, 1e-2, "velocity") is None
     assert again.tally.slow_since is None
 
 
 def test_a_run_of_few_steps_is_not_worth_a_warning() -> None:
-    assert PaceWatch(duration=1.0, first_dt=1e-2).look(5000, 0.5, 1e-4, "velocity") is None
+    assert PaceMonitor(duration=1.0, first_dt=1e-2).look(5000, 0.5, 1e-4, "velocity") is None

@@ -80,7 +80,7 @@ def test_an_oblique_plane_turns_the_normal_velocity_round_and_leaves_the_rest(no
     plane = {"point": point, "normal": list(7.0 * n)}  # the length of a normal says nothing
     contact = {"restitution": 0.8, "static_friction": 0.0}
     space = end_of(scene_of([ball], plane=[plane], gravity=WEIGHTLESS, contact=contact, time={"duration": 0.5}))
-    assert space.moments.impacts == 1
+    assert space.extremes.impacts == 1
     assert np.allclose(space.state.velocity[0], v + 1.8 * 1.5 * n, rtol=0, atol=1e-14)  # round-off
 
 
@@ -122,7 +122,7 @@ def test_a_plane_is_a_fixed_sphere_so_large_that_its_curvature_does_not_show(
     for R in (1e2, 1e3, 1e4):
         globe = {"position": [-r, 0, r - np.sqrt((R + r) ** 2 - r * r)], "radius": R, "fixed": True}
         sphere = end_of(scene_of([ball, globe], gravity=WEIGHTLESS, contact=contact, time=time))
-        assert sphere.moments.impacts == plane.moments.impacts == 1
+        assert sphere.extremes.impacts == plane.extremes.impacts == 1
         dv = sphere.state.velocity[0] - plane.state.velocity[0]
         assert 0.0 < np.abs(dv).max() <= 3 * 6.5 * r / R
         if friction > 0.0:
@@ -155,7 +155,7 @@ def walled_gas(count: int, **contact: Any) -> Scene:
 @pytest.mark.parametrize("count", [1, 60])
 def test_walls_keep_an_elastic_gas_inside_and_with_its_kinetic_energy(count: int) -> None:
     space, frames = frames_of(walled_gas(count, restitution=1.0, static_friction=0.0))
-    assert space.moments.impacts > 5 * count
+    assert space.extremes.impacts > 5 * count
     # cfl = 0.5: nothing is deeper in a wall than half its radius, so no centre is nearer than that.
     room = np.array([3.0, 3.5, 4.0]) - 0.5 * space.state.radius[:, None]
     assert all(np.all(np.abs(frame.position) <= room) for frame in frames)
@@ -234,7 +234,7 @@ def test_fixed_bodies_that_overlap_are_nobodys_business() -> None:
         scene_of(bodies, gravity={"constant": 1e-3}, contact={"allow_overlap": True}, time={"duration": 4.0})
     )
     assert not any([0, 1] in frame.contacts.pairs.tolist() for frame in frames)
-    assert space.moments.overlap is not None and space.moments.overlap.bodies in ((0, 2), (1, 2))
+    assert space.extremes.overlap is not None and space.extremes.overlap.bodies in ((0, 2), (1, 2))
     # A fixed body inside the ground is nobody's business either.
     _, frames = frames_of(
         scene_of(bodies[:1], plane=[{}], gravity=FALLING, contact={"allow_overlap": True}, time={"duration": 0.1})
@@ -251,8 +251,8 @@ def test_momentum_is_not_compared_where_something_takes_it() -> None:
     ]
     for anchor in anchors:
         space = end_of(Scene.from_dict({"body": [ball], "gravity": WEIGHTLESS, "time": {"duration": 4.0}, **anchor}))
-        assert space.moments.impacts == 1
-        assert space.moments.momentum_error is None and space.moments.angular_momentum_error is None
+        assert space.extremes.impacts == 1
+        assert space.extremes.momentum_error is None and space.extremes.angular_momentum_error is None
         frame = space.frame()
         assert frame.momentum_error is None and frame.angular_momentum_error is None
 

@@ -81,7 +81,7 @@ class Auditor:
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
         most = SWEEPS if scene.contact.sweeps == "auto" else scene.contact.sweeps
         passes = frame.sweeps + (most if scene.contact.stabilisation == "split" else 0)
-        struck = self.space.moments.impacts - self.impacts
+        struck = self.space.extremes.impacts - self.impacts
         self.impacts += struck
         visits = passes * len(frame.contacts) + struck
         self.roundings += substeps * (len(self.mass) + PER_SUBSTEP) + PER_VISIT * visits

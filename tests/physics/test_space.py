@@ -69,18 +69,18 @@ def test_a_run_ends_at_its_duration_exactly() -> None:
 def test_momentum_and_angular_momentum_survive_a_collapse(stabilisation: str, colouring: str) -> None:
     space = Space(cloud(contact={"stabilisation": stabilisation, "colouring": colouring}))
     last(space)
-    assert space.moments.total_contacts > 100
-    assert space.moments.momentum_error is not None and space.moments.momentum_error.value <= 1e-12
-    assert space.moments.angular_momentum_error is not None
-    assert space.moments.angular_momentum_error.value <= 1e-12
+    assert space.extremes.total_contacts > 100
+    assert space.extremes.momentum_error is not None and space.extremes.momentum_error.value <= 1e-12
+    assert space.extremes.angular_momentum_error is not None
+    assert space.extremes.angular_momentum_error.value <= 1e-12
 
 
 @pytest.mark.parametrize("stabilisation", ["split", "baumgarte", "none"])
 def test_the_ledger_closes_over_a_collapse(stabilisation: str) -> None:
     space = Space(cloud(contact={"stabilisation": stabilisation}))
     last(space)
-    assert space.moments.energy_error is not None
-    assert space.moments.energy_error.value <= 1e-3
+    assert space.extremes.energy_error is not None
+    assert space.extremes.energy_error.value <= 1e-3
 
 
 def test_the_integration_error_of_a_collapse_falls_with_the_square_of_the_step() -> None:
@@ -90,8 +90,8 @@ def test_the_integration_error_of_a_collapse_falls_with_the_square_of_the_step()
         scene = cloud(time={"fixed_dt": dt, "duration": 1.0}, contact={"enabled": False}, gravity={"softening": 0.5})
         space = Space(scene)
         last(space)
-        assert space.moments.energy_error is not None
-        errors.append(space.moments.energy_error.value)
+        assert space.extremes.energy_error is not None
+        errors.append(space.extremes.energy_error.value)
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
@@ -161,10 +161,10 @@ def test_an_elastic_gas_keeps_its_kinetic_energy_through_100000_collisions() -> 
     space = Space(gas(duration=160.0))
     before = space.energy().translational
     after = last(space).energy
-    assert space.moments.impacts >= 100_000
+    assert space.extremes.impacts >= 100_000
     assert after.translational == pytest.approx(before, rel=1e-12)
     assert after.ledger.restitution == pytest.approx(0.0, abs=1e-12 * before)
-    assert space.moments.momentum_error is not None and space.moments.momentum_error.value <= 1e-12
+    assert space.extremes.momentum_error is not None and space.extremes.momentum_error.value <= 1e-12
 
 
 def test_the_cradle_sends_out_as_many_as_came_in() -> None:
@@ -241,9 +241,9 @@ def test_any_collapse_keeps_momentum_and_gains_no_energy(seed: int, e: float, mu
     space = Space(scene)
     *_, frame = space.run()
     assert np.isfinite(frame.position).all()
-    assert space.moments.momentum_error is not None and space.moments.momentum_error.value <= 1e-12
-    assert space.moments.angular_momentum_error is not None
-    assert space.moments.angular_momentum_error.value <= 1e-12
+    assert space.extremes.momentum_error is not None and space.extremes.momentum_error.value <= 1e-12
+    assert space.extremes.angular_momentum_error is not None
+    assert space.extremes.angular_momentum_error.value <= 1e-12
     assert frame.energy.integration_error <= 1e-2 * frame.energy.scale
 
 
@@ -392,8 +392,8 @@ def test_an_energy_error_is_the_same_however_the_scene_moves() -> None:
         time = {"duration": 5.0, "fixed_dt": 0.02}
         space = Space(scene_of(bodies, gravity={"constant": 1.0}, contact={"enabled": False}, time=time))
         last(space)
-        assert space.moments.energy_error is not None
-        errors.append(space.moments.energy_error.value)
+        assert space.extremes.energy_error is not None
+        errors.append(space.extremes.energy_error.value)
     # Speeds of 10⁴ m/s squared, 10⁸ J, are rounded to 10⁻⁸ J: of a scale of 2 J.
     assert errors[1] == pytest.approx(errors[0], abs=1e-7)
 

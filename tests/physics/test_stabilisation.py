@@ -109,5 +109,5 @@ def test_a_frictionless_column_that_falls_into_a_box_finds_rest() -> None:
     )
     for _ in space.run():
         pass
-    assert space.moments.overlap is not None and space.moments.overlap.value <= 0.5  # of a radius
+    assert space.extremes.overlap is not None and space.extremes.overlap.value <= 0.5  # of a radius
     assert space.energy().translational <= 1e-3 * count  # of a fall by a diameter

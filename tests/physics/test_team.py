@@ -102,7 +102,7 @@ def test_any_number_of_threads_takes_a_bed_to_the_same_bits() -> None:
         graph = space.contacts
         assert len(graph) > 10_000
         shown = (graph.pairs.tobytes(), graph.normals.tobytes(), graph.colours.tobytes())
-        told.append((space.fingerprint(), space.ledger, space.moments, shown))
+        told.append((space.fingerprint(), space.ledger, space.extremes, shown))
     assert told[0] == told[1] == told[2]
 
 

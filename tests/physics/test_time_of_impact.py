@@ -149,8 +149,8 @@ def test_newtons_cradle_is_exact_to_round_off() -> None:
         space = Space(scene([*row, *thrown], {"restitution": 1.0}, time={"fixed_dt": dt, "duration": 9.0}))
         frame = last(space)
         assert sorted(frame.velocity[:, 0].tolist()) == pytest.approx([0.0] * 5 + [3.0, 3.0], abs=1e-14)
-        assert space.moments.impacts == 10 and space.moments.overlap is not None
-        assert space.moments.overlap.value <= 1e-14
+        assert space.extremes.impacts == 10 and space.extremes.overlap is not None
+        assert space.extremes.overlap.value <= 1e-14
         exact.append(frame.position)
     # each sphere ends where the one before it would have, had it flown on; sums of hundreds of steps are rounded
     assert np.allclose(exact[0], exact[1], rtol=0, atol=1e-12)
@@ -173,7 +173,7 @@ def test_a_ball_that_falls_on_a_plane_bounces_as_high_as_the_law_says_to_round_o
         )
     )
     [*_, frame] = space.run()
-    assert space.moments.impacts == 1
+    assert space.extremes.impacts == 1
     assert abs(frame.energy.integration_error) <= 1e-15 * 100 * frame.energy.scale
     lost = (1.0 - restitution**2) * 2.0 * g * 5.0
     assert frame.energy.ledger.restitution == pytest.approx(lost, rel=2 * g * dt * dt / 8 / 5.0)
@@ -266,7 +266,7 @@ def test_three_beads_that_collapse_come_to_an_end(restitution: float) -> None:
         scene(beads, {"restitution": restitution, "static_friction": 0.0}, time={"fixed_dt": 5.0, "duration": 10.0})
     )
     last(space)
-    assert 2 <= space.moments.impacts < 200, "a drift ends when rounding is all that closes: 50 impacts"
+    assert 2 <= space.extremes.impacts < 200, "a drift ends when rounding is all that closes: 50 impacts"
     assert np.abs(space.state.velocity).max() <= 1e-12, "they end together, at rest with their centre of mass"
     assert np.diff(space.state.position[:, 0]) == pytest.approx([2.0, 2.0], abs=1e-12)
 
@@ -285,11 +285,11 @@ def test_an_elastic_gas_keeps_its_energy_and_momentum_and_overlaps_nowhere() -> 
     gas = Scene.load("elastic-gas", ["contact.timing=time-of-impact", "time.duration=3"])
     space = Space(gas)
     last(space)
-    moments = space.moments
-    assert moments.impacts > 1000 and moments.energy_error is not None and moments.overlap is not None
-    assert moments.energy_error.value <= 1e-13 and moments.momentum_error is not None
-    assert moments.momentum_error.value <= 1e-13
-    assert moments.overlap.value <= 1e-13
+    extremes = space.extremes
+    assert extremes.impacts > 1000 and extremes.energy_error is not None and extremes.overlap is not None
+    assert extremes.energy_error.value <= 1e-13 and extremes.momentum_error is not None
+    assert extremes.momentum_error.value <= 1e-13
+    assert extremes.overlap.value <= 1e-13
 
 
 def test_a_step_ten_times_as_long_is_the_same_gas() -> None:
@@ -300,7 +300,7 @@ def test_a_step_ten_times_as_long_is_the_same_gas() -> None:
             Scene.load("elastic-gas", ["contact.timing=time-of-impact", "time.duration=0.3", f"time.fixed_dt={dt}"])
         )
         last(space)
-        ends.append((space.state.position.copy(), space.moments.impacts))
+        ends.append((space.state.position.copy(), space.extremes.impacts))
     assert ends[0][1] == ends[1][1] > 50
     assert np.abs(ends[0][0] - ends[1][0]).max() <= 1e-9
 
@@ -310,12 +310,12 @@ def test_a_collapse_conserves_what_a_collapse_conserves_and_overlaps_less() -> N
     for timing in ("end-of-step", "time-of-impact"):
         space = Space(cloud(contact={"timing": timing}, record={"every": 0.1}))
         last(space)
-        moments = space.moments
-        assert moments.impacts > 100 and moments.overlap is not None
-        assert moments.momentum_error is not None and moments.momentum_error.value <= 1e-12
-        assert moments.angular_momentum_error is not None and moments.angular_momentum_error.value <= 1e-12
-        assert moments.energy_error is not None and moments.energy_error.value <= 1e-3
-        deepest[timing] = moments.overlap.value
+        extremes = space.extremes
+        assert extremes.impacts > 100 and extremes.overlap is not None
+        assert extremes.momentum_error is not None and extremes.momentum_error.value <= 1e-12
+        assert extremes.angular_momentum_error is not None and extremes.angular_momentum_error.value <= 1e-12
+        assert extremes.energy_error is not None and extremes.energy_error.value <= 1e-3
+        deepest[timing] = extremes.overlap.value
     assert deepest["time-of-impact"] < 0.25 * deepest["end-of-step"]
 
 
@@ -337,7 +337,7 @@ def test_what_rests_rests_with_the_same_bits(constant: float) -> None:
                 time={"duration": 3.0, "max_dt": 0.01},
             )
         )
-        ends.append((last(space).fingerprint, space.moments.impacts))
+        ends.append((last(space).fingerprint, space.extremes.impacts))
     assert ends[0] == ends[1] and ends[0][1] == 0
 
 
@@ -355,7 +355,7 @@ def test_a_pile_under_a_hit_comes_to_rest_again() -> None:
         )
     )
     frame = last(space)
-    assert space.moments.kinetic.value <= 1e-3 and frame.energy.relative_error <= 1e-5
+    assert space.extremes.kinetic.value <= 1e-3 and frame.energy.relative_error <= 1e-5
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -374,8 +374,8 @@ def test_the_first_contact_and_the_graph_of_a_frame_are_those_of_the_impacts() -
     assert frame.contacts.pairs.tolist() == [[0, 1]] and frame.contacts.overlaps.tolist() == [0.0]
     assert frame.contacts.normals[0] == pytest.approx([math.sqrt(1 - 0.15**2), -0.15, 0.0], rel=1e-12)
     assert any("First contact" in event.text for event in frame.events)
-    assert space.moments.impact is not None and space.moments.total_contacts == space.moments.impacts == 1
-    assert space.moments.impact.value == pytest.approx(0.25 * (100.0**2) * (1 - 0.15**2), rel=1e-12)
+    assert space.extremes.impact is not None and space.extremes.total_contacts == space.extremes.impacts == 1
+    assert space.extremes.impact.value == pytest.approx(0.25 * (100.0**2) * (1 - 0.15**2), rel=1e-12)
 
 
 def test_a_warning_names_what_struck_within_the_step() -> None:

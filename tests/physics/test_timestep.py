@@ -165,7 +165,7 @@ def test_points_in_units_of_one_keep_their_energy_by_default_whatever_their_radi
     # 4e-4, the error is 4.6e-6 of the total energy; at the end 1.1e-8.
     spaces = [finished(pythagorean(radius)) for radius in (1.0, 1e-3)]
     for space in spaces:
-        error = space.moments.energy_error
+        error = space.extremes.energy_error
         assert error is not None and error.value < 1e-5
         assert space.energy().relative_error < 1e-7
     assert spaces[0].fingerprint() == spaces[1].fingerprint()
@@ -185,7 +185,7 @@ def test_the_step_of_the_pulls_does_not_drift_in_or_out_of_an_encounter() -> Non
     # Leapfrog's error swings by 1.5e-5 of the scale in each orbit of e = 0.9. Were the step chosen by the state at its
     # beginning alone, it would add up, to 10 % of that in each.
     space = finished(binary(0.9, 20, integrator="leapfrog"))
-    swing = space.moments.energy_error
+    swing = space.extremes.energy_error
     assert swing is not None and space.energy().relative_error < 1e-3 * swing.value
 
 

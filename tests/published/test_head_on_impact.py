@@ -21,7 +21,7 @@ def after_impact(speeds: tuple[float, float], masses: tuple[float, float], resti
     space = Space(scene)
     for _ in space.run():
         pass
-    assert space.moments.impacts == 1
+    assert space.extremes.impacts == 1
     assert not space.state.velocity[:, 1:].any()
     return float(space.state.velocity[0, 0]), float(space.state.velocity[1, 0])
 

@@ -65,7 +65,7 @@ def test_beads_above_the_threshold_part_after_as_many_collisions_as_they_must(
     space = beads(restitution, timing=timing, sweeps=1)
     expected, velocity = collide_alternately(restitution)
     assert expected == collisions
-    assert space.moments.impacts == collisions
+    assert space.extremes.impacts == collisions
     assert np.allclose(space.state.velocity[:, 0], velocity, rtol=0, atol=collisions * 2.3e-16)
 
 

@@ -35,7 +35,7 @@ def slip_after(psi: float, restitution: float, static_friction: float, kinetic_f
     )
     space = Space(scene)
     space.compute_dynamics(1)
-    assert space.moments.impacts == 1
+    assert space.extremes.impacts == 1
     closing = space.state.velocity[1] - space.state.velocity[0]
     arms = space.state.angular_velocity.sum(axis=0)  # m/s, radii of 1 m
     slip = closing - np.cross(arms, [1.0, 0.0, 0.0])

@@ -67,8 +67,8 @@ def test_the_numbers_of_this_file_are_those_of_kepler() -> None:
 def test_the_first_contact_comes_when_kepler_says() -> None:
     # The contact is found at the end of the step in which it happens, so it is late by at most one step.
     _, _, space = separations(max_dt=0.01, target_dx=1e-5, duration=68.0)
-    assert space.moments.contacts is not None
-    assert 0.0 <= space.moments.contacts.time - BOUNCES[0] <= 0.01
+    assert space.extremes.contacts is not None
+    assert 0.0 <= space.extremes.contacts.time - BOUNCES[0] <= 0.01
 
 
 def test_the_apocentres_are_keplers() -> None:

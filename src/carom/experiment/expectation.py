@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.physics.diagnostics.extremes import Moment, Moments
+from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.scene.schema import Scene
 
 
@@ -18,7 +18,7 @@ class Verdict:
     name: str
     limit: float
     measured: float
-    worst: Moment | None = None  # None where no moment is to blame
+    worst: Extreme | None = None  # None where no extreme is to blame
     at_least: bool = False  # the limit is one from below
     note: str = ""  # what was measured, where the name does not say
     promised_at: float | None = None  # s, the end that the promise is about, where the run did not end there
@@ -48,7 +48,7 @@ class Verdict:
         return f"{self.name}: {self.measured:.3g}{note} ({self.bound} {self.limit:.3g}{missed})"
 
 
-def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
+def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
     """Compare every promise that a scene makes with the extremes of its run, which ended at a time in s.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
@@ -58,15 +58,15 @@ def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}
     measured = {
-        "energy_error": (_value(moments.energy_fault), moments.energy_fault),
-        "energy_gain": (moments.energy_gain.value, moments.energy_gain),
-        "momentum_error": (_or_infinite(moments.momentum_error), moments.momentum_error),
-        "angular_momentum_error": (_or_infinite(moments.angular_momentum_error), moments.angular_momentum_error),
-        "max_overlap": (_value(moments.overlap), moments.overlap),
-        "final_kinetic": (moments.kinetic.value, moments.kinetic),
-        "impacts": (moments.impacts, None),
+        "energy_error": (_value(extremes.energy_fault), extremes.energy_fault),
+        "energy_gain": (extremes.energy_gain.value, extremes.energy_gain),
+        "momentum_error": (_or_infinite(extremes.momentum_error), extremes.momentum_error),
+        "angular_momentum_error": (_or_infinite(extremes.angular_momentum_error), extremes.angular_momentum_error),
+        "max_overlap": (_value(extremes.overlap), extremes.overlap),
+        "final_kinetic": (extremes.kinetic.value, extremes.kinetic),
+        "impacts": (extremes.impacts, None),
     }
-    gained = moments.energy_fault is not None and moments.energy_fault is not moments.energy_error
+    gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
     notes = {"energy_error": "put in by impulses of contacts"} if gained else {}
     verdicts = [
         Verdict(
@@ -82,14 +82,14 @@ def judge(scene: Scene, moments: Moments, time: float) -> list[Verdict]:
         if (limit := getattr(expect, name)) is not None
     ]
     return verdicts + [
-        Verdict(f"warned_{kind}", 1.0, float(kind in moments.warned), at_least=True, promised_at=elsewhere["impacts"])
+        Verdict(f"warned_{kind}", 1.0, float(kind in extremes.warned), at_least=True, promised_at=elsewhere["impacts"])
         for kind in expect.warned
     ]
 
 
-def _or_infinite(error: Moment | None) -> float:
+def _or_infinite(error: Extreme | None) -> float:
     return float("inf") if error is None else error.value
 
 
-def _value(moment: Moment | None) -> float:
-    return moment.value if moment else 0.0
+def _value(extreme: Extreme | None) -> float:
+    return extreme.value if extreme else 0.0

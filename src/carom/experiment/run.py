@@ -17,7 +17,7 @@ from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import claimed_output
-from carom.physics.diagnostics.extremes import Moment, Moments
+from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.space import Space
@@ -49,7 +49,7 @@ class Outcome:
     wall_time: float  # s
     size: int  # bytes
     payload: int  # bytes of the arrays alone
-    moments: Moments = field(repr=False)
+    moments: Extremes = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
     impacts_counted: str = EACH  # see `contact_counts`
@@ -173,12 +173,12 @@ def _simulate(
         with contextlib.suppress(RecordingError):
             recorder.finish(f"failed: {type(error).__name__}: {error}")
         raise
-    moments = space.named_moments()
-    verdicts = judge(space.scene, moments, space.time)
+    extremes = space.named_extremes()
+    verdicts = judge(space.scene, extremes, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
-    summary = {"wall_time": time.perf_counter() - began, **_summary(space, moments, verdicts)}
+    summary = {"wall_time": time.perf_counter() - began, **_summary(space, extremes, verdicts)}
     try:
         recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
     except RecordingError as error:
@@ -193,7 +193,7 @@ def _simulate(
         wall_time=time.perf_counter() - began,
         size=path.stat().st_size if path.exists() else 0,
         payload=recorder.payload_bytes,
-        moments=moments,
+        moments=extremes,
         verdicts=verdicts,
         warnings=physics.warnings,
         impacts_counted=_impacts_counted(space),
@@ -297,27 +297,27 @@ def _impacts_counted(space: Space) -> str:
     return EACH if space.requirements.impact_time.modelled else ONCE_A_STEP
 
 
-def _summary(space: Space, moments: Moments, verdicts: list[Verdict]) -> dict[str, Scalar]:
+def _summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[str, Scalar]:
     """Gather what is known only at the end, under dotted keys: the recording's last properties."""
     summary: dict[str, Scalar] = {
         "steps": space.step,
         "sim_time": space.time,
-        "contacts.total": moments.total_contacts,
-        "contacts.impacts": moments.impacts,
+        "contacts.total": extremes.total_contacts,
+        "contacts.impacts": extremes.impacts,
         "contacts.impacts_counted": _impacts_counted(space),
     }
-    if moments.momentum_error is not None:
-        summary["momentum.max_error"] = moments.momentum_error.value
-    if moments.angular_momentum_error is not None:
-        summary["angular_momentum.max_error"] = moments.angular_momentum_error.value
-    if moments.energy_error is not None:
-        summary["energy.max_error"] = moments.energy_error.value
-    summary["energy.reference"] = moments.energy_scale  # J; the viewer loads no recording with "energy.scale" here
-    summary["energy.contact_gain"] = moments.contact_gain.value
-    if moments.overlap is not None:
-        summary["contacts.max_overlap"] = moments.overlap.value
+    if extremes.momentum_error is not None:
+        summary["momentum.max_error"] = extremes.momentum_error.value
+    if extremes.angular_momentum_error is not None:
+        summary["angular_momentum.max_error"] = extremes.angular_momentum_error.value
+    if extremes.energy_error is not None:
+        summary["energy.max_error"] = extremes.energy_error.value
+    summary["energy.reference"] = extremes.energy_scale  # J; the viewer loads no recording with "energy.scale" here
+    summary["energy.contact_gain"] = extremes.contact_gain.value
+    if extremes.overlap is not None:
+        summary["contacts.max_overlap"] = extremes.overlap.value
     for name in ("energy_error", "impact", "overlap", "contacts"):
-        moment: Moment | None = getattr(moments, name)
+        moment: Extreme | None = getattr(extremes, name)
         if moment is not None:
             key = f"moments.{name}"
             summary |= {f"{key}.value": moment.value, f"{key}.step": moment.step, f"{key}.time": moment.time}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carom.experiment.expectation import Verdict
 from carom.experiment.run import Outcome, Watcher, simulate
-from carom.physics.diagnostics.extremes import Moment
+from carom.physics.diagnostics.extremes import Extreme
 from carom.physics.space import Space
 from carom.scene.bundled import EXTREMES, extreme_scenes
 from carom.scene.error import SceneError
@@ -45,12 +45,12 @@ class Trial:
         return self.outcome.verdicts if self.outcome else []
 
     @property
-    def worst(self) -> dict[str, Moment]:
-        """The moments to look at, by what is wrong there; the end of a run that did not get to its own."""
-        moments = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
+    def worst(self) -> dict[str, Extreme]:
+        """The extremes to look at, by what is wrong there; the end of a run that did not get to its own."""
+        extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
         if self.outcome and self.status == "failed":
-            moments["the end"] = Moment(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
-        return moments
+            extremes["the end"] = Extreme(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
+        return extremes
 
 
 def extremes(name: str | None = None) -> dict[str, Path]:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
-from carom.physics.diagnostics.energy_monitor import EnergyWatch, Suspects, WatchTally
-from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
+from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.error import PhysicsError
@@ -51,7 +51,7 @@ class Accounts:
         self._bodies = bodies
         self._energy = EnergyAccount(bodies, field, scene.anchored, constant)
         self._momentum = MomentumAccount(bodies, field, periodic, scene.anchored)
-        self._watch = EnergyWatch(scene.record.energy_tolerance, names)
+        self._watch = EnergyMonitor(scene.record.energy_tolerance, names)
         self._suspects: list[Suspects] = []
 
     @property
@@ -66,7 +66,7 @@ class Accounts:
         return self._momentum.baseline
 
     @property
-    def watch_tally(self) -> WatchTally:
+    def monitor_state(self) -> MonitorState:
         """What the watch knows from one check to the next."""
         return self._watch.tally
 
@@ -92,8 +92,8 @@ class Accounts:
         """Return the momentum of the state as it is, at a time in seconds."""
         return self._momentum.balance(self._bodies, time)
 
-    def take_stock(self, step: int, time: float, potentials: Mapping[str, float], moments: Moments) -> None:
-        """Compute energy and momentum, and let the moments of the run see their errors.
+    def take_stock(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes) -> None:
+        """Compute energy and momentum, and let the extremes of the run see their errors.
 
         Raises
         ------
@@ -103,13 +103,13 @@ class Accounts:
         self.energy = self.energy_now(potentials)
         if not np.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {time:.6g} s")
-        moments.see_energy(step, time, self.energy)
+        extremes.see_energy(step, time, self.energy)
         self.momentum = self.momentum_now(time)
-        moments.see_momentum(step, time, self.momentum)
+        extremes.see_momentum(step, time, self.momentum)
         self.step = step
 
-    def check(self, time: float, moments: Moments) -> list[Event]:
+    def check(self, time: float, extremes: Extremes) -> list[Event]:
         """Let the watch look at the energy; return its warnings."""
-        warnings = self._watch.check(self.step, time, self.energy, moments.contact_gain.value, self._suspects)
+        warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, self._suspects)
         self._suspects = []
         return warnings

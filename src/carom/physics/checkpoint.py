@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.checkpoint import ContactMemory
-from carom.physics.diagnostics.energy_monitor import WatchTally
-from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.energy_monitor import MonitorState
+from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.pace import PaceTally
@@ -24,8 +24,8 @@ class Books:
 
     energy: EnergyBaseline
     momentum: MomentumBaseline
-    watch: WatchTally
-    moments: Moments
+    watch: MonitorState
+    moments: Extremes
     activity: float  # J, of the impacts in the last steps
     phase: str
     limits: tuple[str, ...]  # of the method, reached and told so far

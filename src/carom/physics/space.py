@@ -15,11 +15,11 @@ from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.pipeline import ContactStage
 from carom.physics.contact.support import NOTHING_BORNE
-from carom.physics.diagnostics.activity import Phase
-from carom.physics.diagnostics.extremes import Moments
+from carom.physics.diagnostics.activity import Activity
+from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
-from carom.physics.diagnostics.pace import PaceTally, PaceWatch
+from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
@@ -95,7 +95,7 @@ class Space:
         self.step = 0
         self.dt = 0.0  # s
         self.dt_limit = "start"
-        self.moments = Moments()
+        self.extremes = Extremes()
         self.profile = Profile()
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
         self._fixed = np.flatnonzero(start.fixed)
@@ -115,10 +115,10 @@ class Space:
         losses = [force.kind.loss for force in self._forces if force.kind.loss]
         self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies(), losses)
         self._events: list[Event] = []
-        self._phase = Phase(len(self.state), scene.anchored or bool(self._uniform.any()))
+        self._activity = Activity(len(self.state), scene.anchored or bool(self._uniform.any()))
         self._stopping = False
         potentials = self._warm_up()
-        self._pace = PaceWatch(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
+        self._pace = PaceMonitor(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
         self._take_stock(potentials, checked=True)
         self._publish()
         self.profile.clear()
@@ -226,8 +226,8 @@ class Space:
         if self._pace:
             self._pace.tally = books.pace
         self._accounts.reopen(books, checkpoint.energy.ledger)
-        self.moments = replace(books.moments)
-        self._phase.reopen(books.phase, books.activity)
+        self.extremes = replace(books.moments)
+        self._activity.reopen(books.phase, books.activity)
         self._events = []
         self._take_stock(self._potentials(), checked=False)
         self._publish()
@@ -272,17 +272,17 @@ class Space:
 
     def highlights(self) -> tuple[Event, ...]:
         """Return the extremes of the run so far as events, each at its own time."""
-        return self.moments.highlights(self._called)
+        return self.extremes.highlights(self._called)
 
-    def named_moments(self) -> Moments:
+    def named_extremes(self) -> Extremes:
         """Return the extremes of the run so far, with bodies and planes by their names."""
-        return self.moments.named(self._called)
+        return self.extremes.named(self._called)
 
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
         if self._accounts.step != self.step:
             self._take_stock(self._potentials(), checked=True)
-        self._phase.judge(self._accounts.energy)
+        self._activity.judge(self._accounts.energy)
         state, needs, momentum = self.state, self.requirements, self._accounts.momentum
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
@@ -305,7 +305,7 @@ class Space:
             momentum=momentum.linear,
             angular_momentum=momentum.angular,
             sweeps=self._contact.sweeps if self._contact else 0,
-            phase=self._phase.name,
+            phase=self._activity.phase,
             events=events,
             fingerprint=self.fingerprint(),
             previous_dt=self._timestep.previous,
@@ -320,10 +320,10 @@ class Space:
         return Books(
             energy=self._accounts.energy_baseline,
             momentum=self._accounts.momentum_baseline,
-            watch=self._accounts.watch_tally,
-            moments=replace(self.moments),
-            activity=self._phase.activity,
-            phase=self._phase.name,
+            watch=self._accounts.monitor_state,
+            moments=replace(self.extremes),
+            activity=self._activity.impact_energy,
+            phase=self._activity.phase,
             limits=tuple(sorted(self._contact.warned)) if self._contact else (),
             pace=self._pace.tally if self._pace else PaceTally(),
         )
@@ -388,7 +388,7 @@ class Space:
             if checked:
                 self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
         else:
-            self._phase.see(0, 0.0)
+            self._activity.see(0, 0.0)
         if checked:
             self._take_stock(potentials, checked)
         if self._pace and self.step % self.scene.record.check_every == 0:
@@ -474,34 +474,34 @@ class Space:
         if len(contact.held):
             self._accounts.book(contact.held)
         if contact.tally.contacts:
-            if self.moments.contacts is None:
+            if self.extremes.contacts is None:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
                 text = f"First contact: {self._called.of(i)} and {self._called.of(j)}."
                 self._log(Event(self.step, self.time, "INFO", text, "first-contact"))
-            self._see_contacts(contact, self.moments)
+            self._see_contacts(contact, self.extremes)
             for text in contact.limits_reached():
                 self._log(Event(self.step, self.time, "WARN", text, "limit"))
-        self._phase.see(contact.tally.contacts, contact.tally.struck)
+        self._activity.see(contact.tally.contacts, contact.tally.struck)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
             contact.turn(self.dt)
             self.profile.mark("torque")
 
-    def _see_contacts(self, contact: ContactStage, moments: Moments) -> None:
+    def _see_contacts(self, contact: ContactStage, extremes: Extremes) -> None:
         """Book the contacts of the step."""
         self._accounts.book(contact.tally.work)
-        moments.see_contacts(self.step, self.time, contact.tally)
+        extremes.see_contacts(self.step, self.time, contact.tally)
 
     def _take_stock(self, potentials: Potentials, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
         try:
-            self._accounts.take_stock(self.step, self.time, potentials, self.moments)
+            self._accounts.take_stock(self.step, self.time, potentials, self.extremes)
         except PhysicsError:
             refuse_infinities(self.state, self.names, self.step, self.time)  # says which bodies it was
             raise
         if checked:
-            for warning in self._accounts.check(self.time, self.moments):
+            for warning in self._accounts.check(self.time, self.extremes):
                 self._log(warning)
         self.profile.mark("energy")
 
@@ -527,14 +527,14 @@ class Space:
             self._timestep.previous = self._timestep.target(state)[0]
         if self._contact:
             self._contact.forget()
-            self._see_contacts(self._contact, Moments())  # none: loads the kernels
+            self._see_contacts(self._contact, Extremes())  # none: loads the kernels
             self._contact.begin(self.first_dt)
         return potentials
 
     def _log(self, event: Event) -> None:
         self._events.append(event)
         if event.level == "WARN":
-            self.moments.see_warning(event.kind)
+            self.extremes.see_warning(event.kind)
 
     def _stuck(self, time: float) -> str:
         remedy = {

@@ -103,7 +103,7 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
     watch.see_contacts(space.time)
     if len(watch.position) < len(times):
         raise PhysicsError(f"the run stopped at t = {space.time:.6g} s")
-    moments, n = space.moments, len(space.state) + len(space.planes)
+    extremes, n = space.extremes, len(space.state) + len(space.planes)
     collides = space.requirements.contact.modelled
     met = np.array(list(watch.met), dtype=np.int64)
     return Trajectory(
@@ -112,13 +112,13 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
         velocity=np.array(watch.velocity),
         pair=np.stack((met // n, met % n), axis=1),
         met=np.array(list(watch.met.values())),
-        energy_error=moments.energy_fault.value if moments.energy_fault else 0.0,
-        energy_gain=moments.energy_gain.value,
-        momentum_error=moments.momentum_error.value if moments.momentum_error else np.nan,
-        angular_momentum_error=moments.angular_momentum_error.value if moments.angular_momentum_error else np.nan,
-        overlap=(moments.overlap.value if moments.overlap else 0.0) if collides else np.nan,
+        energy_error=extremes.energy_fault.value if extremes.energy_fault else 0.0,
+        energy_gain=extremes.energy_gain.value,
+        momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
+        angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
+        overlap=(extremes.overlap.value if extremes.overlap else 0.0) if collides else np.nan,
         sinking=watch.sinking if space.requirements.resting.modelled else np.nan,
-        impacts=moments.impacts,
+        impacts=extremes.impacts,
         steps=space.step,
         frames=watch.frames,
     )

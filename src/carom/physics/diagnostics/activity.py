@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from carom.physics.energy import Energy
 
-MEMORY = 50  # steps over which the energy of impacts is summed
+STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
 STILL_BELOW = 1e-4  # of the energy scale; what moves with more kinetic energy rolls, slides or falls
 
 
-class Phase:
+class Activity:
     """Follows the contacts of n bodies from step to step.
 
-    ``name`` is "warm-up" before the first step, then "free", "colliding", or "settled": most bodies touch, the impacts
-    of late were slight and, where motion counts from rest, little moves.
+    ``phase`` is "warm-up" before the first step, then "free", "colliding", or "settled": most bodies touch, recent
+    impacts were slight and, where motion counts from rest, little moves.
 
     Parameters
     ----------
@@ -25,19 +25,19 @@ class Phase:
     """
 
     def __init__(self, bodies: int, from_rest: bool) -> None:
-        self.name = "warm-up"
-        self.activity = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self.phase = "warm-up"
+        self.impact_energy = 0.0  # J, ½ μ v_n² of the impacts in the last steps
         self._bodies = bodies
         self._from_rest = from_rest
-        self._contacts: int | None = None  # of the last step; None before the first, and where a run goes on
+        self._contacts: int | None = None  # of the last step; None before the first one of a new or resumed run
 
-    def reopen(self, name: str, activity: float) -> None:
-        """Go on with the phase of an earlier run."""
-        self.name, self.activity, self._contacts = name, activity, None
+    def reopen(self, phase: str, impact_energy: float) -> None:
+        """Continue an earlier run."""
+        self.phase, self.impact_energy, self._contacts = phase, impact_energy, None
 
-    def see(self, contacts: int, struck: float) -> None:
+    def see(self, contacts: int, impact_energy: float) -> None:
         """Take note of a step: the number of its contacts, and Σ ½ μ v_n² of those that were impacts, in J."""
-        self.activity += struck - self.activity / MEMORY
+        self.impact_energy += impact_energy - self.impact_energy / STEPS_REMEMBERED
         self._contacts = contacts
 
     def judge(self, energy: Energy) -> None:
@@ -45,8 +45,8 @@ class Phase:
         if self._contacts is None:
             return
         if self._contacts == 0:
-            self.name = "free"
+            self.phase = "free"
             return
-        quiet = self.activity <= SETTLED_BELOW * energy.scale
+        quiet = self.impact_energy <= SETTLED_BELOW * energy.scale
         still = not self._from_rest or energy.translational + energy.rotational <= STILL_BELOW * energy.scale
-        self.name = "settled" if quiet and still and 2 * self._contacts >= self._bodies else "colliding"
+        self.phase = "settled" if quiet and still and 2 * self._contacts >= self._bodies else "colliding"

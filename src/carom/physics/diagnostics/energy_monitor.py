@@ -66,7 +66,7 @@ class Suspects:
 
 
 @dataclass(frozen=True, slots=True)
-class WatchTally:
+class MonitorState:
     """What the watch knows from one check to the next."""
 
     lowest: Energy | None = None  # the lowest total since the last warning
@@ -76,7 +76,7 @@ class WatchTally:
     gained: bool = False  # whether it has warned that impulses of contacts put energy in
 
 
-class EnergyWatch:
+class EnergyMonitor:
     """Looks at the energy at every check and warns of a rise, and of an integration error that makes the run useless.
 
     A rise counts from the lowest energy since the last warning, so that a slow one is seen however often it is checked.
@@ -85,7 +85,7 @@ class EnergyWatch:
     def __init__(self, tolerance: float, names: Names) -> None:
         self._tolerance = tolerance
         self._names = names
-        self.tally = WatchTally()
+        self.tally = MonitorState()
 
     def check(
         self, step: int, time: float, energy: Energy, contact_gain: float, suspects: list[Suspects]
@@ -122,7 +122,7 @@ class EnergyWatch:
             lowest, since = energy, time
         else:
             since = tally.since
-        self.tally = WatchTally(lowest, since, tally.warnings + rose, tally.lost or lost, tally.gained or gained)
+        self.tally = MonitorState(lowest, since, tally.warnings + rose, tally.lost or lost, tally.gained or gained)
         return events
 
 

@@ -27,7 +27,7 @@ class PaceTally:
     told: bool = False
 
 
-class PaceWatch:
+class PaceMonitor:
     """Looks at the step now and then, and warns once if the run crawls.
 
     Parameters
