@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import inline
+
+FloatArray = NDArray[np.float64]
 
 
 @inline
@@ -12,3 +15,8 @@ def minimum_image(d: float, L: float) -> float:
     """Return one coordinate of a separation, d m, to the nearest image in a box of size L m: d - L ⌊d/L + ½⌋."""
     nearest: float = d - L * np.floor(d / L + 0.5)
     return nearest
+
+
+def minimum_images(d: FloatArray, box: FloatArray) -> FloatArray:
+    """Return separations, (..., 3) m, to the nearest images in a box, (3,) m."""
+    return d - box * np.floor(d / box + 0.5)

@@ -1,4 +1,4 @@
-"""The shortest time in which a pull changes the motion of a body: what limits the step where nothing can touch.
+"""The time step that gravity allows where nothing can touch: a fraction of the shortest time of any pair.
 
 A pair at the distance r passes in r/v and falls together in √(r³/(G M)), M = m_i + m_j. Both together, with Plummer's
 R² = r² + ε²,
@@ -11,9 +11,9 @@ is therefore added, as they do: h = η τ / (1 - η τ'/2) is the mean of both e
 alike in both directions of time. Of an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹, and to
 10⁻⁶ without.
 
-Many bodies are not looked at in pairs. If the acceleration a of a body is that of one neighbour of mass m, that is at
-r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾); a body in the common field of many gets a shorter time by
-this than it has. Softening ε bounds the time from below by √(ε/a).
+With more than `PAIRS_UP_TO` bodies the pairs are not examined. If the acceleration a of a body is that of one neighbour
+of mass m, that is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾); a body in the common field of many gets
+a shorter time by this than it has. Softening ε bounds the time from below by √(ε/a).
 """
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
 
 def broad_phase(scene: Scene, contact: Part) -> Part:
     """Decide whether pairs that may touch are searched."""
-    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hashed grid"
+    how = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
     return where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
 
 

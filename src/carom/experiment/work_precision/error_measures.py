@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.experiment.work_precision.trajectory import Trajectory
+from carom.physics.periodic_box import minimum_images
 
 FloatArray = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class Scale:
         count = min(len(a), len(b))
         d = a.position[:count] - b.position[:count]
         if self.box is not None:
-            d -= self.box * np.floor(d / self.box + 0.5)
+            d = minimum_images(d, self.box)
         return _rms(d) / self.length, _rms(a.velocity[:count] - b.velocity[:count]) / self.speed
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
+from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.features import frame_interval
@@ -189,7 +190,7 @@ class _Watch:
         flown = 0  # impacts so far
         way = frame.position - x
         if self._space.box is not None:
-            way -= self._space.box * np.floor(way / self._space.box + 0.5)
+            way = minimum_images(way, self._space.box)
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             h = self._times[len(self.position)] - begin
             ends = (a, frame.acceleration) if self._space.ends_with_forces else None

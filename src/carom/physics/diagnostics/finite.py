@@ -1,4 +1,4 @@
-"""A state that is no longer finite is refused before it is handed on."""
+"""Checks that end a run whose state is no longer finite, or no longer accurate in a periodic box."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MIN_BODIES_PER_TASK = 5000
 
 
 def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, team: Team = SOLO) -> None:
-    """Check positions and velocities.
+    """Refuse a state whose positions or velocities are not all finite.
 
     Raises
     ------
@@ -38,7 +38,9 @@ def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, 
 
 
 def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float) -> None:
-    """Check how often a body crosses a periodic box in a step of dt in s; its position in it loses a digit for each 10.
+    """Refuse a step of dt, in s, in which a body would cross a periodic box too often.
+
+    Its position in the box loses a digit for each factor of 10.
 
     Raises
     ------
@@ -57,11 +59,11 @@ def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: in
 def _look_for_infinities(
     lo: int, hi: int, position: NDArray[np.float64], velocity: NDArray[np.float64], lost: NDArray[np.bool_]
 ) -> None:
-    """Say so if a number is not finite: without an array for the answers, of which NumPy's way takes three."""
+    """Set ``lost`` if a number of the bodies [lo, hi) is not finite; NumPy would allocate three arrays for that."""
     infinities = 0
     for i in range(lo, hi):
         for k in range(3):
             x, v = position[i, k], velocity[i, k]
-            infinities += (x - x != 0.0) | (v - v != 0.0)  # infinity - infinity is not a number, and none equals 0
+            infinities += (x - x != 0.0) | (v - v != 0.0)  # ∞ - ∞ is NaN, which does not equal 0
     if infinities > 0:
         lost[0] = True

@@ -1,4 +1,4 @@
-"""Whether a run crawls: steps that have become so short that it takes many times as many as its start promised."""
+"""A warning when the steps of a run have become so short that it takes many times as many as its start promised."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from carom.physics.event import Event
 
 CRAWL = 5.0  # times as many steps as at the pace of the first one
-MANY_STEPS = 50_000  # a run of fewer is over before anybody could act on a warning
+MIN_STEPS = 50_000  # a run of fewer is over before anybody could act on a warning
 
 REMEDY = {  # what makes the steps longer that a limit sets
     "acceleration": "time.target_dx",
@@ -21,14 +21,14 @@ REMEDY = {  # what makes the steps longer that a limit sets
 
 @dataclass(frozen=True, slots=True)
 class PaceTally:
-    """What the watch knows from one look to the next."""
+    """What the monitor knows from one look to the next."""
 
     slow_since: float | None = None  # s, from when on all steps looked at were short; None if the last one was not
     told: bool = False
 
 
 class PaceMonitor:
-    """Looks at the step now and then, and warns once if the run crawls.
+    """Checks the step now and then, and warns once if the run crawls.
 
     Parameters
     ----------
@@ -44,16 +44,16 @@ class PaceMonitor:
         self.tally = PaceTally()
 
     def look(self, step: int, time: float, dt: float, limit: str) -> Event | None:
-        """Look at the step that comes next, of dt seconds, and at what sets it; return a warning the first time.
+        """Check the next step, of dt seconds, and the limit that sets it; return a warning the first time it crawls.
 
-        A run crawls if both the steps so far and the next one, kept up to the end, make it so many.
+        A run crawls if it would take that many steps at the pace so far, and also at the pace of the next step.
         """
         short = CRAWL * dt < self._first_dt
         since = self.tally.slow_since if self.tally.slow_since is not None else time
         self.tally = PaceTally(since if short else None, self.tally.told)
         promised = self._duration / self._first_dt
         whole = min(step * self._duration / time, step + max(0.0, self._duration - time) / dt)
-        if not short or self.tally.told or whole < max(MANY_STEPS, CRAWL * promised):
+        if not short or self.tally.told or whole < max(MIN_STEPS, CRAWL * promised):
             return None
         self.tally = PaceTally(since, told=True)
         text = (

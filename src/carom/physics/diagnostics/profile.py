@@ -1,4 +1,4 @@
-"""Where the time of a step goes."""
+"""Wall time by part of the step."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from time import perf_counter_ns
 
 
 class Profile:
-    """Sums wall time by part of the step. Parts are marked as they end: one clock reading each."""
+    """Sums wall time by part of the step. A part is marked when it ends, which costs one clock reading."""
 
     def __init__(self) -> None:
         self._nanoseconds: dict[str, int] = {}
@@ -17,13 +17,13 @@ class Profile:
         self._last = perf_counter_ns()
 
     def mark(self, part: str) -> None:
-        """Book the time since the last mark to a part."""
+        """Add the time since the last mark to a part."""
         now = perf_counter_ns()
         self._nanoseconds[part] = self._nanoseconds.get(part, 0) + now - self._last
         self._last = now
 
     def clear(self) -> None:
-        """Forget all: the warm-up, which compiles, is not part of the run."""
+        """Forget all, after the warm-up, which compiles."""
         self._nanoseconds.clear()
 
     def seconds(self) -> dict[str, float]:

@@ -243,7 +243,7 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
 
 @inner
 def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
-    """Return the normal from i to j, and both lever arms in m; see `meeting.meet`."""
+    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`."""
     x, n = T.x, len(T.x)
     if j >= n:
         height = -T.offset[j - n]
