@@ -26,8 +26,8 @@ import pytreegrav
 import rebound
 from numpy.typing import NDArray
 
-from carom.physics.gravity.direct import DirectGravity
-from carom.physics.gravity.tree import TreeGravity
+from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from measurement import medians, merge

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]

@@ -162,7 +162,7 @@ WHOLE: Sections = {
     "gravity": {"constant": 1e-3, "uniform": [0.0, 0.0, -9.81]},
     "time": {"max_dt": 0.02},
 }
-DIRECT = {"gravity.direct._total"}
+DIRECT = {"forces.gravity.direct._total"}
 TURNING = {"rotation.turn", "contact.pipeline._turn"}
 MEETING = {
     "contact.geometry.update_geometry",
@@ -171,8 +171,9 @@ MEETING = {
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
-FIELD, STEP = {"forces.uniform_field.add"}, {"timestep._limits"}
-OPTIONAL = ("contact.continuous.", "gravity.multipole.", "gravity.walk.", "gravity.boxes.")  # modules
+FIELD, STEP = {"forces.uniform_field.add"}, {"time_step._limits"}
+TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
+OPTIONAL = ("contact.continuous.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
 LATE = {"timing": "end-of-step"}

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.gravity.boxes import GRAIN, GROUP, LEAF, Boxes
-from carom.physics.gravity.direct import DirectGravity
-from carom.physics.gravity.tree import TreeGravity
+from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.tree import TreeGravity
+from carom.physics.forces.gravity.tree_build import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene

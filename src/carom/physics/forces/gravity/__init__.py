@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.gravity.direct import DirectGravity
-from carom.physics.gravity.tree import TreeGravity
+from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import gravity_method
 from carom.scene.forces import GRAVITY

@@ -12,7 +12,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
-from carom.physics.timestep import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
+from carom.physics.time_step import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
 from carom.plan.features import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
 from examples import kinetic_energy_of, random_bodies

@@ -1,8 +1,8 @@
 """Gravity by a tree: a box of bodies that is far enough away pulls as a whole.
 
-`boxes` sorts the bodies, `multipole` sums up the boxes, `walk` decides what is far and adds up the pull. The error is
-that of the opening angle (docs/physics.md has it measured), and so is that of the total momentum: the force on a body
-and those that it exerts are not opposite. The bits are the same on any processor and number of threads.
+`tree_build` sorts the bodies, `multipole` sums up the boxes, `tree_walk` decides what is far and adds up the pull. The
+error is that of the opening angle (docs/physics.md has it measured), and so is that of the total momentum: the force on
+a body and those that it exerts are not opposite. The bits are the same on any processor and number of threads.
 
 Threads take what is next in turn until nothing is left, so that all of them end at about the same time: in pieces that
 are cut beforehand, bodies that are crowded take far longer than others.
@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import aligned_empty
-from carom.physics.gravity.boxes import GROUP, RANGE, Boxes
-from carom.physics.gravity.direct import PARALLEL_FROM, potential_energy
-from carom.physics.gravity.multipole import CENTRE, MOMENTS, expand
-from carom.physics.gravity.walk import pull
+from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
+from carom.physics.forces.gravity.multipole import CENTRE, MOMENTS, expand
+from carom.physics.forces.gravity.tree_build import GROUP, RANGE, Boxes
+from carom.physics.forces.gravity.tree_walk import pull
 from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]

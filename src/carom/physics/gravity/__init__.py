@@ -1,1 +1,0 @@
-"""How bodies pull each other."""
