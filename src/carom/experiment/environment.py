@@ -1,4 +1,4 @@
-"""What a run depended on besides its scene: versions, machine, command."""
+"""What a run depends on besides its scene: versions, machine, command."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def environment(threads: int) -> dict[str, str | int]:
 
 
 def command_line() -> str:
-    """Return what was typed, without the folders of absolute paths: recordings are given to others."""
+    """Return the command line with the folders of absolute paths removed: recordings are given to others."""
     program = Path(sys.argv[0])
     name = "carom" if program.name == "__main__.py" and program.parent.name == "carom" else program.name
     return shlex.join([name, *(_ABSOLUTE.sub(r"\1", word) for word in sys.argv[1:])])

@@ -1,4 +1,4 @@
-"""What a run will cost, part by part and entity by entity: a few of its steps and frames, and a coarse look ahead."""
+"""Estimates what a run will cost, by part and entity, from a few steps and frames and a coarse look ahead."""
 
 from __future__ import annotations
 

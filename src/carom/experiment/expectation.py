@@ -1,4 +1,4 @@
-"""The promises of a scene's [expect], held against what a run measured."""
+"""Compares the limits of a scene's [expect] with what a run measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Holding a replayed frame against all that was recorded of it, row by row and bit for bit."""
+"""Compares a replayed frame with everything recorded of it, row by row and bit for bit."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _RELATIVE = {
 
 @dataclass(frozen=True, slots=True)
 class Mismatch:
-    """Something recorded that a replayed frame has otherwise."""
+    """A recorded value that differs in the replayed frame."""
 
     step: int
     quantity: str

@@ -1,4 +1,4 @@
-"""What asks the program to end: the interrupt key, and the signals of job schedulers and of closed terminals."""
+"""Requests to end: Ctrl-C, and the signals of job schedulers and closed terminals."""
 
 from __future__ import annotations
 

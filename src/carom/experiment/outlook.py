@@ -1,4 +1,4 @@
-"""How many steps a run will take: a coarse look at the whole of it."""
+"""Estimates the number of steps of a run by a coarse run of the whole scene."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LIKELY = 2.0  # a whole look is right to this factor: the bundled scenes and ext
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """The steps of a whole run, as far as they can be foreseen."""
+    """Estimated steps of a whole run."""
 
     steps: int
     fewest: int
@@ -29,7 +29,7 @@ class Outlook:
 
 
 def look_ahead(scene: Scene, step_seconds: float) -> Outlook:
-    """Foresee the steps of a run.
+    """Estimate the steps of a run.
 
     Parameters
     ----------

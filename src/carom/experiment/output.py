@@ -1,4 +1,4 @@
-"""Where runs may write."""
+"""Checks and claims output paths before anything is computed for them."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ Consent = Callable[[float], bool]  # s that the rest will take → whether to go
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first frame that is not what was recorded, and what differs most in it."""
+    """The first frame that differs from the recording, and what differs most in it."""
 
     step: int
     time: float  # s, recorded
@@ -42,7 +42,7 @@ class Difference:
 
     @property
     def by(self) -> float | None:
-        """How much it is off; None where that is no number."""
+        """Size of the difference; None if it is not a number."""
         if isinstance(self.recorded, str) or isinstance(self.replayed, str):
             return None
         return self.replayed - self.recorded
@@ -56,7 +56,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """How a replay went."""
+    """Result of a replay."""
 
     begin: int  # the step of the checkpoint that it began at
     frames: int  # recorded ones from there to the end of the window
@@ -160,7 +160,7 @@ def replay(
 
 
 class _Comparison:
-    """Holds frames against the recorded ones."""
+    """Compares frames with the recorded ones."""
 
     def __init__(self, recording: Recording, header: Header, begin: int, end: float, only_recorded: bool) -> None:
         table = recording.fingerprints()
@@ -194,7 +194,7 @@ class _Comparison:
         return None if found is None else self._other(found)
 
     def stray(self) -> Difference | None:
-        """Tell of rows that belong to no frame."""
+        """Report rows that belong to no frame."""
         found = self.check.strays()
         return None if found is None else self._other(found)
 
@@ -207,7 +207,7 @@ class _Comparison:
         return max(0, self.last - step)
 
     def missing(self, space: Space) -> Difference | None:
-        """Tell of a run that ended before the recorded one did."""
+        """Report a run that ended earlier than the recorded one."""
         if self.compared == len(self.fingerprints):
             return None
         step = min(step for step in self.fingerprints if step > space.step)

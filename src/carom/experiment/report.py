@@ -1,4 +1,4 @@
-"""A bundle for a bug report: the clip around the moment in question, and all that a reader of the report asks first."""
+"""Packs a bundle for a bug report: a clip around the moment in question, the scene, versions and measurements."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def _promise(verdict: dict[str, Any]) -> str:
 
 
 def _ledger(clip: Recording) -> list[str]:
-    """Say which way energy went within the clip."""
+    """Describe the energy balance within the clip."""
     energy = clip.energy()
     rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
     rows = [*rows, ("integration_error", "the integrator's error")]

@@ -1,4 +1,4 @@
-"""From a recording back to a space that stands where it stood: what replays and continued runs begin with.
+"""Restores a space from a recording, for replays and resumed runs.
 
 A recording may come from a stranger. Everything in it is looked at before it is computed with.
 """
@@ -43,7 +43,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
 def space_of(
     recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None, restored: bool = True
 ) -> Space:
-    """Build a space that stands at a checkpoint of a recording.
+    """Build a space in the state of a checkpoint.
 
     Bodies are those recorded, not placed anew: random numbers may differ between libraries.
 

@@ -1,4 +1,4 @@
-"""Go on with a run that has ended, or was ended: the result is what one uninterrupted run would have given."""
+"""Resumes a run; the result has the same bits as one uninterrupted run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ResumableRun:
 
 
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
-    """Find where a recording can be gone on from, and how.
+    """Find the checkpoint from which a recording can be resumed.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
 
 @contextlib.contextmanager
 def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[Claim]:
-    """Keep what a continued run will write for this process, and refuse what is in the way, before anything is read.
+    """Claim the files that a resumed run will write, and refuse existing ones, before anything is read.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def resume(
     live: str | None = None,
     watch: Watcher | None = None,
 ) -> Outcome:
-    """Go on with a run and record the whole of it.
+    """Resume a run and record the whole of it.
 
     Until the new recording is whole it has a name of its own, ``NAME.resumed.rrd``. If the disk runs full it keeps
     that name, and the recording is as it was.
@@ -164,12 +164,12 @@ def _resume(
 
 
 def under_way(target: Path) -> Path:
-    """Return where a continued run is recorded until it is whole."""
+    """Return the path to which a resumed run is recorded until it is complete."""
     return target.with_name(target.stem + UNDER_WAY)
 
 
 def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
-    """Say where the first part came from, and where, when and by what it was continued."""
+    """Return properties that say where both parts of the run were computed."""
     first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
     now = {f"resumed.{key}": value for key, value in environment(threads).items()}
     return first | now | {"resumed.step": run.checkpoint.step, "resumed.time": run.checkpoint.time}

@@ -1,4 +1,4 @@
-"""One run: physics in a thread of its own, the recorder in another, the caller free to watch and to stop."""
+"""Runs a scene: physics in one thread, the recorder in another; the caller can watch and stop it."""
 
 from __future__ import annotations
 
@@ -298,7 +298,7 @@ def _impacts_counted(space: Space) -> str:
 
 
 def _summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[str, Scalar]:
-    """Gather what is known only at the end, under dotted keys: the recording's last properties."""
+    """Return the recording's closing properties, under dotted keys."""
     summary: dict[str, Scalar] = {
         "steps": space.step,
         "sim_time": space.time,

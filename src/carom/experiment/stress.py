@@ -1,4 +1,4 @@
-"""The numerical extremes: scenes at the edge of what arithmetic and method can hold, each with its criteria."""
+"""Runs the numerical extremes: scenes at the limits of arithmetic and method, each with its criteria."""
 
 from __future__ import annotations
 

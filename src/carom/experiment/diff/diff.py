@@ -1,4 +1,4 @@
-"""Where and how two recordings part: scene, versions, first frame, growth."""
+"""Compares two recordings: scene, versions, first different frame, growth of the difference."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from carom.experiment.diff.divergence import Curve, Growth, Verdict, growth, verdict
-from carom.experiment.diff.frame_alignment import Matched
+from carom.experiment.diff.frame_alignment import FrameAlignment
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.comparison import Pair, write_overlay
@@ -38,7 +38,7 @@ class Diff:
 
     @property
     def same(self) -> bool:
-        """Whether all frames that both have are the same bits."""
+        """Whether all common frames are identical to the bit."""
         return self.verdict.kind == "same"
 
 
@@ -53,7 +53,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     RecordingError
         If they have no frame in common, do not show the same bodies, or cannot be read.
     """
-    matched = Matched(a, b)
+    matched = FrameAlignment(a, b)
     curve = matched.curve()
     grown = growth(curve)
     scene = differing(_scene(a), _scene(b))
@@ -72,8 +72,8 @@ def diff(a: Recording, b: Recording) -> Diff:
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
-    """Write both into one recording, to look at. RecordingError if it cannot be written."""
-    matched = Matched(a, b)
+    """Write both into one recording to look at. RecordingError if it cannot be written."""
+    matched = FrameAlignment(a, b)
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve
     pairs = (Pair(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step)))
@@ -83,7 +83,7 @@ def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Return the keys whose values differ, with both; None stands for one that is not there."""
+    """Return the keys whose values differ, with both values; None for an absent key."""
     keys = [*a, *(key for key in b if key not in a)]
     return {key: (a.get(key), b.get(key)) for key in keys if a.get(key) != b.get(key)}
 
@@ -100,7 +100,7 @@ def _scene(recording: Recording) -> dict[str, Any]:
 
 
 def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
-    """Return what holds in one of two scenes for the keys that it does not write, where that is anything."""
+    """Return the defaults of one scene for keys that only the other one sets."""
     defaults: dict[str, Any] = {}
     for recording, own in ((a, 0), (b, 1)):
         missing = [key for key, values in differing.items() if values[own] is None]
@@ -118,7 +118,7 @@ def _validated(recording: Recording) -> Scene | None:
 
 
 def _value(scene: Scene | None, key: str) -> Any:
-    """Return the value of a dotted key, as TOML would have it; None where there is none."""
+    """Return the value of a dotted key as in TOML; None if it is absent."""
     node: Any = scene
     for name in key.split("."):
         if isinstance(node, tuple):

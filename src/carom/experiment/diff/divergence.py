@@ -1,8 +1,8 @@
-"""How a difference between two runs grows, and what that says of where it came from.
+"""How a difference between two runs grows, and what caused it.
 
-Two runs that differ by round-off part exponentially if the system is chaotic: ln d = a + λ t. A fault in the program,
-or another scene, is not a matter of round-off: it shows as a difference that is there at once, larger than any
-round-off that had so much time to grow; or it grows like a power of time.
+Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A fault in the program or
+another scene shows as a difference that is larger from the start than round-off can have become in that time, or that
+grows as a power of time.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Growth:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What it is, in a word, a sentence, and the numbers behind them."""
+    """The cause in one word, in one sentence, and the numbers behind it."""
 
     kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
     text: str
@@ -62,7 +62,7 @@ class Verdict:
 
 
 def growth(curve: Curve) -> Growth | None:
-    """Fit the growing part: from the first difference that can be seen to the largest one below saturation."""
+    """Fit the growing part of a curve: from the first visible difference to the largest below saturation."""
     seen = np.flatnonzero((curve.rms > curve.floor) & np.isfinite(curve.rms))
     if len(seen) == 0:
         return None
@@ -85,7 +85,7 @@ def growth(curve: Curve) -> Growth | None:
 
 
 def verdict(curve: Curve, grown: Growth | None) -> Verdict:
-    """Tell round-off that grew from a fault."""
+    """Decide whether a difference is grown round-off or a fault."""
     if not curve.differs.any():
         return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
@@ -114,7 +114,7 @@ def verdict(curve: Curve, grown: Growth | None) -> Verdict:
 
 
 def _allowed(curve: Curve, grown: Growth | None, first: int) -> float:
-    """Bound what round-off since the last frame with the same bits can have become (m)."""
+    """Bound the size (m) to which round-off can have grown since the last identical frame."""
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
     rate = grown.rate if grown is not None and grown.is_exponential else 0.0

@@ -1,4 +1,4 @@
-"""`Matched`: the frames that two recordings have in common, and how far apart the bodies are in each."""
+"""`FrameAlignment`: the common frames of two recordings, and the distances of the bodies in each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
-class Matched:
+class FrameAlignment:
     """Frames matched by step if both recordings have the same times, else by time.
 
     By time, the second one is interpolated linearly between its frames where it has none at the same moment.
@@ -52,7 +52,7 @@ class Matched:
         return len(self._first)
 
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the positions in both (m), and the smallest rms difference that can be told from rounding (m)."""
+        """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m)."""
         i, j, part = self._place(k)
         if part == 1.0:
             exact = self._a.track.exact(self._a.step[i]), self._b.track.exact(self._b.step[j])
@@ -86,7 +86,7 @@ class Matched:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return the frame in the first, the frame in the second, and how far on the way to it the moment is."""
+        """Return the frame of the first recording, that of the second, and the fraction of the way to the latter."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= _SAME_TIME * abs(time) or j == 0:
@@ -94,13 +94,13 @@ class Matched:
         return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
 
     def _near(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Take the images of the other positions that are next to the ones, in a periodic box."""
+        """Return the periodic images of other positions that are nearest to some positions."""
         if self._box is None:
             return other
         return np.asarray(other - self._box * np.round((other - one) / self._box))
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
-        """Estimate the error of interpolating linearly half way: an eighth of the second difference."""
+        """Estimate the error of linear interpolation at the midpoint: an eighth of the second difference."""
         third = j + 1 if j + 1 < len(self._b.step) else j - 2
         if third < 0:
             return float("inf")
@@ -139,7 +139,7 @@ class _Frames:
 
 
 def _rms(vectors: FloatArray) -> float:
-    """Return the rms length; a vector that is no number is infinitely long."""
+    """Return the rms length; a vector with a NaN counts as infinitely long."""
     with np.errstate(invalid="ignore", over="ignore"):
         rms = float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
     return rms if np.isfinite(rms) else float("inf")

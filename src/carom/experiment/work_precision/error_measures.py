@@ -1,4 +1,4 @@
-"""What a run gets wrong, held against a reference: in space and time up to a horizon, in statistics beyond it."""
+"""The errors of a run against a reference: in space and time up to a horizon, in statistics beyond it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NAMES = tuple(Errors.__dataclass_fields__)
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """What errors of position and velocity are parts of."""
+    """The units of errors in position and velocity."""
 
     length: float  # m, the largest rms distance from the centre, or half the box
     speed: float  # m/s, the largest rms speed about the mean velocity
@@ -66,7 +66,7 @@ def spread(vectors: FloatArray) -> FloatArray:
 
 
 def compare(run: Trajectory, reference: Trajectory, scale: Scale, samples: int, whole: bool) -> Errors:
-    """Hold a run against a reference.
+    """Compare a run with a reference.
 
     Parameters
     ----------

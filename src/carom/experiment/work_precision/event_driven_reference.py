@@ -1,4 +1,4 @@
-"""A few bodies, exactly: an adaptive method of eighth order between contacts, and each contact an event.
+"""Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
 SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off, from contact to contact. A step
 in which two bodies may come together is searched for the first moment at which they touch by conservative advancement:
@@ -7,11 +7,11 @@ The moment is then refined on steps from the same beginning, and the contact is 
 impulse law, `physics/contact/impulse.py`. Samples do not cut the steps: each one is a shorter step beside the one that
 passes it, which is more accurate than DOP853's interpolation.
 
-Where contacts follow each other without end, as before a body comes to rest on another, the solution ends: from there
-on bodies touch for a time, which an event cannot say.
+Where infinitely many contacts follow each other, as before a body comes to rest on another, the solution ends: resting
+contacts are not events.
 
-The tolerance bounds the error of flights only. What contacts make of rounding is measured by a *twin*: the same scene,
-started at the distance of rounding, with simultaneous contacts taken in the opposite order.
+The tolerance bounds the error of flights only. How contacts amplify rounding is measured by a *twin*: the same scene,
+displaced by rounding errors, with simultaneous contacts resolved in the opposite order.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carom.experiment.error import ExperimentError
-from carom.experiment.work_precision.pareto_front import front
+from carom.experiment.work_precision.pareto_front import pareto_front
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,7 +90,8 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
             fontsize=7,
         )
     cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
-    on, _ = front(cost, wrong, np.zeros_like(cost))  # of the medians: a line through what is certain alone has gaps
+    # of the medians: a line through the settings that are certainly on the front would have gaps
+    on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=ACCENT, lw=1.0)
     floor = document["reference"]["uncertainty"][error]

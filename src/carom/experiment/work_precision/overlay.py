@@ -1,4 +1,4 @@
-"""The recording of a study: trajectories of the settings over the reference."""
+"""Records a study: trajectories of the settings over the reference."""
 
 from __future__ import annotations
 

@@ -1,12 +1,11 @@
-"""Which settings are worth having: those that no other one beats in both cost and error.
+"""The Pareto front: the settings that no other one beats in both cost and error.
 
-Errors are the same in every run, costs are not: each is known to a part of itself, its noise, and so is an interval. A
-setting is beaten where another one is no worse and its interval lies wholly below; it is on the front where that of
-every other one that is no worse lies wholly above. Between, the noise does not tell. So two measurements whose
-intervals overlap, setting by setting, never contradict each other: none is on the front by the one and beaten by the
-other. The front of the medians alone, as if they were exact, would change with every measurement wherever two settings
-cost the same. Likewise errors that differ by less than what the reference is uncertain by are not told apart, unless
-they are the very same.
+Errors are the same in every run. Costs are noisy, so each is an interval. A setting is beaten if another one is no
+worse in error and its cost interval lies wholly below. It is on the front if the intervals of all others that are no
+worse lie wholly above. Otherwise it is undecided. So two measurements whose intervals overlap, setting by setting,
+never contradict each other: no setting is on the front by one and beaten by the other. A front of medians alone would
+change with every measurement where two settings cost the same. Errors that differ by less than the uncertainty of the
+reference are not distinguished, unless they are equal.
 """
 
 from __future__ import annotations
@@ -18,8 +17,10 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-def front(cost: FloatArray, error: FloatArray, noise: FloatArray, doubt: float = 0.0) -> tuple[BoolArray, BoolArray]:
-    """Mark the points on the front, and those of which neither noise nor doubt tells.
+def pareto_front(
+    cost: FloatArray, error: FloatArray, noise: FloatArray, doubt: float = 0.0
+) -> tuple[BoolArray, BoolArray]:
+    """Mark the points on the front, and those that noise or doubt leaves undecided.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def _in_effect(scene: Scene) -> dict[str, str]:
-    """Return the values that the knobs have in a scene, with those that it leaves to be decided."""
+    """Return the values of the knobs in a scene, with automatic ones resolved."""
     contact, gravity = scene.contact, scene.gravity
     return {
         "time.integrator": integrator(scene).name,
@@ -113,7 +113,7 @@ def _in_effect(scene: Scene) -> dict[str, str]:
 
 
 def default_points(scene: Scene) -> list[Point]:
-    """Return about a dozen settings worth knowing, of the parts that the scene requires; the first is the scene."""
+    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene."""
     parts, other = require(scene), knobs(scene)
     forces, located = parts.pulls, parts.impact_time.modelled
     if not parts.contact.modelled:
@@ -159,7 +159,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
 
 
 def refusal(scene: Scene) -> str:
-    """Say why this version refuses to run a valid scene, or cannot begin to; empty if it runs it."""
+    """Say why this version cannot run a valid scene; empty if it can."""
     try:
         Space(scene)
     except (SceneError, PhysicsError) as error:

@@ -1,7 +1,7 @@
-"""What accuracy costs on a scene: settings run and timed in turns, their errors held against a reference.
+"""Measures what accuracy costs on a scene: settings are run and timed in turns, their errors taken from a reference.
 
-All that is measured is kept in a folder as soon as it is there, so that a study can be stopped and gone on with: a
-document, ``tradeoff.json``, and the trajectories.
+Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so that a study can be
+interrupted and resumed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
 from carom.experiment.work_precision.error_measures import NAMES, Errors
-from carom.experiment.work_precision.pareto_front import front
+from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.reference import Reference, fineness, make_reference, scale_of
 from carom.experiment.work_precision.settings_grid import Setting, refusal
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
@@ -106,7 +106,7 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The least that each cost is uncertain by, a part of it: the median of the ranges of the settings' costs.
+        """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
 
         Half of that is what single runs are off by; but of three runs two may be off by chance, and then the median is.
         A setting whose costs lie farther apart is as uncertain as they are. 0 where nothing was run twice.
@@ -146,7 +146,7 @@ class Study:
         return results
 
     def floor(self, error: str) -> float:
-        """Return what the reference is uncertain by, or rounding: errors below it are not told apart."""
+        """Return the uncertainty of the reference, or of rounding: smaller errors are not distinguished."""
         value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
         return float(np.fmax(value, ROUND_OFF))
 
@@ -156,7 +156,7 @@ class Study:
         cost = np.array([result.cost for result in done])
         wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
         noise = np.array([max(result.spread, self.noise) for result in done])
-        on, near = front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
+        on, near = pareto_front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
         words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
         return dict(zip((result.setting.name for result in done), words, strict=True))
 
@@ -165,7 +165,7 @@ class Study:
         return Trajectory.load(self._path(result))
 
     def document(self) -> dict[str, Any]:
-        """Return all that is known as one JSON document."""
+        """Return all results as one JSON document."""
         marks = {error: self.marks(error) for error in NAMES}
         return {
             "version": VERSION,
@@ -183,7 +183,7 @@ class Study:
         }
 
     def entry(self, result: Result) -> dict[str, Any]:
-        """Return what is known of one setting for a JSON document."""
+        """Return the results of one setting for the JSON document."""
         return {
             "name": result.setting.name,
             "overrides": list(result.setting.overrides),
@@ -199,7 +199,7 @@ class Study:
         }
 
     def _result(self, setting: Setting) -> Result:
-        """Find the result of a setting, or begin it."""
+        """Return the result of a setting; make one if there is none."""
         for result in self.results:
             if (result.setting.overrides, result.setting.threads) == (setting.overrides, setting.threads):
                 return result
@@ -244,7 +244,7 @@ class Study:
         return self.folder / f"{name}.npz"
 
     def _save(self) -> None:
-        """Write the document, whole or not at all."""
+        """Write the document atomically."""
         unfinished = self.folder / f"{DOCUMENT}.part"
         unfinished.write_text(json.dumps(self.document(), indent=1, ensure_ascii=False), encoding="utf-8")
         unfinished.replace(self.folder / DOCUMENT)
@@ -294,7 +294,7 @@ def _count(number: int, results: list[Result]) -> str:
 
 
 def _left(results: list[Result], repeats: int) -> str:
-    """Say how long what is left will take, from what has been timed; nothing before anything has."""
+    """Estimate the remaining time from what has been timed; empty before anything has."""
     known = [result.cost for result in results if result.costs]
     if not known:
         return ""

@@ -1,9 +1,9 @@
-"""What is kept of a run to compare it with another: the state at agreed times, first contacts and extremes.
+"""The data by which runs are compared: the state at common times, first contacts and extremes.
 
-The times are not the ends of steps, and a step cut to end on them would be another run. So the state is kept before and
-after the step that passes each of them, and what lies between is a polynomial: of fifth degree through both ends, of
-third where the integrator has no forces there, or, for a body that was struck, the flight from the beginning of the
-step to its first impact, from there to its next, and so on.
+The common times are not the ends of steps, and cutting steps there would change the run. So the state is kept before
+and after the step that passes each of them and interpolated between: by a polynomial of degree five through both ends,
+of degree three where the integrator has no forces there, or, for a body that was struck, by its flight from impact to
+impact.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FEW, SAMPLES_OF_FEW = 20, 600  # so few bodies cost nothing, and their paths can
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A run as far as it is compared; what was not measured is NaN."""
+    """A run's data for comparison; what was not measured is NaN."""
 
     time: FloatArray  # (K,) s
     position: FloatArray  # (K, n, 3) m
@@ -60,7 +60,7 @@ class Trajectory:
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
     def save(self, path: Path) -> None:
-        """Write a ``.npz``, whole or not at all."""
+        """Write a ``.npz`` atomically."""
         unfinished = path.with_suffix(".part.npz")
         np.savez(unfinished, **{field.name: getattr(self, field.name) for field in fields(self)})
         unfinished.replace(path)

@@ -1,7 +1,4 @@
-"""The cheapest setting of a scene that was measured to keep its errors within what a person asks for.
-
-It is either searched for, or one of those that a person names.
-"""
+"""Finds the cheapest setting of a scene whose measured errors keep given limits, by search or from a list."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ WORSE = 1.1  # times an error of the scene as written: what is less is not worth
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """What was tried for some limits, and what is the cheapest of it."""
+    """The settings tried for some limits, and the cheapest that keeps them."""
 
     study: Study
     limits: dict[str, float]
@@ -48,7 +45,7 @@ class Tuning:
         return math.nan if self.best is None else self.written.cost / self.best.cost
 
     def misses(self, result: Result) -> list[str]:
-        """Say which limits a setting does not keep."""
+        """Name the limits that a setting misses."""
         errors = {name: getattr(result.errors, name, math.nan) for name in self.limits}
         missed = [
             f"{name} not measured" if math.isnan(found) else f"{name} {found:.2g} > {self.limits[name]:.2g}"
@@ -71,7 +68,7 @@ class Tuning:
         }
 
     def why_none(self) -> str:
-        """Say what is in the way, in terms of the setting that misses by the smallest factor."""
+        """Explain why no setting keeps the limits, by the one that misses by the smallest factor."""
         for name in unsure(self.study, self.limits):
             return f"{name} below {self.study.floor(name):.2g} is rounding, or the uncertainty of the reference itself"
         done = [result for result in self.tried if result.complete]

@@ -16,6 +16,7 @@ from carom.physics.event import Event
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.damage import reading
+from carom.recording.read.moment import moment
 from carom.recording.read.summary import summary
 from carom.recording.read.tables import Column
 from carom.recording.rrd.index import Container
@@ -330,32 +331,7 @@ class Recording:
         RecordingError
             If there is no frame, or the given time is not in the recording.
         """
-        if self.frames == 0:
-            raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
-        times = _column(self._fingerprints, "time")
-        if at is not None:
-            between = (
-                np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)
-            )  # a step may have no frame
-            if not times[0] - between <= at <= times[-1] + between:
-                raise RecordingError(
-                    f"{self.path} goes from {times[0]:.9g} to {times[-1]:.9g} s, {at:.9g} s is not in it"
-                )
-            return at
-        impact = float(self.closing.get("moments.impact.time", np.nan))
-        if times[0] <= impact <= times[-1]:
-            return impact
-        energy = self.energy()
-        if "restitution" in energy.column_names:
-            taken = _column(energy, "restitution")
-            taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
-            lost = np.diff(taken, prepend=taken[:1])
-            if lost.max() > 0:
-                return float(_column(energy, "time")[np.argmax(lost)])
-        steps = self.steps()
-        if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
-            return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
-        return float(times[-1])
+        return moment(self, at)
 
     @_named
     def summary(self) -> dict[str, Any]:
@@ -458,7 +434,3 @@ def _values(row: pa.ListScalar) -> NDArray[Any] | list[str]:
     while pa.types.is_nested(values.type):
         values = values.flatten()
     return np.array(values.to_numpy(zero_copy_only=False))
-
-
-def _column(table: pa.Table, name: str) -> NDArray[np.float64]:
-    return np.asarray(table[name].to_numpy(), dtype=np.float64)

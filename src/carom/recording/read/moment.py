@@ -1,0 +1,46 @@
+"""The moment of a run to look at: its hardest impact, or where that is not known the fullest frame."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
+
+def moment(recording: Recording, at: float | None) -> float:
+    """Return the simulated time (s) to look at; see `Recording.moment`."""
+    if recording.frames == 0:
+        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    times = _column(recording.fingerprints(), "time")
+    if at is not None:
+        between = np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)  # a step may have no frame
+        if not times[0] - between <= at <= times[-1] + between:
+            raise RecordingError(
+                f"{recording.path} goes from {times[0]:.9g} to {times[-1]:.9g} s, {at:.9g} s is not in it"
+            )
+        return at
+    impact = float(recording.closing.get("moments.impact.time", np.nan))
+    if times[0] <= impact <= times[-1]:
+        return impact
+    energy = recording.energy()
+    if "restitution" in energy.column_names:
+        taken = _column(energy, "restitution")
+        taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
+        lost = np.diff(taken, prepend=taken[:1])
+        if lost.max() > 0:
+            return float(_column(energy, "time")[np.argmax(lost)])
+    steps = recording.steps()
+    if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
+        return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
+    return float(times[-1])
+
+
+def _column(table: pa.Table, name: str) -> NDArray[np.float64]:
+    return np.asarray(table[name].to_numpy(), dtype=np.float64)
