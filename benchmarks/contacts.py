@@ -23,7 +23,7 @@ from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.constraint_graph import colour_contacts
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.solve_order import stages_of
+from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.warm_start import IMPULSES
 from carom.physics.parallel.thread_team import Team
@@ -85,7 +85,7 @@ def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSo
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
     solver = ContactSolver(bodies, no_planes, materials_of(np.array([[0.5, 0.6, 0.4]])), OPEN, True, team)
     pairs = HierarchicalGrid(radius, OPEN).pairs(position)
-    solver.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
+    solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     solver.rest_speed[:] = np.inf
     return solver
 
@@ -125,10 +125,10 @@ def time_sweeps(name: str, position: FloatArray, radius: FloatArray, rounds: int
     """Time the sweeps on each number of threads, per contact and sweep."""
     solvers = {threads: solver_of(position, radius, Team(threads)) for threads in THREADS}
     times = medians({f"{threads} threads": holding(solver) for threads, solver in solvers.items()}, rounds)
-    stages = solvers[1].stages
-    m = len(stages.pairs)
-    row = {"scene": name, "bodies": len(radius), "contacts": m, "stages": len(stages.edges) - 1}
-    row["overflow"] = int(m - stages.pieces[stages.edges[stages.independent] - 1, 1])
+    order = solvers[1].order
+    m = len(order.pairs)
+    row = {"scene": name, "bodies": len(radius), "contacts": m, "stages": len(order.edges) - 1}
+    row["overflow"] = int(m - order.pieces[order.edges[order.independent] - 1, 1])
     row["ns"] = _rounded(times, 1e9 / (SWEEPS * m))
     print(f"sweeps {row}", flush=True)
     return row

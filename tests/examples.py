@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import colour_contacts
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.solve_order import stages_of
+from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
@@ -84,7 +84,7 @@ def solver_of(
     box = np.zeros(3) if box is None else box
     spins = len(bodies.orientation) > 0
     solver = ContactSolver(bodies, no_planes, materials_of(np.array([law])), box, spins, Team(threads))
-    solver.lay(stages_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
+    solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     return solver
 
 

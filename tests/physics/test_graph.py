@@ -17,7 +17,7 @@ from carom.physics.contact.constraint_graph import (
     colour_bodies,
     colour_contacts,
 )
-from carom.physics.contact.solve_order import PIECE, stages_of
+from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
 from examples import random_bodies, solver_of
 
 IntArray = NDArray[np.int64]
@@ -51,22 +51,22 @@ def test_a_hub_past_64_colours_overflows_into_a_last_stage() -> None:
 
 def test_stages_follow_each_other_and_keep_the_order_of_pairs() -> None:
     pairs = np.array([[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]])
-    stages = stages_of(pairs, np.array([2, 0, 1, 0, 2]))
-    assert list(stages.place) == [3, 0, 2, 1, 4]
-    assert np.array_equal(stages.pairs[stages.place], pairs)
+    order = solve_order_of(pairs, np.array([2, 0, 1, 0, 2]))
+    assert list(order.place) == [3, 0, 2, 1, 4]
+    assert np.array_equal(order.pairs[order.place], pairs)
 
 
 @settings(max_examples=20, deadline=None)
-@given(sizes=st.lists(st.integers(0, 3 * PIECE), min_size=1, max_size=OVERFLOW + 1))
-def test_pieces_cover_all_contacts_and_none_is_of_two_stages(sizes: list[int]) -> None:
+@given(sizes=st.lists(st.integers(0, 3 * CONTACTS_PER_PIECE), min_size=1, max_size=OVERFLOW + 1))
+def test_pieces_cover_all_contacts_and_none_is_of_two_colours(sizes: list[int]) -> None:
     colours = np.random.default_rng(0).permutation(np.repeat(np.arange(len(sizes)), sizes))
-    stages = stages_of(np.zeros((len(colours), 2), dtype=np.int64), colours)
-    covered = [place for lo, hi in stages.pieces for place in range(lo, hi)]
+    order = solve_order_of(np.zeros((len(colours), 2), dtype=np.int64), colours)
+    covered = [place for lo, hi in order.pieces for place in range(lo, hi)]
     assert covered == list(range(len(colours)))
-    for lo, hi in stages.pieces:
-        assert len(np.unique(np.sort(colours)[lo:hi])) == 1 and hi - lo <= PIECE
-    assert stages.edges[-1] == len(stages.pieces)
-    assert stages.independent <= OVERFLOW
+    for lo, hi in order.pieces:
+        assert len(np.unique(np.sort(colours)[lo:hi])) == 1 and hi - lo <= CONTACTS_PER_PIECE
+    assert order.edges[-1] == len(order.pieces)
+    assert order.independent <= OVERFLOW
 
 
 @settings(max_examples=100, deadline=None)

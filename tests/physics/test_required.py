@@ -127,7 +127,7 @@ def test_what_is_not_required_has_no_array() -> None:
     state = Space(pair(contact=SMOOTH, model={"force": "spin"})).state
     assert len(state.angular_velocity) == 2 and state.orientation.size == 0, "spin alone was asked for"
     space = Space(SCENES["Kepler"])
-    assert space._contact is None, "no search, no stages, no workbench"
+    assert space._contact is None, "no search, no colours, no solver"
     assert Space(SCENES["a smooth gas"])._forces == []
 
 

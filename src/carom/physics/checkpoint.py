@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
@@ -45,7 +45,7 @@ class Checkpoint:
     orientation: FloatArray | None  # (n, 4) xyzw; None where the scene requires none
     angular_velocity: FloatArray | None  # (n, 3) rad/s; likewise
     energy: Energy  # J
-    contacts: ContactMemory | None  # None where no contact lasts
+    contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books
 
     @property

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.energy import Energy
 from carom.physics.event import Event
@@ -111,7 +111,7 @@ class Frame:
     events: tuple[Event, ...]  # since the frame before, in order of time
     fingerprint: int  # 64 bits of the exact state
     previous_dt: float  # s, the smoothed step before the end of the run trimmed it
-    memory: ContactMemory | None  # what lasting contacts carry over; None where none can last
+    memory: ContactCheckpoint | None  # what lasting contacts carry over; None where none can last
     books: Books
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
     angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it

@@ -13,7 +13,7 @@ from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
-from carom.physics.contact.pipeline import ContactStage
+from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import Activity
 from carom.physics.diagnostics.extremes import Extremes
@@ -330,7 +330,7 @@ class Space:
 
     def _publish(self) -> None:
         """Replace the status that other threads read: they see that of the step before, or this one."""
-        contacts = self._contact.tally.contacts if self._contact else 0
+        contacts = self._contact.statistics.contacts if self._contact else 0
         # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
         self._published = (self.step, self.time, self.dt, self.dt_limit, contacts, self._accounts.energy)
 
@@ -353,10 +353,10 @@ class Space:
         """Return what lasting contacts bear of each acceleration, (n + p,) m/s²; empty where no step depends on it."""
         return self._contact.borne if self._contact and self._timestep.spares_held else NOTHING_BORNE
 
-    def _make_contact(self) -> ContactStage | None:
+    def _make_contact(self) -> ContactPipeline | None:
         if not self.requirements.contact.modelled:
             return None
-        return ContactStage(
+        return ContactPipeline(
             self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, self._team
         )
 
@@ -468,12 +468,12 @@ class Space:
             return 0.0
         return gravity.accelerate(self.state.position[fixed], np.empty((len(fixed), 3)), potential=True) or 0.0
 
-    def _respond(self, contact: ContactStage) -> None:
+    def _respond(self, contact: ContactPipeline) -> None:
         """Resolve the contacts and book what they did."""
         contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
         if len(contact.held):
             self._accounts.book(contact.held)
-        if contact.tally.contacts:
+        if contact.statistics.contacts:
             if self.extremes.contacts is None:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
@@ -482,16 +482,16 @@ class Space:
             self._see_contacts(contact, self.extremes)
             for text in contact.limits_reached():
                 self._log(Event(self.step, self.time, "WARN", text, "limit"))
-        self._activity.see(contact.tally.contacts, contact.tally.struck)
+        self._activity.see(contact.statistics.contacts, contact.statistics.struck)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:
             contact.turn(self.dt)
             self.profile.mark("torque")
 
-    def _see_contacts(self, contact: ContactStage, extremes: Extremes) -> None:
+    def _see_contacts(self, contact: ContactPipeline, extremes: Extremes) -> None:
         """Book the contacts of the step."""
-        self._accounts.book(contact.tally.work)
-        extremes.see_contacts(self.step, self.time, contact.tally)
+        self._accounts.book(contact.statistics.work)
+        extremes.see_contacts(self.step, self.time, contact.statistics)
 
     def _take_stock(self, potentials: Potentials, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""

@@ -12,7 +12,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class ContactMemory:
+class ContactCheckpoint:
     """The contacts of a step, as far as the next one begins with them, and the impulses of its last kick.
 
     Nothing writes to its arrays.

@@ -104,7 +104,7 @@ SETTINGS = np.dtype(
 ) = range(12)  # phases: what is done with each piece
 
 
-class Constraints(NamedTuple):
+class ConstraintSystem(NamedTuple):
     """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
     pairs: IntArray  # (m, 2)

@@ -1,4 +1,4 @@
-"""One collision in the readable form: what the kernel in `solver` does to a pair, said once with vectors.
+"""One collision with vectors: what `solver.impacts.resolve_impacts` does to a pair, in readable form.
 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)

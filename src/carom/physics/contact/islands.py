@@ -91,7 +91,7 @@ class Islands:
 
 
 @kernel
-def pile_speeds(
+def island_rest_speeds(
     pairs: IntArray,
     x: FloatArray,
     radius: FloatArray,

@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
-from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.islands import largest_coordinate, largest_square
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.snapshot import NOTHING, Sighting
-from carom.physics.contact.solve_order import Stages, stages_of
+from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot
+from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
 from carom.physics.contact.solver.position_correction import BAUMGARTE
 from carom.physics.contact.solver.warm_start import ImpulseCache
-from carom.physics.contact.statistics import NONE
+from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
@@ -45,7 +45,7 @@ SWEEPS = 8  # that "auto" takes before it looks what is missing
 NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
 
 
-class ContactStage:
+class ContactPipeline:
     """Finds and resolves the contacts of each step.
 
     Parameters
@@ -97,7 +97,7 @@ class ContactStage:
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
-        self._stages = self._colour()
+        self._order = self._colour()
         self._event_drift = None
         if requirements.impact_time.modelled:
             drift = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
@@ -112,18 +112,18 @@ class ContactStage:
             self._spin[:] = self._bodies.angular_velocity
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
-        self.tally = NONE  # of the contacts of the step
-        self._seen: Sighting | None = NOTHING  # what others see of them, once somebody has looked
+        self.statistics = NO_CONTACTS  # of the contacts of the step
+        self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # what others see of them, once somebody has looked
 
     @property
-    def memory(self) -> ContactMemory | None:
+    def memory(self) -> ContactCheckpoint | None:
         """A copy of what the next step begins with; None where no contact can last."""
         if not self._lasts:
             return None
         hold, solver = self._hold, self._solver
-        return ContactMemory(
+        return ContactCheckpoint(
             pairs=self._pairs,
-            rest_speed=solver.rest_speed[solver.stages.place],
+            rest_speed=solver.rest_speed[solver.order.place],
             dt=self._dt,
             held_pairs=hold.pairs,
             impulse=hold.impulse,
@@ -135,14 +135,14 @@ class ContactStage:
         """(n + p,) m/s², what lasting contacts bore of each body's acceleration in the last kick; empty if nothing."""
         return borne(self._hold, self._bodies.ends.inverse_mass)
 
-    def recall(self, memory: ContactMemory | None) -> None:
+    def recall(self, memory: ContactCheckpoint | None) -> None:
         """Go on after the step that left a memory, the bodies being where they were then."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
             self._order_contacts(memory.pairs, memory.dt)
-            self._solver.rest_speed[self._solver.stages.place] = memory.rest_speed
+            self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
             self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
             self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
@@ -194,10 +194,10 @@ class ContactStage:
         else:
             self._hold = ImpulseCache.empty()
         self._seen = None
-        self.tally = self._solver.tally() if len(self._pairs) else NONE
+        self.statistics = self._solver.statistics() if len(self._pairs) else NO_CONTACTS
         if len(self.impacts):
-            self._seen = self._sighting(dt)
-            self.tally = self.tally.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
+            self._seen = self._snapshot(dt)
+            self.statistics = self.statistics.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
 
     def turn(self, dt: float) -> None:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
@@ -208,7 +208,7 @@ class ContactStage:
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
         reached = []
-        if self._contact.colouring == "contacts" and self._solver.stages.count > OVERFLOW:
+        if self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW:
             reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
         if self._too_few_sweeps:
             reached.append(
@@ -246,21 +246,21 @@ class ContactStage:
         """Take contacts, with nothing done to them yet."""
         if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and so their order
             self._pairs = pairs
-            self._stages = self._colour()
-        self._solver.lay(self._stages, self._hold.contacts, self._rounding)
+            self._order = self._colour()
+        self._solver.lay(self._order, self._hold.contacts, self._rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s, the step that they are for
         self.sweeps = 0
         self._too_few_sweeps = False
 
-    def _colour(self) -> Stages:
-        """Colour the contacts; return the stages in which they are resolved."""
+    def _colour(self) -> SolveOrder:
+        """Colour the contacts; return the order in which they are solved."""
         self._body_colours = None
         if self._contact.colouring == "bodies":
             self._colours, self._body_colours = colour_bodies(self._pairs, len(self._bodies))
         else:
             self._colours = colour_contacts(self._pairs, self._bodies.ends.inverse_mass)
-        return stages_of(self._pairs, self._colours, independent=self._body_colours is None)
+        return solve_order_of(self._pairs, self._colours, independent=self._body_colours is None)
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
         contact, solver = self._contact, self._solver
@@ -288,34 +288,34 @@ class ContactStage:
     def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float) -> int:
         """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._pairs
-        place = solver.stages.place
+        place = solver.order.place
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
             self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, kick, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
 
     @property
-    def seen(self) -> Sighting:
+    def seen(self) -> ContactSnapshot:
         """What others see of the step: contacts that touch or carry an impulse, not those that are merely near."""
         if self._seen is None:
-            self._seen = self._sighting(self._dt)
+            self._seen = self._snapshot(self._dt)
         return self._seen
 
     @property
     def contributions(self) -> FloatArray:
         """(m, 3) J, the ledger of each contact seen in this step."""
-        return self.seen.sums(self._solver.ledger[self._solver.stages.place[self._shown()]], self.impacts.ledger)
+        return self.seen.sums(self._solver.ledger[self._solver.order.place[self._shown()]], self.impacts.ledger)
 
-    def _sighting(self, dt: float) -> Sighting:
+    def _snapshot(self, dt: float) -> ContactSnapshot:
         solver, shown = self._solver, self._shown()
-        place = solver.stages.place[shown]
+        place = solver.order.place[shown]
         normals, overlaps = solver.found_normals[place], solver.found_overlaps[place]
         graph = CollisionGraph(self._pairs[shown], normals, overlaps, self._colours[shown], self._body_colours)
-        late = Sighting.of(graph, solver.approach[place], solver.rest_speed[place])
+        late = ContactSnapshot.of(graph, solver.approach[place], solver.rest_speed[place])
         return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
 
     def _shown(self) -> NDArray[np.bool_]:
-        return self._solver.seen[self._solver.stages.place]
+        return self._solver.seen[self._solver.order.place]
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
@@ -324,7 +324,7 @@ class ContactStage:
             self._solver.correct_positions(1)
         self._resolve(1.0, 1.0, Profile())
         self._solver.is_closing()
-        self._solver.tally()
+        self._solver.statistics()
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0)

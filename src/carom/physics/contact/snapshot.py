@@ -1,4 +1,4 @@
-"""What a step shows of its contacts: those found at its end, and the impacts on the way there."""
+"""The contact snapshot of a step: the contacts found at its end, and the impacts on the way there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
@@ -26,11 +26,11 @@ class Sighting:
     _first: IntArray | None = None  # (m,) the first of each pair, in that order
 
     @classmethod
-    def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> Sighting:
+    def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> ContactSnapshot:
         """Describe the contacts found at the end of a step."""
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
-    def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> Sighting:
+    def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
         """Add the impacts on the way through a step of dt, in s; (n + p,) 1/kg of bodies and planes.
 
         A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts found at
@@ -56,7 +56,7 @@ class Sighting:
             body_colours,
             into_step,
         )
-        return Sighting(
+        return ContactSnapshot(
             seen,
             np.maximum.reduceat(approach[order], first),
             np.concatenate((self.rest_speed, struck.rest_speed))[shown],
@@ -85,4 +85,4 @@ class Sighting:
         return np.add.reduceat(np.concatenate((late, struck))[self._order], self._first)
 
 
-NOTHING = Sighting.of(empty_graph(), np.empty(0), np.empty(0))
+EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))

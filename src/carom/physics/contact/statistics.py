@@ -1,7 +1,7 @@
-"""What the contacts of a step amount to: how many, the hardest, the deepest, and what they did to the energy.
+"""Contact statistics of a step: how many contacts, the hardest, the deepest, and what they did to the energy.
 
-Counted in every step, from where the contacts are worked on, block by block; the graph that people see of them is put
-together only when somebody looks.
+They are computed in every step, block by block, from the records of the solver. The graph of the contacts is built only
+on demand (`snapshot`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK
-from carom.physics.contact.snapshot import Sighting
+from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
@@ -33,7 +33,7 @@ BLOCK_COUNTS = record(  # what is counted of a block of contacts
 )
 
 
-class Tally(NamedTuple):
+class ContactStatistics(NamedTuple):
     """The contacts of a step that are seen, those that touch or carry an impulse, and the work of all."""
 
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
@@ -46,8 +46,8 @@ class Tally(NamedTuple):
     deepest_pair: tuple[int, int]
 
     @classmethod
-    def of(cls, pairs: IntArray, contacts: Records, states: Records, ends: Ends, team: Team) -> Tally:
-        """Count contacts; for the arrays see `Constraints`."""
+    def of(cls, pairs: IntArray, contacts: Records, states: Records, ends: Ends, team: Team) -> ContactStatistics:
+        """Count contacts; for the arrays see `ConstraintSystem`."""
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
@@ -55,7 +55,7 @@ class Tally(NamedTuple):
         _add_up(blocks, totals)
         total = totals[0]
         if total["contacts"] == 0:
-            return NONE._replace(work=terms_of(blocks))
+            return NO_CONTACTS._replace(work=terms_of(blocks))
         return cls(
             work=terms_of(blocks),
             contacts=int(total["contacts"]),
@@ -67,25 +67,25 @@ class Tally(NamedTuple):
             deepest_pair=(int(total["deepest_i"]), int(total["deepest_j"])),
         )
 
-    def with_impacts(self, sighting: Sighting, ledger: FloatArray, ends: Ends) -> Tally:
-        """Return the tally of a step that had impacts on the way.
+    def with_impacts(self, snapshot: ContactSnapshot, ledger: FloatArray, ends: Ends) -> ContactStatistics:
+        """Return the statistics of a step that had impacts on the way.
 
         Parameters
         ----------
-        sighting
+        snapshot
             All that was seen, the impacts among it.
         ledger
             (k, 3) J, of the impacts.
         """
-        graph = sighting.graph
+        graph = snapshot.graph
         contacts, states = np.zeros(len(graph), CONTACT), np.zeros(len(graph), CONTACT_STATE)
-        states["found_overlap"], states["rest_speed"] = graph.overlaps, sighting.rest_speed
-        states["approach_speed"] = sighting.approach
-        seen = Tally.of(graph.pairs, contacts, states, ends, SOLO)
-        return seen._replace(work=np.concatenate((ledger, self.work)), impacts=sighting.impacts)
+        states["found_overlap"], states["rest_speed"] = graph.overlaps, snapshot.rest_speed
+        states["approach_speed"] = snapshot.approach
+        seen = ContactStatistics.of(graph.pairs, contacts, states, ends, SOLO)
+        return seen._replace(work=np.concatenate((ledger, self.work)), impacts=snapshot.impacts)
 
 
-NONE = Tally(np.zeros((0, 3)), 0, 0, 0.0, 0.0, (0, 0), 0.0, (0, 0))
+NO_CONTACTS = ContactStatistics(np.zeros((0, 3)), 0, 0, 0.0, 0.0, (0, 0), 0.0, (0, 0))
 
 
 @long_kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from carom.physics.contact.statistics import Tally
+from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.momentum import Momentum
 from carom.physics.energy import Energy
 from carom.physics.event import Event
@@ -58,7 +58,7 @@ class Extremes:
             return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
         return self.energy_error
 
-    def see_contacts(self, step: int, time: float, tally: Tally) -> None:
+    def see_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
         """Take note of a step's contacts."""
         self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
         self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.checkpoint import ContactMemory
+from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.energy import Energy
 from carom.physics.frame import Frame
 from carom.physics.ledger import Ledger
@@ -98,7 +98,7 @@ def _books(books: Books) -> str:
     return json.dumps(asdict(books, dict_factory=lambda items: {key: value for key, value in items if value != {}}))
 
 
-def _encode_contacts(memories: Sequence[ContactMemory]) -> dict[str, Column]:
+def _encode_contacts(memories: Sequence[ContactCheckpoint]) -> dict[str, Column]:
     # mostly the impulses are those of the step's own contacts: their pairs are written once
     own = [np.array_equal(memory.held_pairs, memory.pairs) for memory in memories]
     nobody = np.empty((0, 2), dtype=np.int64)
@@ -186,14 +186,14 @@ class _Row:
             raise ValueError(f"{name} has numbers that cannot be squared")
         return values
 
-    def contacts(self) -> ContactMemory:
+    def contacts(self) -> ContactCheckpoint:
         pairs = self._pairs("contact_pairs")
         impulse = self._finite("held_impulse")
         held = self._pairs("held_pairs")
         held = held if len(held) else pairs[: len(impulse) // 4]
         if impulse.size != 4 * len(held):
             raise ValueError(f"{impulse.size // 4} impulses of {len(held)} contacts")
-        return ContactMemory(
+        return ContactCheckpoint(
             pairs=pairs,
             rest_speed=self._finite("contact_rest_speed", len(pairs)),
             dt=self.number("contact_dt"),

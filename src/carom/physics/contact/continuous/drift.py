@@ -27,7 +27,7 @@ from carom.physics.contact.continuous.trajectories import (
     finish,
     write_reaches,
 )
-from carom.physics.contact.islands import pile_speeds
+from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
 from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import kernel
@@ -188,7 +188,7 @@ class EventDrivenDrift:
     def _find_rest_speeds(self, pairs: IntArray, dt: float, stretch: float, slack: float) -> None:
         """Find up to which speed contacts of each body are at rest."""
         T = self._trajectories
-        pile_speeds(
+        island_rest_speeds(
             pairs,
             T.x,
             T.radius,

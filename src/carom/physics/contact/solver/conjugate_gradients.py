@@ -1,26 +1,26 @@
-"""Conjugate gradients for contacts that last, where sweeps hand a load on too slowly.
+"""Conjugate gradients for contacts that last, where iterations hand a load on too slowly.
 
-After the sweeps it is mostly known which contacts carry a load and which of these stick. For those the conditions of
-`lasting` are equations,
+After the iterations it is mostly known which contacts carry a load and which of these stick. For those the conditions
+of `solve` are equations,
 
     v_n + c = 0,    u = 0        or  A s = -(v + c),  A = G M⁻¹ Gᵀ,
 
 with s the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
-diagonal of A; a contact that would pull is then let go, and sweeps say anew which contacts carry a load (projected
+diagonal of A; a contact that would pull is then let go, and iterations say anew which contacts carry a load (projected
 Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010).
 
-A stack of n spheres takes some n iterations, and about n² sweeps; so does a load on spheres that are much lighter.
+A stack of n spheres takes some n iterations, and about n² of `solve`; so does a load on much lighter spheres.
 """
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.law import material_index, sticks
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inner, kernel
 
-# What a contact may close at when the search ends, in m/s. It begins where one closes at `crew.BAD_ENOUGH` times
+# What a contact may close at when the search ends, in m/s. It begins where one closes at `phases.BAD_ENOUGH` times
 # as much. Chosen so that the columns of tests/physics/test_convergence.py stand; with a tenth of the first number
 # cloud-collapse takes twice as long, and none of its errors changes by a tenth.
 PART_OF_REST = 0.3  # of the speed at which a contact at rest closes without an impulse
@@ -31,18 +31,18 @@ PART_WHEN_DEEP = 1e-2  # of the speed at rest only
 
 
 @inner
-def measure_violation(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def measure_violation(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Find by how much, in m/s, a contact misses its condition by more than is tolerated; 0 if none does."""
-    settings = load.settings[0]
+    settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
-    count = len(load.bodies) - (len(load.materials) - 1)
+    count = len(system.bodies) - (len(system.materials) - 1)
     excess = 0.0
     for c in range(lo, hi):
-        if not load.held[c]:
+        if not system.held[c]:
             continue
-        i, j = load.pairs[c, 0], load.pairs[c, 1]
-        contact, state = load.contacts[c], load.states[c]
-        vn, ux, uy, uz = relative_velocity(contact, load.bodies[i], load.bodies[j])
+        i, j = system.pairs[c, 0], system.pairs[c, 1]
+        contact, state = system.contacts[c], system.states[c]
+        vn, ux, uy, uz = relative_velocity(contact, system.bodies[i], system.bodies[j])
         ri, rj, bias = contact.arm_i, contact.arm_j, contact.velocity_bias
         if drift > 0.0 and j < count:
             bias = bias_along_arc(bias, ri + rj, ux, uy, uz, drift)
@@ -54,7 +54,7 @@ def measure_violation(lo: int, hi: int, piece: int, load: Constraints) -> None:
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
         excess = max(excess, missed - (tolerance * allowed + negligible))
-    load.found[piece].residual = excess
+    system.found[piece].residual = excess
 
 
 @kernel
@@ -66,15 +66,15 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 
 
 @inner
-def conjugate_step(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def conjugate_step(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Go α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
-    settings = load.settings[0]
+    settings = system.settings[0]
     alpha = settings.alpha
     if settings.iteration == 0:
-        begin_search(lo, hi, load)
+        begin_search(lo, hi, system)
     norm, most, least = 0.0, 0.0, 0.0
     for c in range(lo, hi):
-        search, contact = load.search[c], load.contacts[c]
+        search, contact = system.search[c], system.contacts[c]
         if not (search.free_normal or search.free_tangent):
             continue
         if settings.iteration > 0:
@@ -82,7 +82,9 @@ def conjugate_step(lo: int, hi: int, piece: int, load: Constraints) -> None:
             search.step_x += alpha * search.direction_x
             search.step_y += alpha * search.direction_y
             search.step_z += alpha * search.direction_z
-            pn, px, py, pz = change_of_velocity(contact, load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]])
+            pn, px, py, pz = change_of_velocity(
+                contact, system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
+            )
             if search.free_normal:
                 search.residual_normal -= alpha * pn
             if search.free_tangent:
@@ -94,25 +96,25 @@ def conjugate_step(lo: int, hi: int, piece: int, load: Constraints) -> None:
         norm += search.residual_normal * search.residual_normal * contact.normal_mass
         rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
         norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
-    found = load.found[piece]
+    found = system.found[piece]
     found.residual_norm, found.largest_push, found.largest_pull = norm, most, -least
 
 
 @inner
-def begin_search(lo: int, hi: int, load: Constraints) -> None:
+def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
     """Find which impulses are free: normal ones of contacts that push or close, tangential ones of those that stick."""
-    spins, drift = load.settings[0].spins, load.settings[0].drift
-    count = len(load.bodies) - (len(load.materials) - 1)
+    spins, drift = system.settings[0].spins, system.settings[0].drift
+    count = len(system.bodies) - (len(system.materials) - 1)
     for c in range(lo, hi):
-        search, contact = load.search[c], load.contacts[c]
+        search, contact = system.search[c], system.contacts[c]
         search.step_normal = search.step_x = search.step_y = search.step_z = 0.0
         search.direction_normal = search.direction_x = search.direction_y = search.direction_z = 0.0
         search.residual_normal = search.residual_x = search.residual_y = search.residual_z = 0.0
         search.velocity_bias, search.free_normal, search.free_tangent = 0.0, False, False
-        if not load.held[c]:
+        if not system.held[c]:
             continue
-        i, j = load.pairs[c, 0], load.pairs[c, 1]
-        body_i, body_j = load.bodies[i], load.bodies[j]
+        i, j = system.pairs[c, 0], system.pairs[c, 1]
+        body_i, body_j = system.bodies[i], system.bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         bias = contact.velocity_bias
         if drift > 0.0 and j < count:
@@ -122,7 +124,7 @@ def begin_search(lo: int, hi: int, load: Constraints) -> None:
             search.free_normal, search.residual_normal = True, -(vn + bias)
         if spins:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
-            material = load.materials[material_index(j, count)]
+            material = system.materials[material_index(j, count)]
             if sticks(tx, ty, tz, contact.normal_impulse, material.static_friction):
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True
@@ -130,11 +132,11 @@ def begin_search(lo: int, hi: int, load: Constraints) -> None:
 
 
 @inner
-def conjugate_direction(lo: int, hi: int, load: Constraints) -> None:
+def conjugate_direction(lo: int, hi: int, system: ConstraintSystem) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
-    spins, beta = load.settings[0].spins, load.settings[0].beta
+    spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
-        search, contact = load.search[c], load.contacts[c]
+        search, contact = system.search[c], system.contacts[c]
         if search.free_normal or search.free_tangent:
             normal = contact.normal_mass * search.residual_normal + beta * search.direction_normal
             dx = contact.tangent_mass * search.residual_x + beta * search.direction_x
@@ -142,27 +144,27 @@ def conjugate_direction(lo: int, hi: int, load: Constraints) -> None:
             dz = contact.tangent_mass * search.residual_z + beta * search.direction_z
             search.direction_normal = normal
             search.direction_x, search.direction_y, search.direction_z = dx, dy, dz
-            body_i, body_j = load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]]
+            body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
             accumulate_impulse(contact, body_i, body_j, spins, normal, dx, dy, dz)
 
 
 @inner
-def project(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def project(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Let go of contacts that would pull, and lay out what is left of the change for a line search."""
-    spins, slope = load.settings[0].spins, 0.0
+    spins, slope = system.settings[0].spins, 0.0
     for c in range(lo, hi):
-        search, contact = load.search[c], load.contacts[c]
+        search, contact = system.search[c], system.contacts[c]
         if contact.normal_impulse + search.step_normal < 0.0:
             contact.delta_normal, contact.delta_x = -contact.normal_impulse, -contact.friction_x
             contact.delta_y, contact.delta_z = -contact.friction_y, -contact.friction_z
         else:
             contact.delta_normal, contact.delta_x = search.step_normal, search.step_x
             contact.delta_y, contact.delta_z = search.step_y, search.step_z
-        if load.held[c]:
+        if system.held[c]:
             normal = contact.delta_normal
             slope += normal * search.velocity_bias
-            body_i, body_j = load.bodies[load.pairs[c, 0]], load.bodies[load.pairs[c, 1]]
+            body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
-    found = load.found[piece]
+    found = system.found[piece]
     found.step_limit, found.slope = 1.0, slope

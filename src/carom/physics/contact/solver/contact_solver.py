@@ -19,17 +19,17 @@ from carom.physics.contact.constraints import (
     PIECE_FINDINGS,
     SEARCH,
     SETTINGS,
-    Constraints,
+    ConstraintSystem,
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.islands import Islands
-from carom.physics.contact.solve_order import Stages, stages_of
+from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTING, work
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
-from carom.physics.contact.statistics import Tally
+from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
@@ -78,7 +78,7 @@ class ContactSolver:
         self._search = Room(SEARCH)
         self._normals = Room(columns=3)
         self._islands = Islands(count, team)
-        self.stages = stages_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
+        self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
         self._fastest = 0.0  # m/s, at which a contact closed before the impulses
         self._body_states = aligned_empty(count, BODY_STATE)
@@ -87,7 +87,7 @@ class ContactSolver:
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
 
-    def lay(self, stages: Stages, keep: Records | None = None, rounding: float = 0.0) -> None:
+    def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
         """Lay out contacts, with nothing done to them yet, and find where they meet.
 
         Parameters
@@ -97,14 +97,14 @@ class ContactSolver:
         rounding
             m, of the coordinates: a gap up to this is none.
         """
-        m, bodies, ends, planes = len(stages.pairs), self._bodies, self._bodies.ends, self._planes
+        m, bodies, ends, planes = len(order.pairs), self._bodies, self._bodies.ends, self._planes
         room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
-        if stages is not self.stages:
-            self._active = active_bodies(stages.pairs, len(self._body_states), self._team)
-        self.stages = stages
-        self._load = Constraints(
-            pairs=stages.pairs,
-            pieces=stages.pieces,
+        if order is not self.order:
+            self._active = active_bodies(order.pairs, len(self._body_states), self._team)
+        self.order = order
+        self._system = ConstraintSystem(
+            pairs=order.pairs,
+            pieces=order.pieces,
             contacts=room.take(m),
             held=self._held.take(m),
             states=self._states.take(m),
@@ -123,7 +123,7 @@ class ContactSolver:
             island=self._island,
             islands=self._island_sums,
             active=self._active,
-            found=aligned_empty(len(stages.pieces), PIECE_FINDINGS),
+            found=aligned_empty(len(order.pieces), PIECE_FINDINGS),
             sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=self._settings,
         )
@@ -133,37 +133,37 @@ class ContactSolver:
     @property
     def contacts(self) -> Records:
         """(m,) `CONTACT`, by place like what follows."""
-        return self._load.contacts
+        return self._system.contacts
 
     @property
     def normals(self) -> FloatArray:
         """(m, 3), from i to j."""
-        return np.stack([self._load.contacts[name] for name in ("nx", "ny", "nz")], axis=-1)
+        return np.stack([self._system.contacts[name] for name in ("nx", "ny", "nz")], axis=-1)
 
     @property
     def arms(self) -> FloatArray:
         """(m, 2) m, from each end's centre to the contact point."""
-        return np.stack([self._load.contacts[name] for name in ("arm_i", "arm_j")], axis=-1)
+        return np.stack([self._system.contacts[name] for name in ("arm_i", "arm_j")], axis=-1)
 
     @property
     def impulses(self) -> FloatArray:
         """(m, 4) N s, a copy of λ_n and λ_t."""
-        return impulses_of(self._load.contacts)
+        return impulses_of(self._system.contacts)
 
     @property
     def overlaps(self) -> FloatArray:
         """(m,) m; minus the gap where there is one."""
-        return self._load.states["overlap"]
+        return self._system.states["overlap"]
 
     @property
     def rest_speed(self) -> FloatArray:
         """(m,) m/s; an approach up to this speed is a contact at rest and does not bounce."""
-        return self._load.states["rest_speed"]
+        return self._system.states["rest_speed"]
 
     @property
     def approach(self) -> FloatArray:
         """(m,) m/s: the speed at which each contact closed when it was first visited, or faster when it was struck."""
-        return self._load.states["approach_speed"]
+        return self._system.states["approach_speed"]
 
     @property
     def found_overlaps(self) -> FloatArray:
@@ -171,51 +171,53 @@ class ContactSolver:
 
         What touched then is resolved though a push opens it, or it falls and is pushed back for ever.
         """
-        return self._load.states["found_overlap"]
+        return self._system.states["found_overlap"]
 
     @property
     def ledger(self) -> FloatArray:
         """(m, 3) J, a copy: what left by restitution and by friction, what stabilisation put in."""
-        return terms_of(self._load.states)
+        return terms_of(self._system.states)
 
     @property
     def audited(self) -> FloatArray:
         """(k, 3) J: what holding the contacts last booked into the ledger, in sums over pieces."""
-        return terms_of(self._load.found)
+        return terms_of(self._system.found)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """(m,) whether each contact touched when it was found, or carried an impulse when it was last held."""
-        carries: NDArray[np.bool_] = self._load.contacts["normal_impulse"] > 0.0
-        return ~self._load.states["apart"] | carries
+        carries: NDArray[np.bool_] = self._system.contacts["normal_impulse"] > 0.0
+        return ~self._system.states["apart"] | carries
 
-    def tally(self) -> Tally:
+    def statistics(self) -> ContactStatistics:
         """Count the contacts that are seen, and what all of them did."""
-        return Tally.of(self._load.pairs, self._load.contacts, self._load.states, self._bodies.ends, self._team)
+        return ContactStatistics.of(
+            self._system.pairs, self._system.contacts, self._system.states, self._bodies.ends, self._team
+        )
 
     def update_geometry(self) -> None:
         """Find the geometry of the contacts at the present positions."""
-        self._team.divide(len(self._load.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
+        self._team.divide(len(self._system.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
         """Find the speed up to which each contact is at rest, see `Islands`; tell whether one is not 0."""
-        ends, load = self._bodies.ends, self._load
+        ends, system = self._bodies.ends, self._system
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
-        return self._islands.write_rest_speeds(load.pairs, load.active, *accelerated, load.states)
+        return self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
 
     def correct_positions(self, max_iterations: int) -> None:
         """Push contacts at rest apart."""
-        load = self._load
+        system = self._system
         counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
-        self._team.divide(len(load.pairs), MIN_PER_TASK, count_contacts, load.pairs, counts)
-        self._team.divide(len(load.pairs), MIN_PER_TASK, find_push_fractions, load.pairs, counts, load.states)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, counts)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
         self._work(POSITIONS, max_iterations)
 
     def audit_corrections(self) -> None:
         """Book the work of the pushes, at the accelerations that follow them."""
-        ends, load = self._bodies.ends, self._load
-        pushed = (load.pairs, ends.acceleration, ends.inverse_mass, load.states)
-        self._team.divide(len(load.pairs), MIN_PER_TASK, audit_corrections, *pushed)
+        ends, system = self._bodies.ends, self._system
+        pushed = (system.pairs, ends.acceleration, ends.inverse_mass, system.states)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, audit_corrections, *pushed)
 
     def resolve_impacts(self, bias_rate: float, max_iterations: int, impacts_only: bool) -> int:
         """Resolve what closes; return the number of iterations.
@@ -232,7 +234,7 @@ class ContactSolver:
         self._settings["bias_rate"] = bias_rate
         self._settings["impacts_only"] = impacts_only
         iterations = self._lead(IMPACTS, max_iterations)
-        found = self._load.found
+        found = self._system.found
         self._fastest = float(found["fastest"].max(initial=0.0))
         self.any_rests = bool(found["any_rests"].any())
         return iterations
@@ -258,33 +260,33 @@ class ContactSolver:
 
     def is_closing(self) -> bool:
         """Tell whether a contact closes faster than one at rest after the iterations: there were too few of them."""
-        load, closing = self._load, np.zeros(1, dtype=np.bool_)
-        contacts = (load.pairs, load.contacts, load.states, self._bodies.ends.velocity)
+        system, closing = self._system, np.zeros(1, dtype=np.bool_)
+        contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * self._fastest
-        self._team.divide(len(load.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, closing)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, closing)
         return bool(closing[0])
 
     def _geometry(self) -> tuple[NDArray[Any], ...]:
-        bodies, planes, load = self._bodies, self._planes, self._load
+        bodies, planes, system = self._bodies, self._planes, self._system
         shapes = (bodies.position, bodies.radius, self._box, planes.normal, planes.offset)
-        return load.pairs, *shapes, load.contacts, load.states
+        return system.pairs, *shapes, system.contacts, system.states
 
     def _lead(self, job: int, max_iterations: int) -> int:
         """Do a job on the velocities of the active bodies; return the number of iterations."""
-        load, ends, team, b = self._load, self._bodies.ends, self._team, len(self._load.active)
-        gathered = (ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, load.bodies)
-        team.divide(b, MIN_PER_TASK, gather, load.active, *gathered)
+        system, ends, team, b = self._system, self._bodies.ends, self._team, len(self._system.active)
+        gathered = (ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, system.bodies)
+        team.divide(b, MIN_PER_TASK, gather, system.active, *gathered)
         iterations = self._work(job, max_iterations)
-        team.divide(b, MIN_PER_TASK, scatter, load.active, load.bodies, ends.velocity, self._spin)
+        team.divide(b, MIN_PER_TASK, scatter, system.active, system.bodies, ends.velocity, self._spin)
         return iterations
 
     def _work(self, job: int, max_iterations: int) -> int:
         """Do a job, with the team if it is worth it; return the number of iterations."""
-        edges, independent, load = self.stages.edges, self.stages.independent, self._load
-        if len(load.pairs) < SHARED_FROM:
-            return work(ALONE, job, edges, independent, load, max_iterations)
-        with self._team.gathered(work, HELP, edges, independent, load, 0) as board:
-            return work(board, job, edges, independent, load, max_iterations)
+        edges, independent, system = self.order.edges, self.order.independent, self._system
+        if len(system.pairs) < SHARED_FROM:
+            return work(ALONE, job, edges, independent, system, max_iterations)
+        with self._team.gathered(work, HELP, edges, independent, system, 0) as board:
+            return work(board, job, edges, independent, system, max_iterations)
 
 
 @long_kernel

@@ -11,17 +11,17 @@ A body that lies still then loses in the one kick what it gains in the other, an
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 
 @inner
-def audit(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def audit(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Write into the ledger what the impulses of a piece did, and the sums over the piece."""
-    pairs, a, bodies = load.pairs, load.acceleration, load.bodies
-    settings = load.settings[0]
+    pairs, a, bodies = system.pairs, system.acceleration, system.bodies
+    settings = system.settings[0]
     spins = settings.spins
     kick = settings.kick if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
@@ -30,12 +30,12 @@ def audit(lo: int, hi: int, piece: int, load: Constraints) -> None:
         ahead = min(last, c + AHEAD)
         prefetch_record(bodies, pairs[ahead, 0], 0)
         prefetch_record(bodies, pairs[ahead, 1], 0)
-        contact = load.contacts[c]
+        contact = system.contacts[c]
         Jn = contact.normal_impulse
         if Jn == 0.0:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        state, body_i, body_j = load.states[c], bodies[i], bodies[j]
+        state, body_i, body_j = system.states[c], bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
@@ -58,5 +58,5 @@ def audit(lo: int, hi: int, piece: int, load: Constraints) -> None:
         )
         state.friction_loss += lost
         friction += lost
-    found = load.found[piece]
+    found = system.found[piece]
     found.restitution_loss, found.friction_loss, found.stabilisation_gain = restitution, friction, stabilisation

@@ -1,29 +1,29 @@
-"""The bound on the energy of contacts that last: impulses that sweeps have left too large are scaled back.
+"""The bound on the energy of contacts that last: impulses that the iterations left too large are scaled back.
 
 Impulses λ change the velocities at the contacts from v to v' = v + A λ. What they are to minimise,
 
     f(λ) = λ·(v + c) + ½ λ·A λ,
 
-is 0 without them, and an impulse that takes energy out keeps it below. Sweeps lower f, but they begin with the impulses
-of the kick before, which may be far too large. On the ray θ λ the minimum is at θ = -λ·(v + c) / λ·(v' - v). Where that
-is less than 1, the impulses of the island are scaled by it; with the largest of them there is then f ≤ 0, and over a
-whole step, whose second kick begins with the impulses of the first, a contact gains no energy. An island is a connected
-component of the collision graph without what is fixed.
+is 0 without them, and an impulse that takes energy out keeps it below. Iterations lower f, but they begin with the
+impulses of the kick before, which may be far too large. On the ray θ λ the minimum is at θ = -λ·(v + c) / λ·(v' - v).
+Where that is less than 1, the impulses of the island are scaled by it; with the largest of them there is then f ≤ 0,
+and over a whole step, whose second kick begins with the impulses of the first, a contact gains no energy. An island is
+a connected component of the collision graph without what is fixed.
 """
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.islands import root_of
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner
 
 
 @inner
-def scale_back(load: Constraints) -> None:
+def scale_back(system: ConstraintSystem) -> None:
     """Scale the impulses of each island back to where they take out most."""
-    pairs, bodies, active = load.pairs, load.bodies, load.active
-    island, islands, spins = load.island, load.islands, len(load.spin) > 0
+    pairs, bodies, active = system.pairs, system.bodies, system.active
+    island, islands, spins = system.island, system.islands, len(system.spin) > 0
     for k in range(len(active)):
         island[active[k]] = active[k]
         whole = islands[active[k]]
@@ -35,10 +35,10 @@ def scale_back(load: Constraints) -> None:
             i, j = root_of(island, i), root_of(island, j)
             island[max(i, j)] = min(i, j)
     for c in range(len(pairs)):
-        if not load.held[c]:
+        if not system.held[c]:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        contact, state, body_i, body_j = load.contacts[c], load.states[c], bodies[i], bodies[j]
+        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         slope = contact.normal_impulse * (state.normal_before + contact.velocity_bias)
         curvature = contact.normal_impulse * (vn - state.normal_before)
@@ -58,7 +58,7 @@ def scale_back(load: Constraints) -> None:
             if -whole.slope < whole.curvature:
                 whole.scale = max(0.0, -whole.slope / whole.curvature)
     for c in range(len(pairs)):
-        i, j, contact = pairs[c, 0], pairs[c, 1], load.contacts[c]
+        i, j, contact = pairs[c, 0], pairs[c, 1], system.contacts[c]
         scale = islands[root_of(island, i if bodies[i].inverse_mass > 0.0 else j)].scale
         if scale < 1.0:
             contact.normal_impulse *= scale
@@ -69,7 +69,7 @@ def scale_back(load: Constraints) -> None:
         b = active[k]
         body, scale = bodies[b], islands[root_of(island, b)].scale
         if body.inverse_mass > 0.0 and scale < 1.0:
-            v, omega = load.velocity, load.spin
+            v, omega = system.velocity, system.spin
             body.vx = v[b, 0] + scale * (body.vx - v[b, 0])
             body.vy = v[b, 1] + scale * (body.vy - v[b, 1])
             body.vz = v[b, 2] + scale * (body.vz - v[b, 2])

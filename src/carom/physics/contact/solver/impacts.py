@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.law import friction_impulse, material_index
 from carom.physics.contact.solver.body_state import push, turn
@@ -37,24 +37,24 @@ CONVERGED = 1e-9  # the last iteration is the one whose largest velocity change 
 
 
 @inner
-def resolve_impacts(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Resolve the impacts of a piece, once; note the largest change of a velocity.
 
     In the first iteration note the approach of each contact, too, the fastest one, and whether a contact is at rest. An
     impulse from a neighbour may make a contact close faster in a later iteration: that is then its approach.
     """
-    pairs, a, bodies = load.pairs, load.acceleration, load.bodies
-    settings = load.settings[0]
+    pairs, a, bodies = system.pairs, system.acceleration, system.bodies
+    settings = system.settings[0]
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
     bias_rate = settings.bias_rate
-    count = len(bodies) - (len(load.materials) - 1)
+    count = len(bodies) - (len(system.materials) - 1)
     last = len(pairs) - 1
     largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
         prefetch_record(bodies, pairs[min(last, c + AHEAD), 0], 0)
         prefetch_record(bodies, pairs[min(last, c + AHEAD), 1], 0)
         i, j = pairs[c, 0], pairs[c, 1]
-        contact, state, body_i, body_j = load.contacts[c], load.states[c], bodies[i], bodies[j]
+        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
         rests = -vn <= state.rest_speed
@@ -63,7 +63,7 @@ def resolve_impacts(lo: int, hi: int, piece: int, load: Constraints) -> None:
             fastest, any_rests = max(fastest, -vn), any_rests or rests
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):  # a lasting contact is held, and a gap
             continue  # that is open has time
-        material = load.materials[material_index(j, count)]
+        material = system.materials[material_index(j, count)]
         e = 0.0 if rests else material.restitution
         overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:
@@ -98,7 +98,7 @@ def resolve_impacts(lo: int, hi: int, piece: int, load: Constraints) -> None:
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)
         push(body_i, body_j, Jx, Jy, Jz)
-    found = load.found[piece]
+    found = system.found[piece]
     found.residual = largest_change
     if first:
         found.fastest, found.any_rests = fastest, any_rests

@@ -24,7 +24,7 @@ from carom.physics.contact.constraints import (
     RESOLVE_IMPACTS,
     SOLVE,
     WARM_START,
-    Constraints,
+    ConstraintSystem,
 )
 from carom.physics.contact.solver.conjugate_gradients import (
     conjugate_direction,
@@ -35,8 +35,11 @@ from carom.physics.contact.solver.conjugate_gradients import (
 from carom.physics.contact.solver.energy_audit import audit
 from carom.physics.contact.solver.energy_bound import scale_back
 from carom.physics.contact.solver.impacts import CONVERGED, resolve_impacts
+from carom.physics.contact.solver.line_search import extrapolate, line_search, step_length
 from carom.physics.contact.solver.position_correction import correct_positions
-from carom.physics.contact.solver.solve import HELD, extrapolate, line_search, prepare, solve, warm_start
+from carom.physics.contact.solver.prepare import prepare
+from carom.physics.contact.solver.solve import HELD, solve
+from carom.physics.contact.solver.warm_start import warm_start
 from carom.physics.parallel.jit import inline, inner, long_kernel
 from carom.physics.parallel.thread_team import (
     END,
@@ -64,7 +67,9 @@ SOLVED = 1e-3  # of the first residual, squared and preconditioned
 
 
 @long_kernel
-def work(board: IntArray, job: int, edges: IntArray, independent: int, load: Constraints, max_iterations: int) -> int:
+def work(
+    board: IntArray, job: int, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
+) -> int:
     """Lead a job, or help with whatever is on the board; one kernel, since each takes seconds to compile.
 
     Parameters
@@ -84,24 +89,24 @@ def work(board: IntArray, job: int, edges: IntArray, independent: int, load: Con
         How many there were; of `HELP`, when to call again: `END`, `YIELD` or `REST`.
     """
     if job == HELP:
-        return _help_out(board, load)
+        return _help_out(board, system)
     if job == POSITIONS:
-        iterations = _correct_positions(board, edges, independent, load, max_iterations)
+        iterations = _correct_positions(board, edges, independent, system, max_iterations)
     elif job == IMPACTS:
-        iterations = _resolve_impacts(board, edges, independent, load, max_iterations)
+        iterations = _resolve_impacts(board, edges, independent, system, max_iterations)
     else:
-        iterations = _hold(board, edges, independent, load, max_iterations)
+        iterations = _hold(board, edges, independent, system, max_iterations)
     dismiss(board)
     return iterations
 
 
 @inline
-def _help_out(board: IntArray, load: Constraints) -> int:
+def _help_out(board: IntArray, system: ConstraintSystem) -> int:
     """Do pieces until the leader is done; return early where there are none for a while, or after many."""
     idle, done = 0, 0
     while not is_over(board):
         if claim(board):
-            _do(load, load.settings[0].first_piece + last_piece(board))
+            _do_piece(system, system.settings[0].first_piece + last_piece(board))
             finish(board)
             idle = 0
             done += 1
@@ -116,25 +121,27 @@ def _help_out(board: IntArray, load: Constraints) -> int:
 
 @inline
 def _correct_positions(
-    board: IntArray, edges: IntArray, independent: int, load: Constraints, max_iterations: int
+    board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
     """Push contacts at rest apart, until nothing overlaps."""
     iterations, again = 0, 1.0
     while iterations < max_iterations and again > 0.0:
-        _share_colours(board, edges, independent, load, CORRECT_POSITIONS)
-        again = _largest_residual(load)
+        _share_colours(board, edges, independent, system, CORRECT_POSITIONS)
+        again = _largest_residual(system)
         iterations += 1
     return iterations
 
 
 @inline
-def _resolve_impacts(board: IntArray, edges: IntArray, independent: int, load: Constraints, max_iterations: int) -> int:
+def _resolve_impacts(
+    board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
+) -> int:
     """Resolve impacts, until an iteration changes next to nothing."""
     iterations, first_change, change = 0, 0.0, 1.0
     while iterations < max_iterations and (iterations == 0 or change > CONVERGED * first_change):
-        load.settings[0].iteration = iterations
-        _share_colours(board, edges, independent, load, RESOLVE_IMPACTS)
-        change = _largest_residual(load)
+        system.settings[0].iteration = iterations
+        _share_colours(board, edges, independent, system, RESOLVE_IMPACTS)
+        change = _largest_residual(system)
         if iterations == 0:
             first_change = change
         iterations += 1
@@ -142,183 +149,168 @@ def _resolve_impacts(board: IntArray, edges: IntArray, independent: int, load: C
 
 
 @inline
-def _hold(board: IntArray, edges: IntArray, independent: int, load: Constraints, max_iterations: int) -> int:
+def _hold(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int) -> int:
     """Find the impulses of contacts that last, beginning with those given, and book them."""
-    pieces, settings = len(load.pieces), load.settings[0]
-    _share(board, load, PREPARE, 0, pieces, True)
-    largest = _largest_residual(load)
-    _share_colours(board, edges, independent, load, WARM_START)
+    pieces, settings = len(system.pieces), system.settings[0]
+    _share(board, system, PREPARE, 0, pieces, True)
+    largest = _largest_residual(system)
+    _share_colours(board, edges, independent, system, WARM_START)
     settings.alpha, settings.negligible = 0.0, HELD * largest
     iterations, change = 0, np.inf
     while iterations < max_iterations and change > HELD * largest:
-        change = _iterate(board, edges, independent, load, iterations > 0)
+        change = _iterate(board, edges, independent, system, iterations > 0)
         iterations += 1
     if change > HELD * largest and settings.refines:
-        iterations += _refine(board, edges, independent, load)
+        iterations += _refine(board, edges, independent, system)
     if change > HELD * largest:
-        scale_back(load)
-    _share(board, load, AUDIT, 0, pieces, True)
+        scale_back(system)
+    _share(board, system, AUDIT, 0, pieces, True)
     return iterations
 
 
 @inner
-def _iterate(board: IntArray, edges: IntArray, independent: int, load: Constraints, again: bool) -> float:
+def _iterate(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, again: bool) -> float:
     """Take each contact to where it neither closes nor pulls; first go on in the direction of the iteration before."""
     if again:
-        blocks = len(load.sums)
-        _share(board, load, LINE_SEARCH, 0, blocks, True)
-        load.settings[0].alpha = _step(load)
-        _share(board, load, EXTRAPOLATE, 0, blocks, True)
-    _share_colours(board, edges, independent, load, SOLVE)
-    return _largest_residual(load)
+        blocks = len(system.sums)
+        _share(board, system, LINE_SEARCH, 0, blocks, True)
+        system.settings[0].alpha = step_length(system)
+        _share(board, system, EXTRAPOLATE, 0, blocks, True)
+    _share_colours(board, edges, independent, system, SOLVE)
+    return _largest_residual(system)
 
 
 @inner
-def _refine(board: IntArray, edges: IntArray, independent: int, load: Constraints) -> int:
-    """Solve for the contacts that carry a load, until none misses its condition by more than is tolerated."""
-    pieces, passes, rounds = len(load.pieces), 0, 0
-    load.settings[0].tolerance = BAD_ENOUGH
-    _share(board, load, MEASURE_VIOLATION, 0, pieces, True)
-    load.settings[0].tolerance = 1.0
-    before, missed = np.inf, _largest_residual(load)
+def _refine(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem) -> int:
+    """Solve for the contacts that carry a system, until none misses its condition by more than is tolerated."""
+    pieces, passes, rounds = len(system.pieces), 0, 0
+    system.settings[0].tolerance = BAD_ENOUGH
+    _share(board, system, MEASURE_VIOLATION, 0, pieces, True)
+    system.settings[0].tolerance = 1.0
+    before, missed = np.inf, _largest_residual(system)
     while rounds < MAX_ROUNDS and 0.0 < missed < WORTH * before:
-        passes += _conjugate_gradients(board, edges, independent, load)
-        _iterate(board, edges, independent, load, True)
-        _iterate(board, edges, independent, load, True)
+        passes += _conjugate_gradients(board, edges, independent, system)
+        _iterate(board, edges, independent, system, True)
+        _iterate(board, edges, independent, system, True)
         passes += 2
         rounds += 1
-        _share(board, load, MEASURE_VIOLATION, 0, pieces, True)
-        before, missed = missed, _largest_residual(load)
+        _share(board, system, MEASURE_VIOLATION, 0, pieces, True)
+        before, missed = missed, _largest_residual(system)
     return passes
 
 
 @inner
-def _conjugate_gradients(board: IntArray, edges: IntArray, independent: int, load: Constraints) -> int:
+def _conjugate_gradients(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem) -> int:
     """Find what to change of the impulses that are free; return the number of iterations."""
-    pieces, settings = len(load.pieces), load.settings[0]
+    pieces, settings = len(system.pieces), system.settings[0]
     settings.beta = 0.0
-    _forget_changes(board, load)
+    _forget_changes(board, system)
     settings.iteration = 0
-    _share(board, load, CONJUGATE_STEP, 0, pieces, True)
-    first = rho = _residual_norm(load)
+    _share(board, system, CONJUGATE_STEP, 0, pieces, True)
+    first = rho = _residual_norm(system)
     iterations = 0
     while rho > SOLVED * first and iterations < MAX_ITERATIONS:
-        _share_colours(board, edges, independent, load, CONJUGATE_DIRECTION)
-        _share(board, load, LINE_SEARCH, 0, len(load.sums), True)
+        _share_colours(board, edges, independent, system, CONJUGATE_DIRECTION)
+        _share(board, system, LINE_SEARCH, 0, len(system.sums), True)
         curvature = 0.0
-        for k in range(len(load.sums)):
-            curvature += load.sums[k].curvature
+        for k in range(len(system.sums)):
+            curvature += system.sums[k].curvature
         if not curvature > 0.0:
             break
         iterations += 1
         settings.alpha, settings.iteration = rho / curvature, iterations
-        _share(board, load, CONJUGATE_STEP, 0, pieces, True)
-        before, rho = rho, _residual_norm(load)
+        _share(board, system, CONJUGATE_STEP, 0, pieces, True)
+        before, rho = rho, _residual_norm(system)
         settings.beta = rho / before
         push, pull = 0.0, 0.0
         for k in range(pieces):
-            push, pull = max(push, load.found[k].largest_push), max(pull, load.found[k].largest_pull)
-        _forget_changes(board, load)
+            push, pull = max(push, system.found[k].largest_push), max(pull, system.found[k].largest_pull)
+        _forget_changes(board, system)
         if pull > push:  # a residual that no impulse can remove makes them grow without end
             break
-    _share_colours(board, edges, independent, load, PROJECT)
+    _share_colours(board, edges, independent, system, PROJECT)
     return iterations
 
 
 @inner
-def _forget_changes(board: IntArray, load: Constraints) -> None:
+def _forget_changes(board: IntArray, system: ConstraintSystem) -> None:
     """Begin to sum up anew what changes of the velocities."""
-    load.settings[0].alpha = 0.0
-    _share(board, load, EXTRAPOLATE, 0, len(load.sums), True)
+    system.settings[0].alpha = 0.0
+    _share(board, system, EXTRAPOLATE, 0, len(system.sums), True)
 
 
 @inner
-def _share_colours(board: IntArray, edges: IntArray, independent: int, load: Constraints, phase: int) -> None:
+def _share_colours(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, phase: int) -> None:
     """Do a phase colour by colour."""
     for colour in range(len(edges) - 1):
-        _share(board, load, phase, edges[colour], edges[colour + 1], colour < independent)
+        _share(board, system, phase, edges[colour], edges[colour + 1], colour < independent)
 
 
 @inner
-def _share(board: IntArray, load: Constraints, phase: int, first: int, end: int, independent: bool) -> None:
+def _share(board: IntArray, system: ConstraintSystem, phase: int, first: int, end: int, independent: bool) -> None:
     """Do the pieces of a phase, with the team if they are independent."""
-    settings = load.settings[0]
+    settings = system.settings[0]
     settings.phase, settings.first_piece = phase, first
     k = settings.first_piece  # not the literal 0 that it may be, for which Numba would compile all pieces again
     if len(board) == 0 or end - first == 1 or not independent:
         while k < end:
-            _do(load, k)
+            _do_piece(system, k)
             k += 1
     else:
         post(board, end - first)
         while claim(board):
-            _do(load, k)
+            _do_piece(system, k)
             finish(board)
             k += 1
         wait(board, end - first)
 
 
 @inner
-def _do(load: Constraints, k: int) -> None:
+def _do_piece(system: ConstraintSystem, k: int) -> None:
     """Do one piece."""
-    phase = load.settings[0].phase
+    phase = system.settings[0].phase
     if phase == LINE_SEARCH:
-        line_search(k, load)
+        line_search(k, system)
     elif phase == EXTRAPOLATE:
-        extrapolate(k, load)
+        extrapolate(k, system)
     else:
-        lo, hi = load.pieces[k, 0], load.pieces[k, 1]
+        lo, hi = system.pieces[k, 0], system.pieces[k, 1]
         if phase == CORRECT_POSITIONS:
-            correct_positions(lo, hi, k, load)
+            correct_positions(lo, hi, k, system)
         elif phase == RESOLVE_IMPACTS:
-            resolve_impacts(lo, hi, k, load)
+            resolve_impacts(lo, hi, k, system)
         elif phase == PREPARE:
-            prepare(lo, hi, k, load)
+            prepare(lo, hi, k, system)
         elif phase == WARM_START:
-            warm_start(lo, hi, load)
+            warm_start(lo, hi, system)
         elif phase == SOLVE:
-            if load.settings[0].spins:
-                solve(lo, hi, k, load, (1,))
+            if system.settings[0].spins:
+                solve(lo, hi, k, system, (1,))
             else:
-                solve(lo, hi, k, load, ())
+                solve(lo, hi, k, system, ())
         elif phase == AUDIT:
-            audit(lo, hi, k, load)
+            audit(lo, hi, k, system)
         elif phase == MEASURE_VIOLATION:
-            measure_violation(lo, hi, k, load)
+            measure_violation(lo, hi, k, system)
         elif phase == CONJUGATE_STEP:
-            conjugate_step(lo, hi, k, load)
+            conjugate_step(lo, hi, k, system)
         elif phase == CONJUGATE_DIRECTION:
-            conjugate_direction(lo, hi, load)
+            conjugate_direction(lo, hi, system)
         elif phase == PROJECT:
-            project(lo, hi, k, load)
+            project(lo, hi, k, system)
 
 
 @inner
-def _largest_residual(load: Constraints) -> float:
+def _largest_residual(system: ConstraintSystem) -> float:
     largest = 0.0
-    for k in range(len(load.pieces)):
-        largest = max(largest, load.found[k].residual)
+    for k in range(len(system.pieces)):
+        largest = max(largest, system.found[k].residual)
     return largest
 
 
 @inner
-def _residual_norm(load: Constraints) -> float:
+def _residual_norm(system: ConstraintSystem) -> float:
     norm = 0.0
-    for k in range(len(load.pieces)):
-        norm += load.found[k].residual_norm
+    for k in range(len(system.pieces)):
+        norm += system.found[k].residual_norm
     return norm
-
-
-@inner
-def _step(load: Constraints) -> float:
-    """Return how many times over what an iteration changed should be changed again: α, or 0 if that would not help."""
-    slope, curvature, step_limit = 0.0, 0.0, np.inf
-    for k in range(len(load.pieces)):
-        slope += load.found[k].slope
-        step_limit = min(step_limit, load.found[k].step_limit)
-    for k in range(len(load.sums)):
-        slope += load.sums[k].slope
-        curvature += load.sums[k].curvature
-    if slope >= 0.0 or curvature <= 0.0:
-        return 0.0
-    return min(-slope / curvature, step_limit)

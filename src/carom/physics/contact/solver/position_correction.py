@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import Constraints
+from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.law import material_index
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import inner, long_kernel
@@ -58,13 +58,13 @@ def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, sta
 
 
 @inner
-def correct_positions(lo: int, hi: int, piece: int, load: Constraints) -> None:
+def correct_positions(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
     """Push the contacts at rest of a piece apart, once; note whether an overlap was worth it.
 
     A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
     """
-    pairs, x, v, box = load.pairs, load.position, load.velocity, load.box
-    inverse_mass, radius = load.inverse_mass, load.radius
+    pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
+    inverse_mass, radius = system.inverse_mass, system.radius
     n, last, again = len(x), len(pairs) - 1, 0.0
     for c in range(lo, hi):
         ahead = min(last, c + AHEAD)
@@ -72,8 +72,8 @@ def correct_positions(lo: int, hi: int, piece: int, load: Constraints) -> None:
         prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
         i, j = pairs[c, 0], pairs[c, 1]
         if j >= n:
-            nx, ny, nz = -load.surface[j - n, 0], -load.surface[j - n, 1], -load.surface[j - n, 2]
-            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - load.offset[j - n]
+            nx, ny, nz = -system.surface[j - n, 0], -system.surface[j - n, 1], -system.surface[j - n, 2]
+            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - system.offset[j - n]
             reach = radius[i]
         else:
             dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
@@ -90,10 +90,10 @@ def correct_positions(lo: int, hi: int, piece: int, load: Constraints) -> None:
         overlap = reach - d
         if overlap <= 0.0:
             continue
-        state = load.states[c]
+        state = system.states[c]
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * nx + vy * ny + vz * nz
-        rebounds = -vn > state.rest_speed and load.materials[material_index(j, n)].restitution > 0.0
+        rebounds = -vn > state.rest_speed and system.materials[material_index(j, n)].restitution > 0.0
         if vn > LEAVING * state.rest_speed or rebounds:
             continue
         if overlap > ENOUGH * reach:
@@ -126,7 +126,7 @@ def correct_positions(lo: int, hi: int, piece: int, load: Constraints) -> None:
             v[j, 0] += mj * scale * tx
             v[j, 1] += mj * scale * ty
             v[j, 2] += mj * scale * tz
-    load.found[piece].residual = again
+    system.found[piece].residual = again
 
 
 @long_kernel

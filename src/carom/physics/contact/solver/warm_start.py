@@ -1,32 +1,7 @@
-"""Contacts that last: impulses that hold bodies at rest on each other, remembered from step to step.
+"""Warm starting: the impulses of lasting contacts, kept from kick to kick.
 
-A resting contact carries a force, and a force belongs where the other forces are: into both kicks of a step. After each
-kick of length h the impulses λ of all contacts are found together such that
-
-    v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
-    |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
-
-by iterations over the contacts (projected Gauss-Seidel; Moreau 1988, Jean 1999; Catto 2006 calls it sequential
-impulses). The *totals* are clamped, not the increments: what one iteration pushed too far a later one takes back. They
-begin with the totals of the kick before, scaled by the ratio of the lengths (warm starting), so that a pile at rest
-needs one iteration.
-
-An iteration hands a load on from contact to contact, and where a light body lies between heavy ones it hands on very
-little: a line search stands between two of them (`sweep`). What the impulses do to the energy stands in `booking`.
-
-After the last kick c = 0: nothing closes. After the first kick bodies may close by c dt, so that they touch when the
-drift is over: |d n + v dt| ≥ r_i + r_j, with v_t the tangential velocity of the centres,
-
-    c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
-
-Without the root two spheres that roll about each other would drift apart along the tangent, and the contact would be
-lost and made again in every other step. Together this is RATTLE (Andersen 1983) for contacts.
-
-Impacts are not handled here. They are resolved before, one by one, with their restitution; a step without a contact at
-rest does not come here at all.
-
-Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed),
-impulses at the end of the step only (a body falls a dt²/2 into the ground in every step and has to be pushed back).
+A contact that was there in the last kick begins with the impulse that it carried then, scaled by the ratio of the
+lengths of the kicks and turned into its new tangential plane.
 """
 
 from __future__ import annotations
@@ -37,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraint_graph import first_of
-from carom.physics.contact.constraints import CONTACT
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.contact.constraints import CONTACT, ConstraintSystem
+from carom.physics.contact.solver.body_state import apply_impulse
+from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
 
@@ -134,3 +110,17 @@ def _carry(
         along = x * contact.nx + y * contact.ny + z * contact.nz
         contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)
         contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
+
+
+@inner
+def warm_start(lo: int, hi: int, system: ConstraintSystem) -> None:
+    """Apply the impulses as they are."""
+    pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
+    last = len(pairs) - 1
+    for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch_record(bodies, pairs[ahead, 0], 0)
+        prefetch_record(bodies, pairs[ahead, 1], 0)
+        contact, body_i, body_j = system.contacts[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
+        tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
+        apply_impulse(contact, body_i, body_j, spins, contact.normal_impulse, tx, ty, tz)

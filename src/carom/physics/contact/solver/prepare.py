@@ -1,0 +1,52 @@
+"""Preparation of the contacts that last: effective masses, velocity biases, and which contacts are held."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.parallel.jit import inner
+from carom.physics.parallel.prefetch import AHEAD, prefetch_record
+
+LOADED = 1e-5  # how much the velocity counts that an impulse gives to the lightest body: rounding is 1e-16 of it
+
+
+@inner
+def prepare(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+    """Write what does not change during the iterations, and v_n and u before them; leave impacts alone."""
+    pairs, bodies = system.pairs, system.bodies
+    settings = system.settings[0]
+    spins = settings.spins
+    dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
+    largest = 0.0  # m/s, the largest velocity that a contact undoes
+    last = len(pairs) - 1
+    for c in range(lo, hi):
+        ahead = min(last, c + AHEAD)
+        prefetch_record(bodies, pairs[ahead, 0], 0)
+        prefetch_record(bodies, pairs[ahead, 1], 0)
+        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
+        Kn = body_i.inverse_mass + body_j.inverse_mass
+        contact.normal_mass = 1.0 / Kn
+        vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
+        state.normal_before = vn
+        if spins:
+            ri, rj = contact.arm_i, contact.arm_j
+            contact.tangent_mass = 1.0 / (Kn + ri * ri * body_i.inverse_inertia + rj * rj * body_j.inverse_inertia)
+            state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
+        gap, rest_speed = -state.overlap, state.rest_speed
+        if drift > 0.0:
+            bias = max(0.0, gap) / drift
+            # at rest is what closes by no more than this kick has caused, and by what half a step's fall adds to that
+            fastest = rest_speed * ((kick + 0.5 * drift) / dt)
+        else:
+            bias = gap / dt if gap > 0.0 else bias_rate * gap
+            fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # what touched has been resolved
+        contact.velocity_bias, state.biased = bias, bias < 0.0
+        system.held[c] = not -vn > fastest
+        if system.held[c]:
+            largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)
+        else:
+            contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
+        contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+    system.found[piece].residual = largest
