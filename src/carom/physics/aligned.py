@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -60,3 +61,19 @@ def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[n
         },
         align=True,
     )
+
+
+def columns(records: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return number fields that follow each other in records, which are contiguous, as a view, (m, k)."""
+    first, width = _place_of(records.dtype, names)
+    numbers: NDArray[np.float64] = records.view(np.float64).reshape(len(records), width)
+    return numbers[:, first : first + len(names)]
+
+
+@cache
+def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[int, int]:
+    """Return at which number of a record the fields begin, and how many numbers fit into it."""
+    assert kind.fields is not None and kind.names is not None
+    first = kind.names.index(names[0])
+    assert kind.names[first : first + len(names)] == names, "the fields follow each other in this order"
+    return kind.fields[names[0]][1] // 8, kind.itemsize // 8

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import columns
 from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
@@ -70,8 +71,8 @@ class Ledger:
 
 
 def terms_of(records: NDArray[np.void]) -> FloatArray:
-    """Return the terms that records hold, (m, 3) J."""
-    return np.stack([records[name] for name in TERMS], axis=-1)
+    """Return the terms that records hold, (m, 3) J, as a view."""
+    return columns(records, TERMS)
 
 
 @kernel

@@ -72,6 +72,7 @@ SETTINGS = np.dtype(
     [
         ("phase", "i8"),
         ("first_piece", "i8"),  # with which the phase began
+        ("independent", "i8"),  # so many colours, from the first on, have no two contacts that share a moving body
         ("iteration", "i8"),  # how many came before
         ("dt", "f8"),  # s, the step
         ("drift", "f8"),  # s, the drift to come; 0 after the last kick
@@ -109,6 +110,7 @@ class ConstraintSystem(NamedTuple):
 
     pairs: IntArray  # (m, 2)
     pieces: IntArray  # (k, 2) first contact and the one after the last
+    edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: Records  # (m,) CONTACT
     held: Flags  # (m,) whether each contact is to be held; impacts and open gaps are left alone
     states: Records  # (m,) CONTACT_STATE

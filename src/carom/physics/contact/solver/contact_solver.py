@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.aligned import Room, aligned_empty
+from carom.physics.aligned import Room, aligned_empty, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import (
     BLOCK_SUMS,
@@ -102,9 +102,11 @@ class ContactSolver:
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._body_states), self._team)
         self.order = order
+        self._settings["independent"] = order.independent
         self._system = ConstraintSystem(
             pairs=order.pairs,
             pieces=order.pieces,
+            edges=order.edges,
             contacts=room.take(m),
             held=self._held.take(m),
             states=self._states.take(m),
@@ -123,7 +125,7 @@ class ContactSolver:
             island=self._island,
             islands=self._island_sums,
             active=self._active,
-            found=aligned_empty(len(order.pieces), PIECE_FINDINGS),
+            found=np.empty(len(order.pieces), PIECE_FINDINGS),
             sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=self._settings,
         )
@@ -138,16 +140,16 @@ class ContactSolver:
     @property
     def normals(self) -> FloatArray:
         """(m, 3), from i to j."""
-        return np.stack([self._system.contacts[name] for name in ("nx", "ny", "nz")], axis=-1)
+        return columns(self._system.contacts, ("nx", "ny", "nz"))
 
     @property
     def arms(self) -> FloatArray:
         """(m, 2) m, from each end's centre to the contact point."""
-        return np.stack([self._system.contacts[name] for name in ("arm_i", "arm_j")], axis=-1)
+        return columns(self._system.contacts, ("arm_i", "arm_j"))
 
     @property
     def impulses(self) -> FloatArray:
-        """(m, 4) N s, a copy of λ_n and λ_t."""
+        """(m, 4) N s, λ_n and λ_t."""
         return impulses_of(self._system.contacts)
 
     @property
@@ -175,7 +177,7 @@ class ContactSolver:
 
     @property
     def ledger(self) -> FloatArray:
-        """(m, 3) J, a copy: what left by restitution and by friction, what stabilisation put in."""
+        """(m, 3) J: what left by restitution and by friction, what stabilisation put in."""
         return terms_of(self._system.states)
 
     @property
@@ -282,11 +284,11 @@ class ContactSolver:
 
     def _work(self, job: int, max_iterations: int) -> int:
         """Do a job, with the team if it is worth it; return the number of iterations."""
-        edges, independent, system = self.order.edges, self.order.independent, self._system
+        system = self._system
         if len(system.pairs) < SHARED_FROM:
-            return work(ALONE, job, edges, independent, system, max_iterations)
-        with self._team.gathered(work, HELP, edges, independent, system, 0) as board:
-            return work(board, job, edges, independent, system, max_iterations)
+            return work(ALONE, job, system, max_iterations)
+        with self._team.gathered(work, HELP, system, 0) as board:
+            return work(board, job, system, max_iterations)
 
 
 @long_kernel

@@ -67,9 +67,7 @@ SOLVED = 1e-3  # of the first residual, squared and preconditioned
 
 
 @long_kernel
-def work(
-    board: IntArray, job: int, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
-) -> int:
+def work(board: IntArray, job: int, system: ConstraintSystem, max_iterations: int) -> int:
     """Lead a job, or help with whatever is on the board; one kernel, since each takes seconds to compile.
 
     Parameters
@@ -78,10 +76,6 @@ def work(
         Of the team; empty if the leader works alone.
     job
         `POSITIONS`, `IMPACTS`, `RESTING` or `HELP`.
-    edges
-        First piece of each colour, and the number of pieces.
-    independent
-        So many colours, from the first on, have no two contacts that share a body that moves.
 
     Returns
     -------
@@ -91,11 +85,11 @@ def work(
     if job == HELP:
         return _help_out(board, system)
     if job == POSITIONS:
-        iterations = _correct_positions(board, edges, independent, system, max_iterations)
+        iterations = _correct_positions(board, system, max_iterations)
     elif job == IMPACTS:
-        iterations = _resolve_impacts(board, edges, independent, system, max_iterations)
+        iterations = _resolve_impacts(board, system, max_iterations)
     else:
-        iterations = _hold(board, edges, independent, system, max_iterations)
+        iterations = _hold(board, system, max_iterations)
     dismiss(board)
     return iterations
 
@@ -120,27 +114,23 @@ def _help_out(board: IntArray, system: ConstraintSystem) -> int:
 
 
 @inline
-def _correct_positions(
-    board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
-) -> int:
+def _correct_positions(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
     """Push contacts at rest apart, until nothing overlaps."""
     iterations, again = 0, 1.0
     while iterations < max_iterations and again > 0.0:
-        _share_colours(board, edges, independent, system, CORRECT_POSITIONS)
+        _share_colours(board, system, CORRECT_POSITIONS)
         again = _largest_residual(system)
         iterations += 1
     return iterations
 
 
 @inline
-def _resolve_impacts(
-    board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int
-) -> int:
+def _resolve_impacts(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
     """Resolve impacts, until an iteration changes next to nothing."""
     iterations, first_change, change = 0, 0.0, 1.0
     while iterations < max_iterations and (iterations == 0 or change > CONVERGED * first_change):
         system.settings[0].iteration = iterations
-        _share_colours(board, edges, independent, system, RESOLVE_IMPACTS)
+        _share_colours(board, system, RESOLVE_IMPACTS)
         change = _largest_residual(system)
         if iterations == 0:
             first_change = change
@@ -149,19 +139,19 @@ def _resolve_impacts(
 
 
 @inline
-def _hold(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, max_iterations: int) -> int:
+def _hold(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
     """Find the impulses of contacts that last, beginning with those given, and book them."""
     pieces, settings = len(system.pieces), system.settings[0]
     _share(board, system, PREPARE, 0, pieces, True)
     largest = _largest_residual(system)
-    _share_colours(board, edges, independent, system, WARM_START)
+    _share_colours(board, system, WARM_START)
     settings.alpha, settings.negligible = 0.0, HELD * largest
     iterations, change = 0, np.inf
     while iterations < max_iterations and change > HELD * largest:
-        change = _iterate(board, edges, independent, system, iterations > 0)
+        change = _iterate(board, system, iterations > 0)
         iterations += 1
     if change > HELD * largest and settings.refines:
-        iterations += _refine(board, edges, independent, system)
+        iterations += _refine(board, system)
     if change > HELD * largest:
         scale_back(system)
     _share(board, system, AUDIT, 0, pieces, True)
@@ -169,19 +159,19 @@ def _hold(board: IntArray, edges: IntArray, independent: int, system: Constraint
 
 
 @inner
-def _iterate(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, again: bool) -> float:
+def _iterate(board: IntArray, system: ConstraintSystem, again: bool) -> float:
     """Take each contact to where it neither closes nor pulls; first go on in the direction of the iteration before."""
     if again:
         blocks = len(system.sums)
         _share(board, system, LINE_SEARCH, 0, blocks, True)
         system.settings[0].alpha = step_length(system)
         _share(board, system, EXTRAPOLATE, 0, blocks, True)
-    _share_colours(board, edges, independent, system, SOLVE)
+    _share_colours(board, system, SOLVE)
     return _largest_residual(system)
 
 
 @inner
-def _refine(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem) -> int:
+def _refine(board: IntArray, system: ConstraintSystem) -> int:
     """Solve for the contacts that carry a system, until none misses its condition by more than is tolerated."""
     pieces, passes, rounds = len(system.pieces), 0, 0
     system.settings[0].tolerance = BAD_ENOUGH
@@ -189,9 +179,9 @@ def _refine(board: IntArray, edges: IntArray, independent: int, system: Constrai
     system.settings[0].tolerance = 1.0
     before, missed = np.inf, _largest_residual(system)
     while rounds < MAX_ROUNDS and 0.0 < missed < WORTH * before:
-        passes += _conjugate_gradients(board, edges, independent, system)
-        _iterate(board, edges, independent, system, True)
-        _iterate(board, edges, independent, system, True)
+        passes += _conjugate_gradients(board, system)
+        _iterate(board, system, True)
+        _iterate(board, system, True)
         passes += 2
         rounds += 1
         _share(board, system, MEASURE_VIOLATION, 0, pieces, True)
@@ -200,7 +190,7 @@ def _refine(board: IntArray, edges: IntArray, independent: int, system: Constrai
 
 
 @inner
-def _conjugate_gradients(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem) -> int:
+def _conjugate_gradients(board: IntArray, system: ConstraintSystem) -> int:
     """Find what to change of the impulses that are free; return the number of iterations."""
     pieces, settings = len(system.pieces), system.settings[0]
     settings.beta = 0.0
@@ -210,7 +200,7 @@ def _conjugate_gradients(board: IntArray, edges: IntArray, independent: int, sys
     first = rho = _residual_norm(system)
     iterations = 0
     while rho > SOLVED * first and iterations < MAX_ITERATIONS:
-        _share_colours(board, edges, independent, system, CONJUGATE_DIRECTION)
+        _share_colours(board, system, CONJUGATE_DIRECTION)
         _share(board, system, LINE_SEARCH, 0, len(system.sums), True)
         curvature = 0.0
         for k in range(len(system.sums)):
@@ -228,7 +218,7 @@ def _conjugate_gradients(board: IntArray, edges: IntArray, independent: int, sys
         _forget_changes(board, system)
         if pull > push:  # a residual that no impulse can remove makes them grow without end
             break
-    _share_colours(board, edges, independent, system, PROJECT)
+    _share_colours(board, system, PROJECT)
     return iterations
 
 
@@ -240,8 +230,9 @@ def _forget_changes(board: IntArray, system: ConstraintSystem) -> None:
 
 
 @inner
-def _share_colours(board: IntArray, edges: IntArray, independent: int, system: ConstraintSystem, phase: int) -> None:
+def _share_colours(board: IntArray, system: ConstraintSystem, phase: int) -> None:
     """Do a phase colour by colour."""
+    edges, independent = system.edges, system.settings[0].independent
     for colour in range(len(edges) - 1):
         _share(board, system, phase, edges[colour], edges[colour + 1], colour < independent)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, ConstraintSystem
 from carom.physics.contact.solver.body_state import apply_impulse
@@ -27,8 +28,8 @@ IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, 
 
 
 def impulses_of(contacts: Records) -> FloatArray:
-    """Return a copy of λ_n and λ_t, (m, 4) N s."""
-    return np.stack([contacts[name] for name in IMPULSES], axis=-1)
+    """Return λ_n and λ_t, (m, 4) N s, as a view."""
+    return columns(contacts, IMPULSES)
 
 
 @dataclass(slots=True)
@@ -49,8 +50,7 @@ class ImpulseCache:
     def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> ImpulseCache:
         """Rebuild the cache from (m, 4) N s, an earlier `impulse`."""
         contacts = np.zeros(len(pairs), CONTACT)
-        for k, name in enumerate(IMPULSES):
-            contacts[name] = impulse[:, k]
+        impulses_of(contacts)[:] = impulse
         return cls(pairs, np.arange(len(pairs)), contacts, kick)
 
     @property
@@ -76,8 +76,7 @@ class ImpulseCache:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
             team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _carry, *before, pairs, place, contacts)
         else:
-            for name in IMPULSES:
-                contacts[name] = 0.0
+            impulses_of(contacts)[:] = 0.0
 
 
 @long_kernel
