@@ -24,7 +24,7 @@ POINTS = 200_000  # at which the filling of the midst is sampled: to 0.1 %
 def pour(count: int, width: float, friction: float, settling: float, until: float, sweeps: int, seed: int) -> Space:
     """Let spheres settle in a box through a liquid that slows them, as Onoda & Liniger (1990) did.
 
-    The liquid takes v/τ of every velocity, outside of the scene: spheres sink with g τ and touch without an impact.
+    The liquid is the scene's drag: spheres sink with g τ and touch without an impact.
 
     Parameters
     ----------
@@ -40,6 +40,7 @@ def pour(count: int, width: float, friction: float, settling: float, until: floa
                 "seed": seed,
                 "time": {"duration": until, "cfl": 0.05},
                 "gravity": {"constant": 0.0, "uniform": [0, 0, -1]},
+                "drag": {"relaxation_time": settling},
                 "contact": {
                     "restitution": 0.0,
                     "static_friction": friction,
@@ -55,11 +56,8 @@ def pour(count: int, width: float, friction: float, settling: float, until: floa
         ),
         threads=1,
     )
-    while space.time < until:
-        space.compute_dynamics(space.step + 1)
-        slowed = 1 / (1 + space.dt / settling)
-        space.state.velocity[:] *= slowed
-        space.state.angular_velocity[:] *= slowed
+    for _ in space.run():
+        pass
     return space
 
 

@@ -18,7 +18,7 @@ from packings import contacts_of_a_body, packing_fraction, pour
 def test_spheres_without_friction_fill_0_64_and_touch_six_others() -> None:
     # The midst holds 400 spheres: with margins of 2 to 3.5 diameters, 0.632 to 0.640. 3 n contacts in all, with the
     # walls, hold n spheres and no more; a few in a hundred touch and carry nothing.
-    space = pour(2000, width=12, friction=0.0, settling=0.5, until=100.0, sweeps=30, seed=1)
+    space = pour(2000, width=12, friction=0.0, settling=0.5, until=200.0, sweeps=30, seed=1)
     assert packing_fraction(space) == pytest.approx(0.639, abs=0.015)
     assert contacts_of_a_body(space, fewest=4) == pytest.approx(6.0, abs=0.3)
     assert len(space.contacts) / len(space.state) == pytest.approx(3.0, rel=0.03)

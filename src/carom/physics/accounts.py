@@ -34,6 +34,8 @@ class Accounts:
         The state at the start.
     names
         For a warning.
+    uniform
+        (3,) m/s², what accelerates all bodies alike.
     constant
         J, the gravitational energy of fixed bodies among each other.
     losses
@@ -41,16 +43,23 @@ class Accounts:
     """
 
     def __init__(
-        self, scene: Scene, bodies: Bodies, names: Names, constant: float = 0.0, losses: Iterable[str] = ()
+        self,
+        scene: Scene,
+        bodies: Bodies,
+        names: Names,
+        uniform: FloatArray,
+        constant: float = 0.0,
+        losses: Iterable[str] = (),
     ) -> None:
-        field, periodic = np.array(scene.gravity.uniform), scene.domain.boundary == "periodic"
+        periodic = scene.domain.boundary == "periodic"
         self.ledger = Ledger(forces=dict.fromkeys(losses, 0.0))
         self.energy: Energy
         self.momentum: Momentum
         self.step = -1  # of the last stock-taking
         self._bodies = bodies
-        self._energy = EnergyAccount(bodies, field, scene.anchored, constant)
-        self._momentum = MomentumAccount(bodies, field, periodic, scene.anchored)
+        self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
+        booked = len(self.ledger.forces) > 0  # of the field, too: the centre of mass is then on no parabola
+        self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names)
         self._suspects: list[Suspects] = []
 
@@ -79,6 +88,11 @@ class Accounts:
     def book(self, contacts: FloatArray) -> None:
         """Book what contacts did in a step, (m, 3) J."""
         self.ledger = self.ledger.plus(contacts)
+
+    def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
+        """Book what a force without a potential took out, in J, and brought, in N s and N m s."""
+        self.ledger = self.ledger.plus_loss(entry, loss)
+        self._momentum.receive(impulse, angular_impulse)
 
     def suspect(self, step: int, graph: CollisionGraph, contributions: FloatArray) -> None:
         """Keep the contacts of a step for a warning that may come."""

@@ -58,6 +58,11 @@ class Energy:
         return total
 
     @property
+    def undamped(self) -> float:
+        """The total and what forces without a potential took out of it: contacts can only lower this, in J."""
+        return self.total + self.ledger.by_forces if self.ledger.forces else self.total
+
+    @property
     def relative_error(self) -> float:
         """|integration error| over the energy scale."""
         return self.relative(abs(self.integration_error))
@@ -92,9 +97,9 @@ class EnergyAccount:
 
     The scale is the largest so far of
 
-    - |E_c - (restitution + friction) + stabilisation|, where E_c is the kinetic and gravitational energy at the start:
-      the total that is conserved, after what contacts took out of it and pushes put in;
-    - what the other forces and the spins have exchanged with it, |ΔE_field| and |ΔE_rotational|;
+    - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
+      start: the total that is conserved, after what contacts and drag took out of it and pushes put in;
+    - what the other forces and the spins have exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
     - Σ m |g| r, where there is a field: bodies that rest on a plane have no other energy.
 
     Where kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
@@ -104,7 +109,7 @@ class EnergyAccount:
     bodies
         Of the run.
     field
-        (3,) m/s², the uniform field.
+        (3,) m/s², the uniform field, and what a moving medium pushes with.
     anchored
         Whether something stands still: speeds then count from it in E_c, otherwise from the centre of mass.
     constant
@@ -137,7 +142,8 @@ class EnergyAccount:
             scale = max(
                 known.scale,
                 abs(known.origin.conserved),
-                abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation),
+                abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation - ledger.by_forces),
+                abs(ledger.by_forces),
                 abs(external - known.origin.field),
                 abs(rotational - known.origin.rotational),
             )

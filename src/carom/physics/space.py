@@ -24,7 +24,7 @@ from carom.physics.diagnostics.profile import Profile
 from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.physics.forces.force import Force, Potentials, accelerate, forces_of
+from carom.physics.forces.force import DampedStep, Damping, Exchange, Force, Potentials, accelerate, forces_of
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrator import drift, kick, wrap
@@ -103,6 +103,9 @@ class Space:
         self._forces: list[Force] = forces_of(scene, self.requirements, self.state, self._team)
         self._uniform = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
         self._falling = np.zeros(3) if scene.anchored else self._uniform
+        self._damping = next((force for force in self._forces if isinstance(force, Damping)), None)
+        self._exchanged: list[Exchange] = []  # with a medium, in this step
+        self._last_kick = 0.0  # s, of the step
         self._substeps = integrator(scene).substeps
         self.ends_with_forces = integrator(scene).ends_with_forces
         self._contact = self._make_contact()
@@ -113,7 +116,8 @@ class Space:
         self.foreseen: dict[str, float] = {}  # steps that the scene would have taken so far, by what sets them
         self._called = Names(self.names, self.planes.name)
         losses = [force.kind.loss for force in self._forces if force.kind.loss]
-        self._accounts = Accounts(scene, self.state, self._called, self._potential_of_fixed_bodies(), losses)
+        constant = self._potential_of_fixed_bodies()
+        self._accounts = Accounts(scene, self.state, self._called, self._uniform, constant, losses)
         self._events: list[Event] = []
         self._activity = Activity(len(self.state), scene.anchored or bool(self._uniform.any()))
         self._stopping = False
@@ -383,6 +387,7 @@ class Space:
         self.step += 1
         self.profile.mark("timestep")
         potentials = self._integrate(self.dt, with_potential=checked)
+        self._book_exchanges()
         if contact:
             self._respond(contact)
             if checked:
@@ -412,17 +417,24 @@ class Space:
         potentials: Potentials = {}
         for index, substep in enumerate(self._substeps):
             last = index == len(self._substeps) - 1
-            if pulls and substep.before:
+            damped, first_kick, share = None, substep.before * dt, substep.before * dt
+            self._last_kick = substep.after * dt
+            if self._damping:
+                damped = self._damping.step(dt)
+                first_kick, share, self._last_kick = damped.held_kick, damped.share, damped.last_kick
+                self._exchanged.append(self._damping.begin(damped))
+                self.profile.mark(self._damping.kind.short_name)
+            elif pulls and substep.before:
                 kick(state.velocity, state.acceleration, substep.before * dt, self._team)
             if index == 0 and self._contact:
                 self.profile.mark("integrate")
-                self._contact.hold(substep.before * dt, dt)
+                self._hold(self._contact, first_kick, dt, share, damped)
                 self.profile.mark("resting")
             if self._box[0] > 0.0:
                 refuse_lost_turns(state.velocity, substep.drift * dt, self._box, self.step, self.time)
             if self._contact and self.requirements.impact_time.modelled:
                 refuse_infinities(self.state, self.names, self.step, self.time, self._team)
-                self._contact.drift(substep.before * dt, substep.drift * dt)
+                self._drift_to_impacts(self._contact, share, substep.drift * dt, damped)
                 self.profile.mark("impacts")
             else:
                 drift(state.position, state.velocity, substep.drift * dt, self._team)
@@ -438,10 +450,38 @@ class Space:
                 elif with_potential:
                     potentials = self._potentials()
                     self.profile.mark("gravity")
-                if substep.after:
+                if self._damping and damped:
+                    self._exchanged.append(self._damping.end(damped))
+                    self.profile.mark(self._damping.kind.short_name)
+                elif substep.after:
                     kick(state.velocity, state.acceleration, substep.after * dt, self._team)
             self.profile.mark("integrate")
         return potentials
+
+    def _hold(self, contact: ContactStage, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
+        """Hold contacts after the first kick, against what accelerates the bodies; times in s."""
+        if self._damping is None or damped is None:
+            contact.hold(kick, dt, share)
+            return
+        ends = self.state.ends
+        before, acceleration = ends.velocity.copy(), ends.acceleration.copy()
+        ends.acceleration[:] = self._damping.against()
+        contact.hold(kick, dt, share)
+        ends.acceleration[:] = acceleration
+        if len(contact.held):
+            loss = self._damping.lost_in_hold(damped, before)
+            self._exchanged.append(Exchange(loss, np.zeros(3), np.zeros(3)))
+
+    def _drift_to_impacts(self, contact: ContactStage, kick: float, dt: float, damped: DampedStep | None) -> None:
+        """Drift, with impacts at their own times; kick and drift in s."""
+        if self._damping is None or damped is None:
+            contact.drift(kick, dt)
+            return
+        before = self.state.ends.velocity.copy()
+        contact.drift(kick, dt, self._damping.along(damped))
+        if len(contact.impacts):
+            loss = self._damping.lost_in_impacts(damped, before, contact.impacts)
+            self._exchanged.append(Exchange(loss, np.zeros(3), np.zeros(3)))
 
     def _accelerate(self, potential: bool) -> Potentials:
         """Fill the accelerations; return the potential energies if they are asked for."""
@@ -470,7 +510,7 @@ class Space:
 
     def _respond(self, contact: ContactPipeline) -> None:
         """Resolve the contacts and book what they did."""
-        contact.resolve(self.dt, self._substeps[-1].after * self.dt, self.profile)
+        contact.resolve(self.dt, self._last_kick, self.profile)
         if len(contact.held):
             self._accounts.book(contact.held)
         if contact.statistics.contacts:
@@ -492,6 +532,13 @@ class Space:
         """Book the contacts of the step."""
         self._accounts.book(contact.statistics.work)
         extremes.see_contacts(self.step, self.time, contact.statistics)
+
+    def _book_exchanges(self) -> None:
+        """Book what a medium took and brought in this step."""
+        if self._damping:
+            for exchange in self._exchanged:
+                self._accounts.exchange(self._damping.kind.loss, *exchange)
+            self._exchanged.clear()
 
     def _take_stock(self, potentials: Potentials, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
@@ -519,9 +566,10 @@ class Space:
         for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
             self._integrate(tiny, with_potential=False)
             if self._contact:
-                self._contact.resolve(tiny, self._substeps[-1].after * tiny, self.profile)
+                self._contact.resolve(tiny, self._last_kick, self.profile)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
+        self._exchanged.clear()
         potentials = self._accelerate(potential=True)
         if self.requirements.adaptive_step.modelled:
             self._timestep.previous = self._timestep.target(state)[0]

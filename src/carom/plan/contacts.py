@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.plan.pulls import field, gravity
+from carom.plan.pulls import gravity, pushing
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -25,12 +25,12 @@ def contact(scene: Scene) -> Part:
 def _moves_relatively(scene: Scene) -> bool:
     """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed).
 
-    Planes, walls and fixed bodies stand still, and the uniform field does not pull them.
+    Planes, walls and fixed bodies stand still, and neither the uniform field nor a medium moves them.
     """
     velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
     if scene.anchored:
         velocities.add((0.0, 0.0, 0.0))
-        if field(scene).modelled:
+        if pushing(scene):
             return True
     stirred = any(group.velocity.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
     return len(velocities) > 1 or stirred or scene.contact.allow_overlap
@@ -70,12 +70,12 @@ def load(scene: Scene) -> str:
     """Say what presses contacts together; empty if nothing does, and every contact is an impact."""
     if gravity(scene).modelled:
         return "gravity"
-    return "the field" if field_presses(scene) else ""
+    return f"the {pushing(scene)}" if field_presses(scene) else ""
 
 
 def field_presses(scene: Scene) -> bool:
-    """Tell whether the uniform field presses bodies on something that stands still."""
-    return scene.anchored and field(scene).modelled
+    """Tell whether the uniform field or a medium presses bodies on something that stands still."""
+    return scene.anchored and pushing(scene) != ""
 
 
 def resting(scene: Scene, contact: Part) -> Part:

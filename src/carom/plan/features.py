@@ -296,7 +296,7 @@ def integrator(scene: Scene) -> Integrator:
 
 
 def _is_smooth(scene: Scene) -> bool:
-    if not pulls.gravity(scene).modelled or contacts.contact(scene).modelled:
+    if not pulls.gravity(scene).modelled or contacts.contact(scene).modelled or pulls.damping(scene):
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
@@ -308,7 +308,9 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f'time.integrator = "{chosen}"')
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
-    if not pulls.gravity(scene).modelled:
+    if force := pulls.damping(scene):
+        why = f"its one drift has room for the {force.name}"
+    elif not pulls.gravity(scene).modelled:
         why = "exact without a pull between bodies"
     elif contacts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"

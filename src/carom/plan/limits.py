@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 from carom.plan.features import gravity_method, integrator, require
+from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -27,6 +28,7 @@ def refuse_impossible(scene: Scene) -> None:
     """
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
+    _refuse_damping(scene)
     needed, there = memory_estimate(scene), _memory()
     if needed > there:
         raise SceneError(
@@ -54,6 +56,16 @@ def _refuse_forces_of_mid_step(scene: Scene) -> None:
         raise SceneError(
             f'time.integrator = "{chosen.name}" where bodies may press on each other: its forces are those of the '
             'middle of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'
+        )
+
+
+def _refuse_damping(scene: Scene) -> None:
+    """Refuse integrators that have no place for a force that depends on velocities."""
+    chosen, force = integrator(scene), damping(scene)
+    if force and not chosen.damps:
+        raise SceneError(
+            f'time.integrator = "{chosen.name}" with [{force.name}]: the {force.name} needs one drift between two '
+            'equal kicks; use "leapfrog" or "auto"'
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.scene.forces import GRAVITY, UNIFORM_FIELD, ForceKind
+from carom.scene.forces import FORCES, GRAVITY, ForceKind
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -17,6 +17,12 @@ def gravity(scene: Scene) -> Part:
     return part(GRAVITY, scene)
 
 
-def field(scene: Scene) -> Part:
-    """Decide whether a uniform field pulls."""
-    return part(UNIFORM_FIELD, scene)
+def pushing(scene: Scene) -> str:
+    """Name the first force that accelerates all bodies at rest alike; empty if none does."""
+    return next((kind.short_name for kind in FORCES if kind.pushes(scene)), "")
+
+
+def damping(scene: Scene) -> Part | None:
+    """Return the force that depends on velocities; None if there is none."""
+    found = (part(kind, scene) for kind in FORCES if kind.damps)
+    return next((force for force in found if force.modelled), None)

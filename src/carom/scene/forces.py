@@ -27,6 +27,8 @@ class ForceKind:
     meaning: str = ""  # of that series, for docs/recording.md
     colour: str = ""  # of that series, by its name in the palette
     flag: str = ""  # in a recording's properties; `has_` and its short name unless given
+    pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
+    damps: bool = False  # whether it depends on velocities, and is solved within the drift
     part: str = ""  # without which that series is not recorded; the force itself unless given
     contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
 
@@ -66,6 +68,17 @@ def _uniform_field(scene: Scene) -> tuple[bool, str]:
     return False, "gravity.uniform is zero"
 
 
+def _drag(scene: Scene) -> tuple[bool, str]:
+    if scene.drag is None:
+        return False, "no [drag]"
+    moving = f", a medium that moves with {list(scene.drag.medium_velocity)} m/s" if _medium_moves(scene) else ""
+    return True, f"drag.relaxation_time = {scene.drag.relaxation_time:g} s{moving}"
+
+
+def _medium_moves(scene: Scene) -> bool:
+    return scene.drag is not None and any(scene.drag.medium_velocity)
+
+
 GRAVITY = ForceKind(
     "gravity",
     _gravity,
@@ -84,5 +97,17 @@ UNIFORM_FIELD = ForceKind(
     legend="uniform field",
     meaning="potential energy in the uniform field",
     colour="green",
+    pushes=lambda scene: any(scene.gravity.uniform),
 )
-FORCES = (GRAVITY, UNIFORM_FIELD)  # in the order in which their accelerations are added up
+DRAG = ForceKind(
+    "drag",
+    _drag,
+    loss="drag",
+    legend="drag",
+    meaning="taken out by the drag of the medium since the start; negative if a moving medium put more in",
+    colour="blue",
+    pushes=_medium_moves,
+    damps=True,
+    contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
+)
+FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are added up

@@ -56,6 +56,11 @@ class Integrator:
         return len(self.substeps) == 1
 
     @property
+    def damps(self) -> bool:
+        """Whether a step has room for drag: one drift between two equal kicks (docs/physics.md, 6)."""
+        return self.drifts_once and self.substeps[0].before == self.substeps[0].after
+
+    @property
     def force_sums(self) -> int:
         """How often forces are summed in a step."""
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1

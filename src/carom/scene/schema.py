@@ -117,6 +117,25 @@ class Gravity(Section):
     uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
 
 
+class Drag(Section):
+    """[drag]: a medium that slows bodies down, a = -(v - u)/τ (Stokes)."""
+
+    relaxation_time: Positive = Field(
+        description="s, τ: in it the velocity relative to the medium falls to 1/e; more than 0"
+    )
+    medium_velocity: Vector = Field(ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium")
+
+    @model_validator(mode="after")
+    def _the_push_of_the_medium_is_a_number(self) -> Self:
+        largest = max(map(abs, self.medium_velocity))
+        if largest > LARGEST * self.relaxation_time:
+            raise ValueError(
+                f"medium_velocity / relaxation_time is more than {LARGEST:g} m/s²; raise relaxation_time, or choose "
+                "other units"
+            )
+        return self
+
+
 class Contact(Section):
     """[contact]: what happens where spheres touch."""
 
@@ -468,6 +487,7 @@ class Scene(Section):
     )
     time: Time = Field(Time(), description="how long, and how the step is chosen")
     gravity: Gravity = Field(Gravity(), description="what pulls")
+    drag: Drag | None = Field(None, description="a medium that slows bodies down; none unless given")
     contact: Contact = Field(Contact(), description="what happens where spheres touch")
     domain: Domain = Field(Domain(), description="the space around the bodies")
     model: Model = Field(Model(), description="what is modelled though the scene does not require it")

@@ -213,6 +213,9 @@ class _Solver:
         np.fill_diagonal(r2, 1.0)
         pull = self._constant * self._bodies.mass / (r2 * np.sqrt(r2)) if self._constant else np.zeros_like(r2)
         acceleration = np.einsum("ij,ijk->ik", pull, d) + self._field
+        if drag := self._scene.drag:
+            slip = y[3 * self._n :].reshape(-1, 3) - drag.medium_velocity
+            acceleration -= slip / drag.relaxation_time
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
     def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:

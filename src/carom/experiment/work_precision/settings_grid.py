@@ -10,6 +10,7 @@ from carom.experiment.work_precision.reference import refined
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.plan.features import gravity_method, integrator, require, smoothing, timing
+from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text
@@ -73,9 +74,9 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
     forces, located = parts.pulls, parts.impact_time.modelled
     found: dict[str, tuple[str, ...]] = {}
     if not parts.contact.modelled:
-        found["time.integrator"] = tuple(INTEGRATORS)
+        found["time.integrator"] = _integrators(scene)
     elif forces:
-        found["time.integrator"] = tuple(name for name, each in INTEGRATORS.items() if each.holds_contacts)
+        found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
         if forces or not located:  # else next to nothing is left to the end of the step
@@ -93,6 +94,11 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
             found["gravity.method"] = ("tree",)
     own = _in_effect(scene)
     return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
+
+
+def _integrators(scene: Scene) -> tuple[str, ...]:
+    damped = damping(scene) is not None
+    return tuple(name for name, each in INTEGRATORS.items() if each.damps or not damped)
 
 
 def _in_effect(scene: Scene) -> dict[str, str]:

@@ -151,19 +151,26 @@ class ContactPipeline:
         if self._lasts:
             self._order_contacts(self._near(dt), dt)
 
-    def hold(self, kick: float, dt: float) -> None:
-        """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s."""
+    def hold(self, kick: float, dt: float, share: float) -> None:
+        """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s.
+
+        ``share`` is the part of the forces' work in that drift, in s of it, that the kick has done already: the kick's
+        own length, but for drag.
+        """
         if self._needs.torque.modelled:
             self._team.divide(len(self._spin), MANY, _remember, self._bodies.angular_velocity, self._spin)
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
-            self._hold_contacts(self._dt, kick, dt, 0.0)
+            self._hold_contacts(self._dt, kick, dt, 0.0, share)
             self.held = self._solver.audited
 
-    def drift(self, kick: float, dt: float) -> None:
-        """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way."""
+    def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
+        """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way.
+
+        ``along`` is by what velocities change on it, (n + p, 3) m/s²; by default the accelerations.
+        """
         assert self._event_drift is not None, "the scene asks for times of impact"
-        self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt))
+        self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
@@ -272,7 +279,7 @@ class ContactPipeline:
         self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
         profile.mark("response")
         if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
-            held = self._hold_contacts(dt, kick, 0.0, bias_rate)
+            held = self._hold_contacts(dt, kick, 0.0, bias_rate, kick)
             self.sweeps = max(self.sweeps, held)
             profile.mark("resting")
         else:
@@ -285,14 +292,14 @@ class ContactPipeline:
         """Tell whether something presses the contacts together: without that, all of them are impacts."""
         return self._lasts and self._presses
 
-    def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float) -> int:
+    def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float, share: float) -> int:
         """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._pairs
         place = solver.order.place
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
             self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
-        return solver.hold(dt, kick, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
+        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
 
     @property
     def seen(self) -> ContactSnapshot:
@@ -327,7 +334,7 @@ class ContactPipeline:
         self._solver.statistics()
         if self._lasts:
             for drift in (1.0, 0.0):
-                self._hold_contacts(1.0, 1.0, drift, 0.0)
+                self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
         if self._needs.torque.modelled:
             self.turn(1.0)
         self.forget()

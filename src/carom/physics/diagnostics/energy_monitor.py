@@ -103,7 +103,7 @@ class EnergyMonitor:
         """
         tally = self.tally
         lowest = tally.lowest or energy
-        rose = energy.total - lowest.total > self._tolerance * energy.scale
+        rose = energy.undamped - lowest.undamped > self._tolerance * energy.scale
         events = []
         if rose and tally.warnings < MOST_WARNINGS:
             text = _rise(energy, lowest, tally.since)
@@ -118,7 +118,7 @@ class EnergyMonitor:
         lost = energy.relative_error > LOST
         if lost and not tally.lost:
             events.append(Event(step, time, "WARN", _loss(energy, lowest), "energy-lost"))
-        if rose or tally.lowest is None or energy.total < lowest.total:
+        if rose or tally.lowest is None or energy.undamped < lowest.undamped:
             lowest, since = energy, time
         else:
             since = tally.since
@@ -135,7 +135,7 @@ def _rise(energy: Energy, lowest: Energy, since: float) -> str:
         "impulses of contacts": then.restitution + then.friction - now.restitution - now.friction,
     }
     shares = ", ".join(f"{joules:+.4g} J from {part}" for part, joules in parts.items() if joules)
-    rise = energy.total - lowest.total
+    rise = energy.undamped - lowest.undamped
     return (
         f"Energy rose by {rise:.4g} J ({energy.relative(rise):.2g} of the scale) since t = {since:.6g} s: "
         f"{shares}. Mostly {max(parts, key=lambda part: parts[part])}."

@@ -95,8 +95,8 @@ class Extremes:
         """Take note of the energy of a step."""
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
-        self.lowest_energy = min(self.lowest_energy, energy.total)
-        gain = energy.relative(energy.total - self.lowest_energy)
+        self.lowest_energy = min(self.lowest_energy, energy.undamped)
+        gain = energy.relative(energy.undamped - self.lowest_energy)
         if gain > self.energy_gain.value:
             self.energy_gain = Extreme(gain, step, time)
         taken = energy.ledger.restitution + energy.ledger.friction

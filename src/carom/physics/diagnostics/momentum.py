@@ -6,6 +6,8 @@ Contacts and direct gravity conserve both to round-off. A uniform field g change
 centre of mass X moves on a parabola (planes, walls and fixed bodies take both, and nothing is compared):
 
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
+
+Where a medium drags, it and the field are booked as they act, step by step.
 """
 
 from __future__ import annotations
@@ -63,6 +65,10 @@ class MomentumAccount:
     def baseline(self, known: MomentumBaseline) -> None:
         self._linear, self._angular, self._centre = map(np.array, (known.linear, known.angular, known.centre))
         self._linear_scale, self._angular_scale = known.linear_scale, known.angular_scale
+
+    def receive(self, linear: FloatArray, angular: FloatArray) -> None:
+        """Book momenta that came from outside: what is found later is compared with them included."""
+        self._linear, self._angular = self._linear + linear, self._angular + angular
 
     def balance(self, bodies: Bodies, time: float) -> Momentum:
         """Take stock at a time since the start, in seconds."""

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.contact.continuous.drift import Impacts
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
@@ -52,6 +53,61 @@ class Force(Protocol):
             Whether nothing stands in ``acceleration`` yet: it is then overwritten.
         potential
             Whether the energy is asked for; 0 is returned if not, or if the force has no potential.
+        """
+
+
+class DampedStep(NamedTuple):
+    """A step of leapfrog, kick - factor - drift - factor - kick, with a force that depends on velocities in it."""
+
+    length: float  # s
+    first_kick: float  # s
+    before: float  # factor of the velocities before the drift: it leads to their mean along it
+    after: float  # factor after the drift
+    last_kick: float  # s
+    share: float  # s, of the step: the part of the other forces' work in the drift that is booked before it
+    held_kick: float  # s, what the first kick amounts to where contacts are held
+
+
+class Exchange(NamedTuple):
+    """What left the bodies in a part of a step, and what came to them from outside."""
+
+    loss: float  # J
+    impulse: FloatArray  # (3,) N s
+    angular_impulse: FloatArray  # (3,) N m s, about the origin
+
+
+@runtime_checkable
+class Damping(Force, Protocol):
+    """A force that depends on velocities: it brings kicks and drifts of its own, and books the energy that it takes.
+
+    Its row in the list has ``damps`` set, and names the ledger's entry. A scene has one such force at most.
+    """
+
+    def step(self, dt: float) -> DampedStep:
+        """Return kicks and factors of a step in seconds."""
+
+    def begin(self, step: DampedStep) -> Exchange:
+        """Kick, and bring velocities to their mean along the drift."""
+
+    def end(self, step: DampedStep) -> Exchange:
+        """Bring velocities from their mean along the drift to its end, and kick."""
+
+    def along(self, step: DampedStep) -> FloatArray:
+        """Return by what velocities change along the drift, (n + p, 3) m/s²."""
+
+    def against(self) -> FloatArray:
+        """Return what contacts are held against, (n + p, 3) m/s²: the acceleration at the beginning of the step."""
+
+    def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
+        """Return what holding the contacts changed of its loss, in joules.
+
+        ``before`` are the velocities before that, (n + p, 3) m/s.
+        """
+
+    def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
+        """Return what impacts along the drift changed of its loss, in joules; ``before`` is overwritten.
+
+        ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s.
         """
 
 

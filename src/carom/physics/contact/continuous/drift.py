@@ -149,7 +149,7 @@ class EventDrivenDrift:
             self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
         predict(0, 0, Neighbours(none, none, none), T)
         _fill_queue(T)
-        self._resolve(nobody)
+        self._resolve(nobody, T)
         finish(0, 0, T)
 
     @property
@@ -157,15 +157,19 @@ class EventDrivenDrift:
         """Whether a body had as many impacts in the last drift as are resolved."""
         return bool(self._trajectories.drift["exhausted"][0])
 
-    def drift(self, kick: float, dt: float, stretch: float, slack: float) -> Impacts:
+    def drift(self, kick: float, dt: float, stretch: float, slack: float, along: FloatArray | None = None) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve the impacts on their way.
 
         Parameters
         ----------
         stretch, slack
             1 and m: bodies no farther apart than ``(r_i + r_j) stretch + slack`` belong to the same pile.
+        along
+            (n + p, 3) m/s², by what velocities change along the drift; by default the accelerations.
         """
         T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
+        if along is not None:
+            T = T._replace(a=along)
         T.drift["exhausted"] = 0
         farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
         pairs = self._neighbours(farthest, stretch, slack)
@@ -178,7 +182,7 @@ class EventDrivenDrift:
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
             if _fill_queue(T):
-                impacts = self._resolve(pairs)
+                impacts = self._resolve(pairs, T)
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T)
         else:
@@ -195,7 +199,7 @@ class EventDrivenDrift:
             T.box,
             stretch,
             slack,
-            T.a,
+            self._bodies.ends.acceleration,
             T.inverse_mass,
             self._field,
             dt,
@@ -210,8 +214,8 @@ class EventDrivenDrift:
             return self._search.pairs(T.x, stretch * (1.0 + farthest), slack)
         return HierarchicalGrid(radius + T.body["reach"], T.box, self._team).pairs(T.x, stretch, slack)
 
-    def _resolve(self, pairs: IntArray) -> Impacts:
-        T, n = self._trajectories, len(self._bodies)
+    def _resolve(self, pairs: IntArray, T: Trajectories) -> Impacts:
+        n = len(self._bodies)
         ends, others = np.zeros(n + 1, dtype=np.int64), np.empty(2 * len(pairs), dtype=np.int64)
         _both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)

@@ -1,0 +1,297 @@
+"""Stokes' drag in a medium that moves as one with the velocity u.
+
+    a = -(v - u)/τ
+
+The constant part u/τ is added to the accelerations like a uniform field. The part -v/τ is solved exactly within the
+drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a step of leapfrog of length h is
+
+    v += a k₁,   v *= φ₁,    x += v h,    v *= E/φ₁,   v += a' k₂        k₁ = h φ₂/φ₁,   k₂ = h (φ₁ - E φ₂/φ₁)
+
+Between the two factors stands the mean velocity of the drift: there contacts are held, and impacts lie on straight
+lines. The kicks are as long as makes the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is
+its own adjoint, hence of order 2.
+
+What the medium took out of the energy is what the step changed of it less the work of the other forces, which
+docs/physics.md, 6 derives:
+
+    lost = Σ ½ m (v² - w²) + κ m a·w - ½ m κ (h - κ) a²                     by the kick and the factor before the drift
+    lost = Σ ½ m (w² - v²) + (h - κ) m a'·w - h m (u/τ)·w + ½ m κ (h - κ) a'²    after it
+
+with w between the factors and κ = ½ (h φ₂ + k₂²/(h φ₂)), which makes both ledger entries of a body at rest zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.continuous.drift import Impacts
+from carom.physics.forces.force import DampedStep, Exchange
+from carom.physics.forces.uniform_field import MIN_BODIES_PER_TASK, add
+from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.thread_team import Team
+from carom.scene.forces import DRAG
+from carom.scene.schema import Drag, Scene
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LN2 = 0.6931471805599453
+LN2_HIGH, LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10  # 32 bits, so that n × LN2_HIGH is exact
+VANISHED = 745.0  # e^-z is 0 from here on
+TERMS = 20  # of a series on [-1, 1]: 1/22! is below a rounding
+
+
+def exponentials(z: float) -> tuple[float, float, float]:
+    """Return e^{-z}, φ₁ = (1 - e^{-z})/z and φ₂ = (1 - φ₁)/z for z ≥ 0, with the same bits on any machine.
+
+    The exponential of libm differs in its last bit from one machine to the next.
+    """
+    if z <= 1.0:
+        series = 1.0
+        for k in range(TERMS + 2, 2, -1):
+            series = 1.0 - z / k * series
+        phi2 = 0.5 * series
+        phi1 = 1.0 - z * phi2
+        return 1.0 - z * phi1, phi1, phi2
+    decay = _exponential(z)
+    phi1 = (1.0 - decay) / z
+    return decay, phi1, (1.0 - phi1) / z
+
+
+def _exponential(z: float) -> float:
+    """Return e^{-z}: z is reduced by whole multiples of ln 2 (Cody & Waite 1980), then Taylor's series."""
+    if z >= VANISHED:
+        return 0.0
+    count = math.floor(z / LN2 + 0.5)
+    r = (z - count * LN2_HIGH) - count * LN2_LOW
+    series = 1.0
+    for k in range(TERMS, 0, -1):
+        series = 1.0 - r / k * series
+    return math.ldexp(series, -count)
+
+
+class StokesDrag:
+    """Slows bodies down relative to a medium, all at the same rate.
+
+    Parameters
+    ----------
+    drag
+        The scene's section.
+    bodies
+        What moves through the medium.
+    outer
+        (3,) m/s², what other forces accelerate all bodies by alike.
+    team
+        Who works.
+    """
+
+    kind = DRAG
+
+    def __init__(self, drag: Drag, bodies: Bodies, outer: FloatArray, team: Team) -> None:
+        self._rate = 1.0 / drag.relaxation_time
+        self.uniform = np.array(drag.medium_velocity) * self._rate
+        self._outer = outer + self.uniform
+        self._bodies = bodies
+        self._team = team
+        self._along = np.zeros_like(bodies.ends.acceleration)
+        self._against = np.zeros_like(bodies.ends.acceleration)
+
+    def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
+        """Add the part that does not depend on velocities, u/τ; see `Force`."""
+        if first:
+            acceleration[:] = 0.0
+        if self.uniform.any():
+            self._team.divide(len(acceleration), MIN_BODIES_PER_TASK, add, acceleration, self.uniform)
+        return 0.0
+
+    def step(self, dt: float) -> DampedStep:
+        """Return kicks and factors of a step in seconds."""
+        decay, phi1, phi2 = exponentials(dt * self._rate)
+        first, held = dt * (phi2 / phi1), dt * phi2
+        last = dt * (phi1 - decay * (phi2 / phi1))
+        return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held)
+
+    def begin(self, step: DampedStep) -> Exchange:
+        """Kick, and slow down to the mean velocity of the drift."""
+        n, bodies = len(self._bodies), self._bodies
+        self._against[:n] = bodies.acceleration - bodies.velocity * self._rate
+        return self._exchange(_begin, step, step.first_kick, step.before)
+
+    def end(self, step: DampedStep) -> Exchange:
+        """Slow down from the mean velocity of the drift, and kick."""
+        return self._exchange(_end, step, step.last_kick, step.after)
+
+    def along(self, step: DampedStep) -> FloatArray:
+        """Return by what velocities change along the drift, (n + p, 3) m/s²: φ₁ (a - w/τ).
+
+        That is the drag itself to second order, and in steps longer than τ no more than what stops a body.
+        """
+        bodies, n = self._bodies, len(self._bodies)
+        self._along[:n] = step.before * (bodies.acceleration - bodies.velocity * self._rate)
+        self._along[:n][bodies.ends.inverse_mass[:n] == 0.0] = 0.0
+        return self._along
+
+    def against(self) -> FloatArray:
+        """Return a - v/τ at the beginning of the step, (n + p, 3) m/s²; see `Damping`."""
+        return self._against
+
+    def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
+        """Return what holding the contacts changed of the loss, in joules; see `Damping`."""
+        bodies = self._bodies
+        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
+
+    def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
+        """Return what impacts along a drift changed of the loss, in joules.
+
+        Parameters
+        ----------
+        step
+            Of which they are.
+        before
+            (n + p, 3) m/s, velocities at the beginning of the drift; overwritten.
+        impacts
+            In the order of time.
+        """
+        along, ends = self._along, self._bodies.ends
+        rows = impacts.pairs, impacts.time, impacts.after
+        return _lost_in_impacts(*rows, before, along, ends.acceleration, ends.inverse_mass, self.uniform, step.share)
+
+    def _exchange(self, kernel: Callable[..., None], step: DampedStep, kick: float, factor: float) -> Exchange:
+        bodies, sums = self._bodies, np.zeros(7)
+        state = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
+        kernel(*state, self.uniform, self._outer, step.length, step.share, kick, factor, sums)
+        return Exchange(float(sums[0]), sums[1:4], sums[4:7])
+
+
+def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
+    """Make the drag of a scene."""
+    assert scene.drag is not None, "the scene requires drag"
+    return StokesDrag(scene.drag, bodies, np.array(scene.gravity.uniform), team)
+
+
+@kernel
+def _begin(
+    x: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    mass: FloatArray,
+    inverse_mass: FloatArray,
+    wind: FloatArray,
+    outer: FloatArray,
+    h: float,
+    share: float,
+    kick: float,
+    factor: float,
+    sums: FloatArray,
+) -> None:
+    """Kick and slow down, before the drift; add loss, impulse and angular impulse to ``sums``."""
+    for i in range(len(mass)):
+        if inverse_mass[i] == 0.0:
+            continue
+        v2, w2, work, a2 = 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            kicked = v[i, k] + a[i, k] * kick
+            w = kicked * factor
+            v2 += v[i, k] * v[i, k]
+            w2 += w * w
+            work += a[i, k] * w
+            a2 += a[i, k] * a[i, k]
+            v[i, k] = kicked
+        sums[0] += mass[i] * (0.5 * (v2 - w2) + share * work - 0.5 * share * (h - share) * a2)
+        _slow_down(i, x, v, mass[i], outer, kick, factor, sums)
+
+
+@kernel
+def _end(
+    x: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    mass: FloatArray,
+    inverse_mass: FloatArray,
+    wind: FloatArray,
+    outer: FloatArray,
+    h: float,
+    share: float,
+    kick: float,
+    factor: float,
+    sums: FloatArray,
+) -> None:
+    """Slow down and kick, after the drift; add loss, impulse and angular impulse to ``sums``."""
+    for i in range(len(mass)):
+        if inverse_mass[i] == 0.0:
+            continue
+        v2, w2, work, a2, blown = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(3):
+            w2 += v[i, k] * v[i, k]
+            work += a[i, k] * v[i, k]
+            blown += wind[k] * v[i, k]
+            a2 += a[i, k] * a[i, k]
+        _slow_down(i, x, v, mass[i], outer, kick, factor, sums)
+        for k in range(3):
+            v[i, k] += a[i, k] * kick
+            v2 += v[i, k] * v[i, k]
+        lost = 0.5 * (w2 - v2) + (h - share) * work - h * blown + 0.5 * share * (h - share) * a2
+        sums[0] += mass[i] * lost
+
+
+@kernel
+def _slow_down(
+    i: int, x: FloatArray, v: FloatArray, mass: float, outer: FloatArray, kick: float, factor: float, sums: FloatArray
+) -> None:
+    """Multiply a velocity; add the impulse that this and the kick by what is outside bring, and its moment."""
+    px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
+    py = mass * (v[i, 1] * (factor - 1.0) + outer[1] * kick)
+    pz = mass * (v[i, 2] * (factor - 1.0) + outer[2] * kick)
+    for k in range(3):
+        v[i, k] *= factor
+    sums[1] += px
+    sums[2] += py
+    sums[3] += pz
+    sums[4] += x[i, 1] * pz - x[i, 2] * py
+    sums[5] += x[i, 2] * px - x[i, 0] * pz
+    sums[6] += x[i, 0] * py - x[i, 1] * px
+
+
+@kernel
+def _lost_in_hold(
+    v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, share: float
+) -> float:
+    """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, and with the kick goes κ m Δv·a."""
+    lost = 0.0
+    for i in range(len(mass)):
+        for k in range(3):
+            lost += share * mass[i] * (v[i, k] - before[i, k]) * (a[i, k] - against[i, k])
+    return lost
+
+
+@kernel
+def _lost_in_impacts(
+    pairs: IntArray,
+    time: FloatArray,
+    after: FloatArray,
+    w: FloatArray,
+    along: FloatArray,
+    a: FloatArray,
+    inverse_mass: FloatArray,
+    wind: FloatArray,
+    share: float,
+) -> float:
+    """Sum J·((along - a) (t - κ) + (u/τ) t) over both bodies of each impact; J = m Δw, from the velocities after it."""
+    lost = 0.0
+    for row in range(len(pairs)):
+        t = time[row]
+        for end in range(2):
+            i = pairs[row, end]
+            if inverse_mass[i] == 0.0:
+                continue
+            for k in range(3):
+                new = after[row, end, k] - along[i, k] * (t - share)
+                J = (new - w[i, k]) / inverse_mass[i]
+                w[i, k] = new
+                lost += J * ((along[i, k] - a[i, k]) * (t - share) + wind[k] * t)
+    return lost
