@@ -458,7 +458,7 @@ class Space:
             self.profile.mark("integrate")
         return potentials
 
-    def _hold(self, contact: ContactStage, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
+    def _hold(self, contact: ContactPipeline, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
         """Hold contacts after the first kick, against what accelerates the bodies; times in s."""
         if self._damping is None or damped is None:
             contact.hold(kick, dt, share)
@@ -472,7 +472,7 @@ class Space:
             loss = self._damping.lost_in_hold(damped, before)
             self._exchanged.append(Exchange(loss, np.zeros(3), np.zeros(3)))
 
-    def _drift_to_impacts(self, contact: ContactStage, kick: float, dt: float, damped: DampedStep | None) -> None:
+    def _drift_to_impacts(self, contact: ContactPipeline, kick: float, dt: float, damped: DampedStep | None) -> None:
         """Drift, with impacts at their own times; kick and drift in s."""
         if self._damping is None or damped is None:
             contact.drift(kick, dt)
