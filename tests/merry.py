@@ -9,14 +9,14 @@ import numpy as np
 
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.diagnostics.energy import Energy, EnergyBaseline, Origin
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumBaseline
-from carom.physics.energy import Energy, EnergyBaseline, Origin
 from carom.physics.event import Event
 from carom.physics.frame import Frame
-from carom.physics.ledger import Ledger
 from carom.recording.schema.header import Header
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from carom.experiment.expectation import judge
+from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
 from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.energy import Energy, EnergyAccount
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.event import Event
-from carom.physics.ledger import Ledger
 from carom.physics.names import Names
 from carom.physics.space import Space
 from carom.scene.schema import Expect

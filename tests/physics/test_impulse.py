@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.contact.impulse import CollisionContext
-from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
+from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.space import Space
 from examples import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies, scene_of, solver_of
 

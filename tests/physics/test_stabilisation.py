@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.ledger import STABILISATION
+from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from examples import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of

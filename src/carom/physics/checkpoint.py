@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.checkpoint import ContactCheckpoint
+from carom.physics.diagnostics.energy import Energy, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.pace import PaceTally
-from carom.physics.energy import Energy, EnergyBaseline
 
 FloatArray = NDArray[np.float64]
 

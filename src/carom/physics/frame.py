@@ -11,7 +11,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
-from carom.physics.energy import Energy
+from carom.physics.diagnostics.energy import Energy
 from carom.physics.event import Event
 
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.accounts import Accounts
 from carom.physics.bodies import Bodies, BodyProxy
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
@@ -16,19 +15,20 @@ from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import Activity
+from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
 from carom.physics.diagnostics.profile import Profile
-from carom.physics.energy import Energy
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Force, Potentials, accelerate, forces_of
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrator import drift, kick, wrap
-from carom.physics.ledger import Ledger
 from carom.physics.names import Names
 from carom.physics.parallel.thread_team import Team, cores
 from carom.physics.pull_time import PullTime
@@ -117,7 +117,7 @@ class Space:
         self._called = Names(self.names, self.planes.name)
         losses = [force.kind.loss for force in self._forces if force.kind.loss]
         constant = self._potential_of_fixed_bodies()
-        self._accounts = Accounts(scene, self.state, self._called, self._uniform, constant, losses)
+        self._audit = Audit(scene, self.state, self._called, self._uniform, constant, losses)
         self._events: list[Event] = []
         self._activity = Activity(len(self.state), scene.anchored or bool(self._uniform.any()))
         self._stopping = False
@@ -150,7 +150,7 @@ class Space:
     @property
     def ledger(self) -> Ledger:
         """What contacts did to the energy since the start of the run."""
-        return self._accounts.ledger
+        return self._audit.ledger
 
     @property
     def impacts(self) -> Impacts:
@@ -191,15 +191,15 @@ class Space:
 
     def energy(self) -> Energy:
         """Take stock of the energy now: terms, ledger, integration error."""
-        return self._accounts.energy_now(self._potentials())
+        return self._audit.energy_now(self._potentials())
 
     def momentum(self) -> FloatArray:
         """Σ m v, (3,) kg m/s."""
-        return self._accounts.momentum_now(self.time).linear
+        return self._audit.momentum_now(self.time).linear
 
     def angular_momentum(self) -> FloatArray:
         """Σ (m x × v + I ω) about the origin, (3,) kg m²/s."""
-        return self._accounts.momentum_now(self.time).angular
+        return self._audit.momentum_now(self.time).angular
 
     def fingerprint(self) -> int:
         """64 bits of the exact state."""
@@ -229,7 +229,7 @@ class Space:
             self._contact.warned = set(books.limits)
         if self._pace:
             self._pace.tally = books.pace
-        self._accounts.reopen(books, checkpoint.energy.ledger)
+        self._audit.reopen(books, checkpoint.energy.ledger)
         self.extremes = replace(books.moments)
         self._activity.reopen(books.phase, books.activity)
         self._events = []
@@ -284,10 +284,10 @@ class Space:
 
     def frame(self, store: FrameStore | None = None) -> Frame:
         """Copy the state of the last step, with its energy and momentum."""
-        if self._accounts.step != self.step:
+        if self._audit.step != self.step:
             self._take_stock(self._potentials(), checked=True)
-        self._activity.judge(self._accounts.energy)
-        state, needs, momentum = self.state, self.requirements, self._accounts.momentum
+        self._activity.judge(self._audit.energy)
+        state, needs, momentum = self.state, self.requirements, self._audit.momentum
         events, self._events = tuple(self._events), []
         slot = None if store is None else store.keep(state)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
@@ -305,7 +305,7 @@ class Space:
             torque=torque if needs.torque.modelled else None,
             angular_acceleration=angular_acceleration if needs.torque.modelled else None,
             contacts=self.contacts,
-            energy=self._accounts.energy,
+            energy=self._audit.energy,
             momentum=momentum.linear,
             angular_momentum=momentum.angular,
             sweeps=self._contact.sweeps if self._contact else 0,
@@ -322,9 +322,9 @@ class Space:
 
     def _books(self) -> Books:
         return Books(
-            energy=self._accounts.energy_baseline,
-            momentum=self._accounts.momentum_baseline,
-            watch=self._accounts.monitor_state,
+            energy=self._audit.energy_baseline,
+            momentum=self._audit.momentum_baseline,
+            watch=self._audit.monitor_state,
             moments=replace(self.extremes),
             activity=self._activity.impact_energy,
             phase=self._activity.phase,
@@ -336,7 +336,7 @@ class Space:
         """Replace the status that other threads read: they see that of the step before, or this one."""
         contacts = self._contact.statistics.contacts if self._contact else 0
         # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
-        self._published = (self.step, self.time, self.dt, self.dt_limit, contacts, self._accounts.energy)
+        self._published = (self.step, self.time, self.dt, self.dt_limit, contacts, self._audit.energy)
 
     def _make_timestep(self, limits: StepLimits) -> Timestep:
         scene, fraction = self.scene, limits.pull_fraction
@@ -383,7 +383,7 @@ class Space:
         due = schedule(self.step + 1, before, self.time) or self.dt_limit == "end"  # a schedule sees every step
         checked = checked or due
         if checked and contact:
-            self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
+            self._audit.suspect(self.step, contact.seen.graph, contact.contributions)
         self.step += 1
         self.profile.mark("timestep")
         potentials = self._integrate(self.dt, with_potential=checked)
@@ -391,7 +391,7 @@ class Space:
         if contact:
             self._respond(contact)
             if checked:
-                self._accounts.suspect(self.step, contact.seen.graph, contact.contributions)
+                self._audit.suspect(self.step, contact.seen.graph, contact.contributions)
         else:
             self._activity.see(0, 0.0)
         if checked:
@@ -512,7 +512,7 @@ class Space:
         """Resolve the contacts and book what they did."""
         contact.resolve(self.dt, self._last_kick, self.profile)
         if len(contact.held):
-            self._accounts.book(contact.held)
+            self._audit.book(contact.held)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
                 graph = contact.seen.graph
@@ -530,25 +530,25 @@ class Space:
 
     def _see_contacts(self, contact: ContactPipeline, extremes: Extremes) -> None:
         """Book the contacts of the step."""
-        self._accounts.book(contact.statistics.work)
+        self._audit.book(contact.statistics.work)
         extremes.see_contacts(self.step, self.time, contact.statistics)
 
     def _book_exchanges(self) -> None:
         """Book what a medium took and brought in this step."""
         if self._damping:
             for exchange in self._exchanged:
-                self._accounts.exchange(self._damping.kind.loss, *exchange)
+                self._audit.exchange(self._damping.kind.loss, *exchange)
             self._exchanged.clear()
 
     def _take_stock(self, potentials: Potentials, checked: bool) -> None:
         """Compute energy and momentum, and compare them with before."""
         try:
-            self._accounts.take_stock(self.step, self.time, potentials, self.extremes)
+            self._audit.take_stock(self.step, self.time, potentials, self.extremes)
         except PhysicsError:
             refuse_infinities(self.state, self.names, self.step, self.time)  # says which bodies it was
             raise
         if checked:
-            for warning in self._accounts.check(self.time, self.extremes):
+            for warning in self._audit.check(self.time, self.extremes):
                 self._log(warning)
         self.profile.mark("energy")
 

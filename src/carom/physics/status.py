@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from carom.physics.energy import Energy
+from carom.physics.diagnostics.energy import Energy
 
 
 class StepStatus(NamedTuple):

@@ -15,7 +15,7 @@ from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK
 from carom.physics.contact.snapshot import ContactSnapshot
-from carom.physics.ledger import terms_of
+from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 

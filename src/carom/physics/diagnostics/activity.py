@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.physics.energy import Energy
+from carom.physics.diagnostics.energy import Energy
 
 STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled

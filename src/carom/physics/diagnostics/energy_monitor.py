@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import CollisionGraph
-from carom.physics.energy import Energy
+from carom.physics.diagnostics.energy import Energy
+from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
-from carom.physics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]

@@ -6,8 +6,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from carom.physics.contact.statistics import ContactStatistics
+from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.momentum import Momentum
-from carom.physics.energy import Energy
 from carom.physics.event import Event
 from carom.physics.names import Names
 

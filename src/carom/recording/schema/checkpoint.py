@@ -14,9 +14,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
-from carom.physics.energy import Energy
+from carom.physics.diagnostics.energy import Energy
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.frame import Frame
-from carom.physics.ledger import Ledger
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP

@@ -17,7 +17,7 @@ from carom.scene.forces import FORCES, ForceKind
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.physics.energy import Energy
+    from carom.physics.diagnostics.energy import Energy
     from carom.physics.frame import Frame
 
 PLOTS = (  # from left to right; the plots of a column are tabs

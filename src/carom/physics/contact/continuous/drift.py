@@ -28,8 +28,8 @@ from carom.physics.contact.continuous.trajectories import (
     write_reaches,
 )
 from carom.physics.contact.islands import island_rest_speeds
+from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
-from carom.physics.ledger import terms_of
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
@@ -157,13 +157,13 @@ class EventDrivenDrift:
         """Whether a body had as many impacts in the last drift as are resolved."""
         return bool(self._trajectories.drift["exhausted"][0])
 
-    def drift(self, kick: float, dt: float, stretch: float, slack: float, along: FloatArray | None = None) -> Impacts:
+    def drift(self, kick: float, dt: float, scale: float, skin: float, along: FloatArray | None = None) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve the impacts on their way.
 
         Parameters
         ----------
-        stretch, slack
-            1 and m: bodies no farther apart than ``(r_i + r_j) stretch + slack`` belong to the same pile.
+        scale, skin
+            1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` are of one island.
         along
             (n + p, 3) m/s², by what velocities change along the drift; by default the accelerations.
         """
@@ -172,12 +172,12 @@ class EventDrivenDrift:
             T = T._replace(a=along)
         T.drift["exhausted"] = 0
         farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
-        pairs = self._neighbours(farthest, stretch, slack)
+        pairs = self._neighbours(farthest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             begin(T, dt, kick)
             if self._forces:
-                self._find_rest_speeds(pairs, dt, stretch, slack)
+                self._find_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
@@ -189,7 +189,7 @@ class EventDrivenDrift:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
 
-    def _find_rest_speeds(self, pairs: IntArray, dt: float, stretch: float, slack: float) -> None:
+    def _find_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Find up to which speed contacts of each body are at rest."""
         T = self._trajectories
         island_rest_speeds(
@@ -197,8 +197,8 @@ class EventDrivenDrift:
             T.x,
             T.radius,
             T.box,
-            stretch,
-            slack,
+            scale,
+            skin,
             self._bodies.ends.acceleration,
             T.inverse_mass,
             self._field,
@@ -206,13 +206,13 @@ class EventDrivenDrift:
             T.rest_speed,
         )
 
-    def _neighbours(self, farthest: float, stretch: float, slack: float) -> IntArray:
+    def _neighbours(self, farthest: float, scale: float, skin: float) -> IntArray:
         """Return the pairs whose reaches meet, given the largest reach in radii; where there is room, widen all."""
         T, radius = self._trajectories, self._bodies.radius
         if farthest <= WIDEST - 1.0:
             T.body["reach"] = farthest * radius
-            return self._search.pairs(T.x, stretch * (1.0 + farthest), slack)
-        return HierarchicalGrid(radius + T.body["reach"], T.box, self._team).pairs(T.x, stretch, slack)
+            return self._search.pairs(T.x, scale * (1.0 + farthest), skin)
+        return HierarchicalGrid(radius + T.body["reach"], T.box, self._team).pairs(T.x, scale, skin)
 
     def _resolve(self, pairs: IntArray, T: Trajectories) -> Impacts:
         n = len(self._bodies)

@@ -20,7 +20,7 @@ from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.time_of_impact import time_of_impact, time_of_impact_in_box
 from carom.physics.contact.continuous.trajectories import ROUNDING, Neighbours, Trajectories, advance, leaves_reach
 from carom.physics.contact.law import friction_impulse, material_index, slip_velocity
-from carom.physics.ledger import TERMS
+from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn

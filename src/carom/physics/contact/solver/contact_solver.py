@@ -30,7 +30,7 @@ from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTIN
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.ledger import terms_of
+from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.ledger import Ledger
 from carom.physics.parallel.jit import kernel
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 

@@ -1,4 +1,4 @@
-"""The accounts of a run: energy and momentum from one stock-taking to the next, and a warning where energy rose."""
+"""The audit of a run: energy and momentum at every check, compared with its start, and a warning where energy rose."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
 from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
-from carom.physics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.physics.ledger import Ledger
 from carom.physics.names import Names
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
 
 
-class Accounts:
-    """Energy and momentum as of the last stock-taking; the first one is the start of the run.
+class Audit:
+    """Energy and momentum as of the last check; the first one is the start of the run.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Accounts:
         self.ledger = Ledger(forces=dict.fromkeys(losses, 0.0))
         self.energy: Energy
         self.momentum: Momentum
-        self.step = -1  # of the last stock-taking
+        self.step = -1  # of the last check
         self._bodies = bodies
         self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
         booked = len(self.ledger.forces) > 0  # of the field, too: the centre of mass is then on no parabola
@@ -80,7 +80,7 @@ class Accounts:
         return self._watch.tally
 
     def reopen(self, books: Books, ledger: Ledger) -> None:
-        """Go on with the accounts of an earlier run."""
+        """Continue the audit of an earlier run."""
         self.ledger = ledger
         self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
         self._suspects = []
