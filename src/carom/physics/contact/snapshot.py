@@ -60,7 +60,7 @@ class ContactSnapshot:
             seen,
             np.maximum.reduceat(approach[order], first),
             np.concatenate((self.rest_speed, struck.rest_speed))[shown],
-            self.impacts + len(struck),
+            self.impacts + int(np.count_nonzero(struck.approach > struck.rest_speed)),
             order,
             first,
         )

@@ -28,6 +28,8 @@ from carom.physics.rotation import turn
 Records = NDArray[np.void]
 
 COLLAPSE_FROM = 50  # impacts of a body in a drift, of which each further one with e < 1 doubles its negligible speed
+SLOW = 0.25  # of the rest speed; what closes faster is stopped where it touches, rebounding above the rest speed only.
+# With 1, dropped stacks of 500 balls overlap by 0.18 r in place of 0.06 r, marbles-in-a-box by 5 mm in place of 1 mm.
 MAX_IMPACTS = 1000  # of a body in a drift; a collapse has no last one
 
 IMPACT = np.dtype(
@@ -106,14 +108,14 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
 
     Where impacts dissipate, bodies can collide infinitely often in a finite time. Few of them are done when nothing but
     rounding closes; a crowd is stirred by its neighbours and goes on. So the negligible speed grows with the number of
-    impacts, until the crowd is left to the end of the step.
+    impacts, until the crowd is left to the end of the step. Under a load a part of the rest speed ends them.
     """
     if T.inverse_mass[i] == 0.0:
         return
     body, drift, v = T.body[i], T.drift[0], T.v
     body.negligible_speed = max(body.negligible_speed, ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2])))
     body.impacts += 1
-    if lossy and body.impacts > COLLAPSE_FROM:
+    if lossy and body.impacts > COLLAPSE_FROM and T.rest_speed[i] == 0.0:
         body.negligible_speed *= 2.0
     if body.impacts == MAX_IMPACTS:
         drift.exhausted += 1
@@ -162,7 +164,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
             ax, ay, az = a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
             R = T.radius[i] + T.radius[j]
-            slow = max(T.rest_speed[i], T.rest_speed[j]) + one.negligible_speed + other.negligible_speed
+            slow = SLOW * max(T.rest_speed[i], T.rest_speed[j]) + one.negligible_speed + other.negligible_speed
             if Lx > 0.0:
                 tau = time_of_impact_in_box(dx, dy, dz, vx, vy, vz, ax, ay, az, R, span, since_kick, slow, Lx, Ly, Lz)
             else:
@@ -182,7 +184,7 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
             continue
         body = T.body[i]
         s = clock - body.now
-        slow = T.rest_speed[i] + body.negligible_speed
+        slow = SLOW * T.rest_speed[i] + body.negligible_speed
         for p in range(len(offset)):
             gap, rate, pull = -offset[p] - T.radius[i], 0.0, 0.0
             for k in range(3):
@@ -210,11 +212,13 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     vn = vx * nx + vy * ny + vz * nz
     material = T.materials[material_index(j, n)]
     Kn = mi + mj
-    Jn = max(0.0, -(1.0 + material.restitution) * vn) / Kn
+    rest_speed = max(T.rest_speed[i], T.rest_speed[j])
+    e = material.restitution if -vn > rest_speed else 0.0
+    Jn = max(0.0, -(1.0 + e) * vn) / Kn
     Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
     entry.i, entry.j, entry.time = i, j, clock
     entry.nx, entry.ny, entry.nz = nx, ny, nz
-    entry.approach, entry.rest_speed = max(0.0, -vn), max(T.rest_speed[i], T.rest_speed[j])
+    entry.approach, entry.rest_speed = max(0.0, -vn), rest_speed
     entry.restitution_loss = -Jn * (vn + 0.5 * Jn * Kn)
     entry.friction_loss = entry.stabilisation_gain = 0.0
     if len(omega) > 0:

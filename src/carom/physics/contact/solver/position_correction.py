@@ -34,7 +34,6 @@ Records = NDArray[np.void]
 BAUMGARTE = 0.2  # part of the overlap that the bias undoes in a step
 LEAVING = 0.1  # of the rest speed; what separates faster clears itself. 1 raises a slow rebound out of its overlap for
 # nothing (10 times the energy in the worst step), 0 leaves a pile overlapping (a quarter of a radius while it forms)
-CONTACTS_IN_ROW = 2.0  # of each body
 ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another iteration
 
 
@@ -50,11 +49,11 @@ def count_contacts(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
 def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records) -> None:
     """Find the part of an overlap that an iteration undoes: the less the more contacts both of its ends have.
 
-    A row or a ring is put right by whole overlaps. In a crowd these throw each body into the next, so that a pile that
-    has been pressed together never finds rest: no contact is the same in two steps, and no impulse is remembered.
+    Whole overlaps throw each body into the next: a pile that has been pressed together never finds rest, and a long
+    stack that falls on itself keeps all that is left in every other contact (0.24 r in place of 0.06 r for 500 balls).
     """
     for c in range(lo, hi):
-        states[c].push_fraction = min(1.0, CONTACTS_IN_ROW / min(counts[pairs[c, 0]], counts[pairs[c, 1]]))
+        states[c].push_fraction = 1.0 / min(counts[pairs[c, 0]], counts[pairs[c, 1]])
 
 
 @inner

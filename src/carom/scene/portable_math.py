@@ -1,0 +1,74 @@
+"""Cube roots and powers with the same bits on any processor.
+
+NumPy's ``cbrt`` and ``power`` have other last bits where the processor has AVX-512. These use sums, products, quotients
+and changes of the exponent only, each of which IEEE 754 defines to the last bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+NEWTON_STEPS = 6  # from a third of an octave to the last bit
+LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, from fdlibm
+# fdlibm's minimax polynomials (Sun Microsystems, 1993): ln(1 + f) in s² = (f / (2 + f))², and eˣ in x²
+LOG = (
+    6.666666666666735130e-01,
+    3.999999999940941908e-01,
+    2.857142874366239149e-01,
+    2.222219843214978396e-01,
+    1.818357216161805012e-01,
+    1.531383769920937332e-01,
+    1.479819860511658591e-01,
+)
+EXP = (
+    1.66666666666666019037e-01,
+    -2.77777777770155933842e-03,
+    6.61375632143793436117e-05,
+    -1.65339022054652515390e-06,
+    4.13813679705723846039e-08,
+)
+
+
+def cube_root(x: FloatArray) -> FloatArray:
+    """Return ∛x of numbers that are not negative."""
+    mantissa, exponent = np.frexp(x)
+    third, left = exponent // 3, exponent % 3
+    a = np.ldexp(mantissa, left)  # x = a 8^third, ½ ≤ a < 4
+    y = 0.75 + 0.25 * a
+    for _ in range(NEWTON_STEPS):
+        y = y - (y * y * y - a) / (3.0 * y * y)
+    return np.asarray(np.ldexp(np.where(a > 0.0, y, 0.0), third))
+
+
+def power(base: FloatArray, exponent: FloatArray | float) -> FloatArray:
+    """Return bᵖ of numbers above 0, to some parts in 10¹⁵."""
+    return _exp(exponent * _log(base))
+
+
+def _log(x: FloatArray) -> FloatArray:
+    mantissa, exponent = np.frexp(x)
+    low = mantissa < np.sqrt(0.5)
+    k = np.where(low, exponent - 1, exponent)
+    f = np.where(low, 2.0 * mantissa, mantissa) - 1.0
+    s = f / (2.0 + f)
+    half_square = 0.5 * f * f
+    tail = s * (half_square + _polynomial(s * s, LOG) * (s * s)) + k * LN2_LOW
+    return np.asarray(k * LN2_HIGH - ((half_square - tail) - f))
+
+
+def _exp(x: FloatArray) -> FloatArray:
+    k = np.rint(x / (LN2_HIGH + LN2_LOW))
+    high, low = x - k * LN2_HIGH, k * LN2_LOW
+    r = high - low
+    c = r - r * r * _polynomial(r * r, EXP)
+    return np.asarray(np.ldexp(1.0 - ((low - (r * c) / (2.0 - c)) - high), k.astype(np.int64)))
+
+
+def _polynomial(x: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
+    value = np.full_like(x, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = value * x + coefficient
+    return value
