@@ -53,6 +53,17 @@ def test_a_window_is_replayed_from_the_checkpoint_before_it(tmp_path: Path) -> N
     assert result.same and result.compared == np.count_nonzero((times >= before.time) & (times <= 2.0))
 
 
+def test_a_recording_with_drag_keeps_its_losses_and_replays_from_any_checkpoint(tmp_path: Path) -> None:
+    medium = {"relaxation_time": 1.0, "medium_velocity": [0.2, 0.0, 0.0]}
+    recording = carom.run(cloud(drag=medium), tmp_path / "cloud.rrd")
+    assert recording.energy()["drag"][-1].as_py() > 0.0
+    for begin in (0.0, 1.0):
+        result = replay(recording, begin, 2.0)
+        assert result.same and result.compared > 0
+    plain = carom.run(cloud(), tmp_path / "plain.rrd")
+    assert "drag" not in plain.energy().column_names, "what is not required leaves no entity"
+
+
 def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
     sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
     whole = carom.run(cloud(), tmp_path / "whole.rrd")

@@ -150,7 +150,8 @@ def _parts(frame: Frame) -> dict[str, list[Any]]:
     """Return the numbers of a frame by the part that they belong to."""
     energy, contacts, memory = frame.energy, frame.contacts, frame.memory
     terms = (energy.translational, energy.rotational, energy.gravitational, energy.field, energy.integration_error)
-    ledger = (energy.ledger.restitution, energy.ledger.friction, energy.ledger.stabilisation)
+    by_contacts = (energy.ledger.restitution, energy.ledger.friction, energy.ledger.stabilisation)
+    ledger = (*by_contacts, *energy.ledger.forces.values())
     seen = [contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours]
     held = [memory.pairs, memory.rest_speed, memory.held_pairs, memory.impulse, _floats(memory.kick)] if memory else []
     turning = (frame.torque, frame.angular_acceleration)

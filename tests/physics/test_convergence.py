@@ -53,7 +53,10 @@ def test_a_stack_of_hundreds_stands_by_default(count: int) -> None:
     assert space.state.position[-1, 2] == pytest.approx(2.0 * count - 1.0, abs=0.01 * count)
 
 
-@pytest.mark.parametrize(("count", "restitution"), [(50, 0.0), (50, 0.5), (50, 0.9), (200, 0.0), (200, 0.5), (500, 0.5)])
+DROPPED = [(50, 0.0), (50, 0.5), (50, 0.9), (200, 0.0), (200, 0.5), (500, 0.5)]
+
+
+@pytest.mark.parametrize(("count", "restitution"), DROPPED)
 def test_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(count: int, restitution: float) -> None:
     contact = {"restitution": restitution}
     space = end_of(column([1.0] * count, gap=0.05, contact=contact, time={"duration": 5.0}))

@@ -97,12 +97,10 @@ def test_touching_bodies_differ_in_the_seeds_colouring(graph: tuple[IntArray, in
     count=st.integers(1, 80),
     decades=st.floats(0.0, 4.0),
     far=st.sampled_from([0.0, 1e3, 1e12]),
-    stretch=st.sampled_from([1.0, 1.0 + 1e-9, 1.1]),
+    scale=st.sampled_from([1.0, 1.0 + 1e-9, 1.1]),
     few=st.sampled_from([0, ALL_PAIRS_UP_TO]),
 )
-def test_grids_find_what_trees_find(
-    seed: int, count: int, decades: float, far: float, stretch: float, few: int
-) -> None:
+def test_grids_find_what_trees_find(seed: int, count: int, decades: float, far: float, scale: float, few: int) -> None:
     # Sorted into cells, or so few that all pairs are looked at; radii over decades, a body far away, more contacts than
     # the buffer has room for, and boxes so narrow that two neighbours of a cell are the same one.
     rng = np.random.default_rng(seed)
@@ -113,11 +111,11 @@ def test_grids_find_what_trees_find(
             position[0] += far
         with mock.patch("carom.physics.contact.broad_phase.hierarchical_grid.ALL_PAIRS_UP_TO", few):
             grid, trees = HierarchicalGrid(radius, box), KdTree(radius, box)
-        assert np.array_equal(grid.pairs(position, stretch), trees.pairs(position, stretch))
+        assert np.array_equal(grid.pairs(position, scale), trees.pairs(position, scale))
         moved = position + rng.normal(0.0, 0.1, position.shape)
         apart = np.where(np.arange(count)[:, None] > 0, 5.0, 1.0) * moved
         for again in (moved, apart, moved):  # farther apart, octaves share grids
-            assert np.array_equal(grid.pairs(again, stretch), trees.pairs(again, stretch)), "the tables are used again"
+            assert np.array_equal(grid.pairs(again, scale), trees.pairs(again, scale)), "the tables are used again"
 
 
 @pytest.mark.parametrize("box", [0.0, 60.0, 12.0])  # m; in the last one a planet reaches around to itself

@@ -173,7 +173,7 @@ RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.uniform_field.add"}, {"time_step._limits"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
-OPTIONAL = ("contact.continuous.", *TREE)  # modules
+OPTIONAL = ("contact.continuous.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
 LATE = {"timing": "end-of-step"}
@@ -195,9 +195,10 @@ def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections,
     assert not any(name.startswith(OPTIONAL) for name in loaded)
 
 
-def test_times_of_impact_and_the_tree_load_kernels_of_their_own() -> None:
+def test_times_of_impact_drag_and_the_tree_load_kernels_of_their_own() -> None:
     gravity = WHOLE["gravity"] | {"method": "tree"}
-    loaded = kernels_of(WHOLE | {"contact": {"timing": "time-of-impact"}, "gravity": gravity})
+    drag = {"relaxation_time": 1.0}
+    loaded = kernels_of(WHOLE | {"contact": {"timing": "time-of-impact"}, "gravity": gravity, "drag": drag})
     for module in OPTIONAL:
         assert any(name.startswith(module) for name in loaded), f"{module} has no kernels, or another name"
 

@@ -93,7 +93,7 @@ class Timestep:
     anchored
         Whether something stands still: speeds then count from it.
     team
-        Who looks at the bodies.
+        Threads that find the limits.
     """
 
     def __init__(

@@ -96,8 +96,8 @@ def island_rest_speeds(
     x: FloatArray,
     radius: FloatArray,
     box: FloatArray,
-    stretch: float,
-    slack: float,
+    scale: float,
+    skin: float,
     acceleration: FloatArray,
     inverse_mass: FloatArray,
     field: FloatArray,
@@ -106,7 +106,7 @@ def island_rest_speeds(
 ) -> None:
     """Write 2 |a|max dt of the island of each body, (n + p,) m/s, given all pairs that may touch; 0 for what is fixed.
 
-    Those no farther apart than ``(r_i + r_j) stretch + slack`` do.
+    Those no farther apart than ``(r_i + r_j) scale + skin`` do.
     """
     n = len(x)
     parent = np.arange(n)
@@ -120,7 +120,7 @@ def island_rest_speeds(
             if box[k] > 0.0:
                 d = minimum_image(d, box[k])
             d2 += d * d
-        near = (radius[i] + radius[j]) * stretch + slack
+        near = (radius[i] + radius[j]) * scale + skin
         if d2 <= near * near:
             i, j = root_of(parent, i), root_of(parent, j)
             parent[max(i, j)] = min(i, j)

@@ -1,9 +1,11 @@
-"""The contacts of a step, from the search to the last impulse: what `Space` calls, in this order.
+"""The contact pipeline of a step.
 
-1. `hold`: after the first kick, what lasts is kept from closing during the drift
-2. `drift`, with `contact.timing = "time-of-impact"`: impacts are resolved where they happen on the way
-3. `find`: which bodies touch, colours, and overlaps of contacts at rest undone
-4. `resolve`: impulses, once forces have acted on the final positions
+`Space` calls, in this order:
+
+1. `hold`: after the first kick, keep lasting contacts from closing during the drift
+2. `drift`, with `contact.timing = "time-of-impact"`: move the bodies and resolve impacts at their own times
+3. `find`: broad phase, geometry, colouring, and position correction of contacts at rest
+4. `resolve`: impulses at the final positions, after the last kick
 5. `turn`: the torques and angular accelerations that the impulses amount to
 """
 
@@ -39,14 +41,14 @@ from carom.scene.schema import Contact
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-ROUNDING = 4  # units in the last place of the farthest coordinate, likewise
-SOME, MANY = 1000, 10_000  # bodies that are worth a part of their own, when they turn, and when they are copied
-SWEEPS = 8  # that "auto" takes before it looks what is missing
-NEAR = 0.1  # of the smallest radius; what is within reach of a step's fall is watched up to so far
+ROUNDING = 4  # units in the last place of the farthest coordinate; a smaller gap is none
+MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # of a task, about 10 µs of work
+SWEEPS = 8  # iterations that `contact.sweeps = "auto"` takes before conjugate gradients
+LARGEST_SKIN = 0.1  # of the smallest radius
 
 
 class ContactPipeline:
-    """Finds and resolves the contacts of each step.
+    """Detects the contacts of each step and resolves them.
 
     Parameters
     ----------
@@ -158,7 +160,9 @@ class ContactPipeline:
         own length, but for drag.
         """
         if self._needs.torque.modelled:
-            self._team.divide(len(self._spin), MANY, _remember, self._bodies.angular_velocity, self._spin)
+            self._team.divide(
+                len(self._spin), MIN_BODIES_PER_COPY, _remember, self._bodies.angular_velocity, self._spin
+            )
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
             self._hold_contacts(self._dt, kick, dt, 0.0, share)
@@ -210,7 +214,7 @@ class ContactPipeline:
         """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
         bodies = self._bodies
         turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
-        self._team.divide(len(self._spin), SOME, _turn, self._spin, *turned)
+        self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
 
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
@@ -231,23 +235,23 @@ class ContactPipeline:
     def _near(self, dt: float) -> IntArray:
         """Find the pairs that touch and, where contacts last, those that a step's fall from rest could make touch.
 
-        Sweeps that end early leave gaps. A contact that is lost for it begins from nothing in the next step, and a pile
-        never comes to rest: 300 bodies kept 5 × 10⁻⁴ of their energy, instead of 10⁻²².
+        Iterations that end early leave gaps. A contact that is lost to one begins without an impulse in the next step,
+        and a pile never comes to rest: 300 bodies kept 5 × 10⁻⁴ of their energy, instead of 10⁻²².
         """
         position = self._bodies.position
-        stretch, slack = self._nearness(dt)
-        pairs = self._search.pairs(position, stretch, slack)
-        return self._plane_search.merged(pairs, position, stretch, slack) if self._has_statics else pairs
+        scale, skin = self._nearness(dt)
+        pairs = self._search.pairs(position, scale, skin)
+        return self._plane_search.merged(pairs, position, scale, skin) if self._has_statics else pairs
 
     def _nearness(self, dt: float) -> tuple[float, float]:
-        """Return stretch and slack, in m: what is no farther apart than ``(r_i + r_j) stretch + slack`` is near."""
+        """Return scale and skin, in m: what is no farther apart than ``(r_i + r_j) scale + skin`` is near."""
         if not self._lasts:
             return 1.0, 0.0
         fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
         if fall == 0.0:  # all contacts are impacts, and what only nearly touches is none
             return 1.0, 0.0
         self._rounding = ROUNDING * float(np.spacing(largest_coordinate(self._bodies.position)))
-        return 1.0 + TOUCHING, self._rounding + min(fall, NEAR * self._smallest)
+        return 1.0 + TOUCHING, self._rounding + min(fall, LARGEST_SKIN * self._smallest)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Take contacts, with nothing done to them yet."""

@@ -106,21 +106,8 @@ def time_of_impact_in_box(
         for kx in range(2 if sx != 0.0 else 1):
             for ky in range(2 if sy != 0.0 else 1):
                 for kz in range(2 if sz != 0.0 else 1):
-                    tau = time_of_impact(
-                        dx + kx * sx,
-                        dy + ky * sy,
-                        dz + kz * sz,
-                        vx,
-                        vy,
-                        vz,
-                        ax,
-                        ay,
-                        az,
-                        R,
-                        leg,
-                        since_kick + gone,
-                        slow,
-                    )
+                    x, y, z = dx + kx * sx, dy + ky * sy, dz + kz * sz
+                    tau = time_of_impact(x, y, z, vx, vy, vz, ax, ay, az, R, leg, since_kick + gone, slow)
                     first = min(first, tau)
         if first < np.inf:
             return gone + first
