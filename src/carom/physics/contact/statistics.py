@@ -103,21 +103,25 @@ def _count(
     for k in range(lo, hi):
         block = blocks[k]
         _begin(block)
+        restitution, friction, stabilisation = 0.0, 0.0, 0.0
+        contacts_seen, impacts, struck = 0, 0, 0.0
         for c in range(k * CONTACTS_PER_BLOCK, min(len(pairs), (k + 1) * CONTACTS_PER_BLOCK)):
             state = states[c]
-            block.restitution_loss += state.restitution_loss
-            block.friction_loss += state.friction_loss
-            block.stabilisation_gain += state.stabilisation_gain
+            restitution += state.restitution_loss
+            friction += state.friction_loss
+            stabilisation += state.stabilisation_gain
             if state.apart and contacts[c].normal_impulse <= 0.0:
                 continue
             i, j, approach = pairs[c, 0], pairs[c, 1], state.approach_speed
-            block.contacts += 1
+            contacts_seen += 1
             energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])
             if approach > state.rest_speed:
-                block.impacts += 1
-                block.struck += energy
+                impacts += 1
+                struck += energy
             _keep_hardest(block, energy, i, j)
             _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
+        block.restitution_loss, block.friction_loss, block.stabilisation_gain = restitution, friction, stabilisation
+        block.contacts, block.impacts, block.struck = contacts_seen, impacts, struck
 
 
 @inline
