@@ -256,7 +256,8 @@ def _region_volume(region: Region) -> float:
 def _default_region(index: int, radius: FloatArray) -> Region:
     """Return a ball that is `DEFAULT_PACKING` full."""
     with np.errstate(over="ignore"):
-        room = float(max(cube_root(np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)), 1.01 * radius.max()))
+        volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
+        room = float(max(cube_root(volume), 1.01 * radius.max()))
     if room > LARGEST:
         raise SceneError(f"group.{index}: bodies so large need a region of more than {LARGEST:g} m; lower the radius")
     return Region(radius=room)
