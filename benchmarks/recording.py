@@ -61,7 +61,7 @@ def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
 def recorded_without_exact_states(space: Space, folder: str) -> float:
     """Record without fingerprints and checkpoints: such a file would be looked at, but not replayed."""
     nothing = mock.patch("carom.physics.space.fingerprint", lambda bodies, time: 0)
-    never: Any = mock.patch("carom.recording.schema.checkpoint.CheckpointPlan.chosen", lambda plan, batch: [])
+    never: Any = mock.patch("carom.recording.write.checkpoint_plan.CheckpointPlan.chosen", lambda plan, batch: [])
     with nothing, never:
         began = time.perf_counter()
         simulate(space, Path(folder) / "bare.rrd", force=True)

@@ -27,7 +27,7 @@ def test_something_in_the_way_of_the_folder_of_recordings_is_one_sentence(kind: 
         (tmp_path / "recordings").symlink_to("nowhere")
     done = carom(*QUICK, cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == "carom: recordings: is no folder, and carom needs one of that name; move it away\n"
+    assert done.stderr == "carom: recordings: is not a folder, and carom needs a folder of that name; move it away\n"
     assert [path.name for path in tmp_path.iterdir()] == ["recordings"]
 
 

@@ -66,7 +66,7 @@ def test_a_refused_extreme_is_a_row_with_the_reason(tmp_path: Path) -> None:
     [
         (["mass-ration"], 'no extreme of that name; did you mean "mass-ratio"?'),
         (["mass-ratio", "--set", "contact.restitution=2"], "must be at most 1"),
-        (["mass-ratio", "-o", "taken"], "is no folder"),
+        (["mass-ratio", "-o", "taken"], "is not a folder"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(arguments: list[str], said: str, tmp_path: Path) -> None:

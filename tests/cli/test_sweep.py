@@ -132,7 +132,7 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(
         (["spheres.toml", "--vary", "contact.restitution=0:1:1", "-o", "new"], "two values or more"),
         (["spheres.toml", "--vary", "seed=1,2", "--seeds", "2", "-o", "new"], "given twice"),
         (["spheres.toml", "-o", "new"], "nothing varies"),
-        (["spheres.toml", *VARY, "-o", "spheres.toml"], "is no folder"),
+        (["spheres.toml", *VARY, "-o", "spheres.toml"], "is not a folder"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"], "expected the address of a Dask scheduler"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers"),
         (["spheres.toml", *VARY, "--plot", "x=a", "z=b"], "expected x=KEY y=KEY"),
@@ -140,8 +140,8 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(
         (["--table", "nowhere"], "no sweep here"),
         (["--table", "out", "--sort", "energy.finl"], 'did you mean "energy.final"'),
         (["--table", "out", "--filter", "energy.final"], "expected a comparison"),
-        (["--table", "out", "--filter", "energy.final<few"], "few is no number"),
-        (["--table", "out", "--plot", "x=name", "y=seed"], "no number"),
+        (["--table", "out", "--filter", "energy.final<few"], "column energy.final is numeric; got few"),
+        (["--table", "out", "--plot", "x=name", "y=seed"], "is not a number"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(

@@ -33,7 +33,7 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
     assert (folder / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "tradeoff.rrd").exists()
     refused = carom("inspect", str(folder / "tradeoff.rrd"), cwd=tmp_path)
-    assert refused.returncode == 2 and "to look at with carom view" in refused.stderr
+    assert refused.returncode == 2 and "can only be looked at, with `carom view`" in refused.stderr
     again = carom("tradeoff", "figure-eight", *QUICK, "--json", cwd=tmp_path)
     document = json.loads(again.stdout)
     assert again.stderr == "" and [len(entry["costs"]) for entry in document["settings"]] == [1, 1]

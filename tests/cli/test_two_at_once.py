@@ -84,7 +84,7 @@ def test_a_full_disk_during_a_resume_leaves_the_recording_as_it_was(tmp_path: Pa
     assert carom("run", "elastic-gas", "--set", "time.duration=1", "-o", "x.rrd", cwd=tmp_path).returncode == 0
     before = run.read_bytes()
     done = carom_process("resume", "x.rrd", "--until", "1e5", cwd=tmp_path, limit=8_000_000)
-    assert done.returncode == 1 and "x.rrd is as it was, and x.resumed.rrd has what is new" in done.stderr
+    assert done.returncode == 1 and "x.rrd is unchanged, and x.resumed.rrd has the new frames" in done.stderr
     assert run.read_bytes() == before
     assert Recording.open(tmp_path / "x.resumed.rrd").frames > Recording.open(run).frames
 

@@ -78,7 +78,7 @@ def test_one_altered_value_is_found_and_named(entity: str, component: str, whole
 @pytest.mark.parametrize(
     ("entity", "component", "said"),
     [
-        ("state/fingerprint", "fingerprint", "the checkpoint at step 0 has not the fingerprint of its frame"),
+        ("state/fingerprint", "fingerprint", "the checkpoint at step 0 does not have the fingerprint of its frame"),
         ("state/checkpoint", "velocity", "the checkpoint at step 0 is damaged"),
         ("state/checkpoint", "previous_dt", "the checkpoint at step 0 is damaged"),
     ],

@@ -215,5 +215,5 @@ def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_agai
     recording = Recording.open(tmp_path / "old.rrd")
     assert recording.outcome == "completed" and recording.summary()["frames"] == recording.frames > 10
     assert recording.energy().num_rows == recording.frames
-    with pytest.raises(RecordingError, match="recorded by a version of carom that could not go on from it"):
+    with pytest.raises(RecordingError, match="recorded by a version of carom that could not resume from it"):
         replay(recording)

@@ -134,7 +134,7 @@ def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repai
     path = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd").path
     outcome = next(e for e in Recording.open(path).store.entries if e.entity_path == "__properties/outcome")
     os.truncate(path, outcome.offset - 16)  # the header of a message has 16 bytes
-    with pytest.raises(RecordingError, match=r"has all its frames and lacks its end only; `carom repair .*` writes it"):
+    with pytest.raises(RecordingError, match=r"has all its frames and lacks only its end; `carom repair .*` writes it"):
         resumable_run(Recording.open(path))
 
 
@@ -144,7 +144,7 @@ def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path)
     run = resumable_run(recording, until=1.0)
     space = run.space()
     space.state.velocity[0] = float("nan")
-    with pytest.raises(RecordingError, match="as it was: failed: the state is no longer finite"):
+    with pytest.raises(RecordingError, match="unchanged: failed: the state is no longer finite"):
         resume(run, space)
     assert recording.path.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["cloud.rrd"]

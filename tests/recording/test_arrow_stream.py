@@ -99,7 +99,7 @@ def test_an_index_of_more_chunks_than_the_file_can_hold_is_refused(run_file: Pat
         return batch.take(pa.array(np.zeros(20_000, np.int64)))
 
     assembled(run_file, run_file, messages_of(run_file), index=repeated)
-    with pytest.raises(DamageError, match="tells of 20000 chunks in"):
+    with pytest.raises(DamageError, match="lists 20000 chunks in"):
         Container.open(run_file)
 
 

@@ -8,7 +8,8 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema.checkpoint import CheckpointPlan, size
+from carom.recording.schema.checkpoint import size
+from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 

@@ -127,5 +127,5 @@ def test_a_checkpoint_of_before_digests_must_have_the_fingerprint_of_its_frame(r
     changed(run_file, run_file, "state/checkpoint", lambda batch: without_column(batch, "digest"))
     assert Recording.open(run_file).checkpoint(0).step == 0
     changed(run_file, run_file, "state/checkpoint", mapped("velocity", lambda row: [0.5, *row[1:]]))
-    with pytest.raises(RecordingError, match="the checkpoint at step 0 has not the fingerprint of its frame"):
+    with pytest.raises(RecordingError, match="the checkpoint at step 0 does not have the fingerprint of its frame"):
         Recording.open(run_file).checkpoint(0)

@@ -22,7 +22,7 @@ def refuse_output(path: Path, force: bool) -> None:
         if path.is_dir():
             raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
         if path.exists() and not path.is_file():
-            raise RecordingError(f"{path}: a device or a pipe; name a file to write, for a recording is read back")
+            raise RecordingError(f"{path}: a device or a pipe; name a file, since a recording is read back")
         if path.exists() and not force:
             raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
         if not path.parent.is_dir():
@@ -57,9 +57,9 @@ def output_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise RecordingError(f"{path}: is no folder, and carom needs one of that name; move it away") from None
+        raise RecordingError(f"{path}: is not a folder, and carom needs a folder of that name; move it away") from None
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be made a folder: {error.strerror}") from None
+        raise RecordingError(f"{path}: the folder cannot be made: {error.strerror}") from None
 
 
 def _short(path: Path) -> str:

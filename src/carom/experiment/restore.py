@@ -68,7 +68,7 @@ def space_of(
         if restored:
             space.restore(checkpoint)
     except PhysicsError as error:
-        raise RecordingError(f"{recording.path} cannot go on from step {checkpoint.step}: {error}") from None
+        raise RecordingError(f"{recording.path} cannot be resumed from step {checkpoint.step}: {error}") from None
     return space
 
 
@@ -82,7 +82,7 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
     """
     times = recording.checkpoint_times
     if not times:
-        raise RecordingError(f"{recording.path} has no checkpoint to go on from: {recording.outcome}")
+        raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
     earlier = [step for step, at in times.items() if at <= time]
     return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
 

@@ -51,15 +51,15 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     Raises
     ------
     SceneError, RecordingError
-        If there is nothing to do, or nothing to go on from.
+        If there is nothing to do, or no checkpoint to resume from.
     """
     scene, path = recorded_scene(recording), recording.path
     cut = scene.time.duration
     if recording.frames == 0 or recording.fingerprints()["step"][0].as_py() != 0:
-        raise RecordingError(f"{path} does not begin at step 0: go on with the recording that it was cut from")
+        raise RecordingError(f"{path} does not begin at step 0: resume the recording that it was cut from")
     done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
     if end == done and not recording.closing:
-        raise RecordingError(f"{path} has all its frames and lacks its end only; `{command('repair', path)}` writes it")
+        raise RecordingError(f"{path} has all its frames and lacks only its end; `{command('repair', path)}` writes it")
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")
@@ -70,7 +70,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
-        raise RecordingError(f"{path} has no checkpoint to go on from")
+        raise RecordingError(f"{path} has no checkpoint to resume from")
     return ResumableRun(recording, scene, recording.checkpoint(steps[-1]))
 
 
@@ -95,7 +95,7 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     in_place = output is None or output.resolve() == source.resolve()
     target = source if output is None else output
     if under_way(target).resolve() == source.resolve():
-        raise RecordingError(f"{target} would be written under the name {source} until it is whole; name another file")
+        raise RecordingError(f"{target} would be written as {source} until it is complete; name another file")
     with claimed_output(target, force or in_place) as claim:
         refuse_output(under_way(target), force)
         yield claim
@@ -114,7 +114,7 @@ def resume(
     """Resume a run and record the whole of it.
 
     Until the new recording is whole it has a name of its own, ``NAME.resumed.rrd``. If the disk runs full it keeps
-    that name, and the recording is as it was.
+    that name, and the recording is unchanged.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def _resume(
     )
     if outcome.frames <= run.recording.frames:
         part.unlink(missing_ok=True)
-        raise RecordingError(f"{source} is as it was: {outcome.status}: {outcome.reason}")
+        raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
     if outcome.status == "disk":
-        return replace(outcome, reason=f"{outcome.reason}; {source} is as it was, and {part} has what is new")
+        return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
     part.replace(target)
     return replace(outcome, path=target)
 

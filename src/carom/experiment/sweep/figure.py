@@ -28,7 +28,7 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
     Raises
     ------
     ExperimentError
-        If a column is no number, or no run has both.
+        If a column is not numeric, or no run has both.
     """
     others = [key for key in varied if key not in (x, y, SEED)]
     lines: dict[str, Points] = defaultdict(lambda: defaultdict(list))
@@ -64,7 +64,7 @@ def _number(row: Row, key: str) -> float:
     value = row[key]
     if isinstance(value, (int, float)):
         return float(value)
-    raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, and no number")
+    raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, which is not a number")
 
 
 def _all_x(lines: dict[str, Points]) -> list[float]:

@@ -227,11 +227,11 @@ def _step(choice: str, value: str) -> _Choice:
     except ValueError:
         times = 0.0
     if not 0.0 < times < math.inf:
-        raise SceneError(f"--vary {choice}: {value!r} is no number above 0, by which the step is multiplied")
+        raise SceneError(f"--vary {choice}: {value!r} is not a number above 0; it multiplies the step")
     return _times(times)
 
 
 def _threads(choice: str, value: str) -> _Choice:
     if not value.isdigit() or int(value) < 1:
-        raise SceneError(f"--vary {choice}: {value!r} is no number of threads; expected 1, 2 and so on")
+        raise SceneError(f"--vary {choice}: {value!r} is not a number of threads; expected 1, 2 and so on")
     return _Choice(f"threads = {value}", threads=int(value))

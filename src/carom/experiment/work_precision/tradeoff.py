@@ -79,7 +79,7 @@ class Study:
     scene
         What is run.
     folder
-        Where everything is kept. What an earlier study of the same scene left there is gone on with.
+        Folder of the study. An earlier study of the same scene there is resumed.
     threads
         For the kernels.
     force
@@ -260,7 +260,7 @@ class Study:
             if kept["version"] != VERSION and theirs == self.scene.toml:
                 raise ValueError("another version of carom measured it")
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise ExperimentError(f"{path}: cannot be gone on with ({error}); {self._advice}") from None
+            raise ExperimentError(f"{path}: cannot be resumed ({error}); {self._advice}") from None
         raise ExperimentError(
             f"{self.folder}: holds a study of another scene, or of this one before it was changed; {self._advice}"
         )

@@ -21,7 +21,7 @@ from carom.recording.write.claim import Claim
 CLIP = "clip.rrd"
 LARGEST = 10_000_000  # bytes of a bundle that one may attach
 MOST_UNPACKED = 1_000_000_000  # bytes
-MOST_TIMES = 1000  # what deflate can do with anything but a bomb
+MOST_TIMES = 1000  # highest compression ratio of deflate; more is a zip bomb
 MOST_MEMBERS = 100
 _PIECE = 1 << 20
 
@@ -42,7 +42,7 @@ def is_bundle(path: Path) -> bool:
 
 
 def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
-    """Write a bundle, whole or not at all; return its size in bytes.
+    """Write a bundle atomically; return its size in bytes.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def _pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Path]:
-    """Give the path of a recording: of the one in a bundle, as long as the context lasts, or of the file itself.
+    """Yield the path of a recording: the file itself, or one unpacked from a bundle while the context lasts.
 
     Raises
     ------

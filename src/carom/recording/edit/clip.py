@@ -25,13 +25,13 @@ from carom.recording.write.rerun_compat import StoredLayout
 
 PROPERTY = "clip"
 
-_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only where they change: the last one before the cut still holds
+_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only where they change: the last row before the cut still applies
 _PATH, _KIND, _COMPONENT = b"rerun:entity_path", b"rerun:kind", b"rerun:component"
 
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """What was cut out."""
+    """Result of a cut."""
 
     path: Path
     size: int  # bytes
@@ -149,7 +149,7 @@ def _static(recording: Recording) -> Iterator[Chunk]:
 
 
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
-    """Read what overlaps the cut, centres before the contacts that join them."""
+    """Read the chunks that overlap the cut, centres before the contacts that join them."""
     entries = [e for e in recording.store.entries if e.first_step is not None and _overlaps(e, cut)]
     last = {path: _last_before(recording.store.entries, path, cut.first) for path in _STATES}
     entries += [entry for entry in last.values() if entry is not None and entry not in entries]
@@ -175,7 +175,7 @@ def _last_before(entries: Iterable[Entry], path: str, step: int) -> Entry | None
 
 
 def _within(chunk: Chunk, cut: _Cut) -> Chunk:
-    """Keep the rows of the cut; a state that began before it begins with it."""
+    """Keep the rows of the cut; a state that began earlier starts at its first frame."""
     steps = chunk.batch[STEP].to_numpy()
     inside = (steps >= cut.first) & (steps <= cut.last)
     before = np.flatnonzero(steps < cut.first)
@@ -186,7 +186,7 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
 
 
 def _moved(path: str, batch: pa.RecordBatch, cut: _Cut) -> Chunk:
-    """Put the rows from before the cut to its first frame."""
+    """Move rows from before the cut to its first frame."""
     early = pc.less(batch[STEP], cut.first)
     shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))
     moved = {STEP: pc.if_else(early, pa.scalar(cut.first), batch[STEP])}
@@ -195,7 +195,7 @@ def _moved(path: str, batch: pa.RecordBatch, cut: _Cut) -> Chunk:
 
 
 def _start(recording: Recording, cut: _Cut) -> Chunk | None:
-    """Find the exact state at the first frame, or the last one before it, and make it hold for the whole clip."""
+    """Find the exact state at or before the first frame, and store it as static data of the clip."""
     entry = _last_before(recording.store.entries, paths.CHECKPOINT, cut.first)
     if entry is None:
         carried = [e for e in recording.store.entries if e.is_static and e.entity_path == paths.START]

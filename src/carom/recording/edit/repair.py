@@ -23,7 +23,7 @@ PROPERTY = "repair"
 
 @dataclass(frozen=True, slots=True)
 class Repaired:
-    """What could be done."""
+    """Result of a repair."""
 
     path: Path | None  # None: there was nothing to repair
     size: int = 0  # bytes
@@ -56,7 +56,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
 
 
 def _recording(source: Path, found: Salvage) -> Store:
-    """Choose the recording that most of the chunks belong to: a wrong byte may have made up others."""
+    """Choose the recording with most of the chunks: a wrong byte may have created others."""
     stores = [store for store in found.stores if store.kind == RECORDING]
     store = max(stores, key=lambda store: len(store.entries), default=None)
     if store is None or not store.entries:
@@ -67,7 +67,7 @@ def _recording(source: Path, found: Salvage) -> Store:
 
 
 def _refuse_unbegun(recording: Recording) -> None:
-    """Refuse what ends before a run has said who it is: nobody could read the repaired file."""
+    """Refuse a file without the static data by which its frames are read."""
     try:
         known = bool(recording.info)
     except RecordingError:
@@ -77,7 +77,7 @@ def _refuse_unbegun(recording: Recording) -> None:
 
 
 def _layouts(found: Salvage, store: Store) -> list[Store]:
-    """Return the layouts of which nothing was lost; half a layout is none."""
+    """Return the complete layouts."""
     return [
         layout
         for layout in found.stores
@@ -100,7 +100,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
             try:
                 for chunk in recording.chunks([entry]):
                     writer.send(chunk)
-            except DamageError as error:  # of no kind that Rerun would have written
+            except DamageError as error:  # Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
         frames, step, end = _reach(recording)
         until = f"to t = {end:.6g} s (step {step})" if frames else "without a frame"
@@ -110,7 +110,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         if layout := recording.layout():
             writer.send_layout(StoredLayout(layout))
         else:
-            with contextlib.suppress(RecordingError):  # too little is left to know what there is to show
+            with contextlib.suppress(RecordingError):  # too little is left to make a layout
                 writer.send_layout(new_layout(recording))
                 added.append("layout")
         writer.flush()
@@ -141,7 +141,7 @@ def _told(lost: list[str]) -> str:
 
 
 def _lost(recording: Recording, found: Salvage) -> list[str]:
-    """Say what cannot be read: by name where the footer knows it, else by where it lies."""
+    """Describe what cannot be read: by entity if the footer lists it, else by its bytes."""
     if found.missing or found.layout_lost:
         return [_named(entry) for entry in found.missing] + (["the layout"] if found.layout_lost else [])
     size = recording.path.stat().st_size

@@ -25,7 +25,7 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
     fit = None
     for chunk in recording.chunks(some):
         centres = next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
-        if centres is None:  # a wrong byte in the component's name
+        if centres is None:  # the component's name is damaged
             continue
         first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
         fit = fit or CameraFit(header.radius[recording.shown], first)
@@ -61,6 +61,6 @@ def _header(recording: Recording) -> Header:
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         box=np.asarray(info["box"]) if "box" in info else None,
-        walls=np.ones(3) if paths.WALLS in static else None,  # the layout asks only whether there are any
+        walls=np.ones(3) if paths.WALLS in static else None,  # the layout needs only to know that there are walls
         planes=nowhere if paths.PLANES in static else None,
     )

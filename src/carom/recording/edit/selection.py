@@ -34,7 +34,7 @@ class Selection:
         self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until the contacts of the step were seen
 
     def of(self, chunk: Chunk) -> Chunk:
-        """Return what is left of a chunk."""
+        """Return a chunk without the rows' parts of other bodies."""
         match chunk.entity_path:
             case paths.BODIES:
                 self._remember(chunk)
@@ -50,7 +50,7 @@ class Selection:
         return chunk
 
     def _bodies(self, chunk: Chunk) -> Chunk:
-        """Keep some of every list that has a value for each body, of all other lists everything."""
+        """Keep some values of lists with one value per body, and other lists unchanged."""
         columns = {}
         for name in chunk.components:
             lengths = pc.list_value_length(chunk.batch[name])
@@ -114,7 +114,7 @@ def _masked(chunk: Chunk, masks: list[NDArray[np.bool_]]) -> Chunk:
 
 
 def _lists(column: pa.ListArray, taken: IntArray, each: IntArray) -> pa.ListArray:
-    """Make a column of lists again, of some of its items."""
+    """Return a column of lists with only some of its items."""
     offsets = pa.array(np.concatenate([[0], np.cumsum(each)]), pa.int32())
     return pa.ListArray.from_arrays(offsets, column.flatten().take(pa.array(taken)), type=column.type)
 

@@ -32,7 +32,7 @@ class Track:
         self._exact = _Rows(recording, paths.CHECKPOINT)
 
     def drawn(self, step: int) -> FloatArray:
-        """Return positions that were rounded to float32, of the bodies that the recording shows."""
+        """Return the drawn positions (float32) of the bodies that the recording shows."""
         with reading(self._recording.path):
             for name in paths.CENTRES:
                 values = self._drawn.at(step, name)

@@ -1,4 +1,4 @@
-"""`Recording`: open an .rrd of carom's and read from it. Nothing is loaded before it is asked for."""
+"""`Recording`: opens a recording of carom and reads from it; nothing is loaded before it is needed."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _Result = TypeVar("_Result")
 def _named(
     read: Callable[Concatenate[Recording, _Parameters], _Result],
 ) -> Callable[Concatenate[Recording, _Parameters], _Result]:
-    """Let a method say which file it is that has not got in it what it should."""
+    """Make a method name the file in its errors."""
 
     @wraps(read)
     def reads(self: Recording, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
@@ -53,7 +53,7 @@ def _named(
 
 @dataclass(frozen=True, slots=True)
 class BodyTable:
-    """What does not change about the bodies."""
+    """The static properties of the bodies."""
 
     name: list[str]  # (n,)
     group: NDArray[np.int64]  # (n,)
@@ -73,7 +73,7 @@ class Recording:
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a file. RecordingError if it is not there, not a recording of carom's, or of a newer schema."""
+        """Open a file. RecordingError if it does not exist, is not a recording of carom, or has a newer schema."""
         path = Path(path)
         with reading(path):
             if not path.is_file():
@@ -100,7 +100,7 @@ class Recording:
     @cached_property
     @_named
     def properties(self) -> Mapping[str, Any]:
-        """The property `run`: versions, command, git, cpu and whatever else the run was told to keep."""
+        """The property `run`: versions, command, git, cpu and whatever else the caller added."""
         return self._property("run")
 
     @cached_property
@@ -118,12 +118,12 @@ class Recording:
     @cached_property
     @_named
     def arrow_references(self) -> Mapping[str, Any]:
-        """The property `arrows`: what the length of torques and angular accelerations is measured in."""
+        """The property `arrows`: reference magnitudes of the arrows."""
         return self._property("arrows")
 
     @property
     def versions(self) -> dict[str, str]:
-        """The packages that it was recorded with."""
+        """Versions of the packages that it was recorded with."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
         return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
 
@@ -136,7 +136,7 @@ class Recording:
     @cached_property
     @_named
     def shown(self) -> list[int]:
-        """Numbers of the bodies that have a sphere in it: all, unless it is a clip of a few."""
+        """Numbers of the bodies that it shows: all, unless it is a clip of some."""
         few = self.clip.get("bodies", range(int(self.info["bodies"])))
         found = [int(body) for body in np.atleast_1d(few)]
         if not all(0 <= body < int(self.info["bodies"]) for body in found):
@@ -146,13 +146,13 @@ class Recording:
     @property
     @_named
     def is_overlay(self) -> bool:
-        """Whether it shows several runs over each other: `carom diff -o` made it, or `carom tradeoff`."""
+        """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
         return bool(self._property("diff") or self._property("tradeoff"))
 
     def refuse_overlay(self) -> None:
-        """Raise RecordingError if it shows several runs: none of them is whole in it."""
+        """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""
         if self.is_overlay:
-            raise RecordingError(f"{self.path} shows several runs over each other, to look at with carom view")
+            raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
 
     @property
     @_named
@@ -192,13 +192,13 @@ class Recording:
     @cached_property
     @_named
     def origin(self) -> NDArray[np.float64]:
-        """Where the origin of what is drawn lies in the scene, (3,) m."""
+        """Origin of the drawn positions in the scene, (3,) m."""
         return np.asarray(self.info["origin"], dtype=np.float64)
 
     @property
     @_named
     def frames(self) -> int:
-        """How many frames there are."""
+        """Number of frames."""
         return int(self._fingerprints.num_rows)
 
     @_named
@@ -216,7 +216,7 @@ class Recording:
 
     @_named
     def steps(self, *names: str) -> pa.Table:
-        """Return dt (s), contacts, colours, sweeps and overlaps of every frame; with names, only these are read."""
+        """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame, or those named."""
         return self._series(paths.STEP, names)
 
     @_named
@@ -235,10 +235,11 @@ class Recording:
         told = zip(table["kind"].to_pylist(), table["text"].to_pylist(), strict=True)
         kinds = pa.array([kind_of(kind, text) for kind, text in told], pa.string())
         table = table.set_column(table.column_names.index("kind"), "kind", kinds)
-        return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))  # those of the end look back
+        # events logged at the end are about earlier steps
+        return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))
 
     def warnings(self, until: int | None = None) -> list[Event]:
-        """Return what the run was warned of, up to a step, in order of time; how it ended is no warning."""
+        """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
         events, scale = self.events(), float(self.info["time_scale"])
         seconds = events[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * scale
         names = ("level", "text", "kind")
@@ -265,7 +266,7 @@ class Recording:
     @cached_property
     @_named
     def checkpoint_times(self) -> dict[int, float]:
-        """Simulated time in s by step of the exact checkpoints, rising; a clip's first may lie before its frames."""
+        """Simulated times (s) of the checkpoints by step, rising; a clip's first may precede its frames."""
         table = self._table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
         times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
@@ -293,7 +294,7 @@ class Recording:
         own = np.flatnonzero(self._fingerprints[STEP].to_numpy() == step)
         if len(own) and self._fingerprints["fingerprint"][int(own[0])].as_py() != found.fingerprint:
             raise RecordingError(
-                f"{self.path}: the checkpoint at step {step} has not the fingerprint of its frame; one is damaged"
+                f"{self.path}: the checkpoint at step {step} does not have the fingerprint of its frame; one is damaged"
             )
         return found
 
@@ -312,7 +313,7 @@ class Recording:
 
     @_named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
-        """Return the centres as they are drawn in a frame, (n, 3) m from the origin; None without that frame."""
+        """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
         for chunk in self._chunks_at(step, paths.BODIES):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             for name in paths.CENTRES:
@@ -322,9 +323,9 @@ class Recording:
 
     @_named
     def moment(self, at: float | None = None) -> float:
-        """Find the time (s) to look at: a given one, else the hardest impact, else the most contacts, else the end.
+        """Return the time (s) to look at: the given one, else the hardest impact, else the most contacts, else the end.
 
-        A run that was closed says when its hardest impact was; otherwise it is searched among the frames.
+        The hardest impact is known if the run was closed; otherwise it is searched among the frames.
 
         Raises
         ------
@@ -335,7 +336,7 @@ class Recording:
 
     @_named
     def summary(self) -> dict[str, Any]:
-        """How the run went, as nested numbers and strings."""
+        """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)
 
     @cached_property
@@ -355,7 +356,7 @@ class Recording:
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        """All Scalars below an entity, side by side: the frames that have a value in each.
+        """Return all scalars below an entity as one table, of the frames that have a value in each.
 
         A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
         """
@@ -382,16 +383,16 @@ class Recording:
         return tables.table(path, self._chunks(path), columns, optional)
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
-        """Read chunks as they lie in the file, one after the other."""
+        """Read chunks one by one, unchanged."""
         with reading(self.path):
             yield from self._container.chunks(entries)
 
     def temporal_chunks(self) -> Iterator[Chunk]:
-        """Read all chunks that are not static, as they lie in the file."""
+        """Read all chunks that are not static, unchanged."""
         return self.chunks([entry for entry in self.store.entries if not entry.is_static])
 
     def layout(self) -> list[Chunk]:
-        """Read the layout that it opens with, the last one sent; empty if there is none."""
+        """Read the chunks of the layout that it opens with; empty if there is none."""
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
         return list(self.chunks(layouts[-1].entries)) if layouts else []
 
@@ -425,7 +426,7 @@ class Recording:
 
 
 def _values(row: pa.ListScalar) -> NDArray[Any] | list[str]:
-    """Copy one row of a component: an array, or a list of texts. DamageError if it has none, or a gap in it."""
+    """Copy one row of a component: an array, or a list of texts. DamageError if a value is missing."""
     values = row.values
     if values is None or values.null_count:
         raise DamageError("a row without its values")

@@ -57,7 +57,7 @@ class Container:
         """
         with path.open("rb") as file:
             if not framing.is_rrd(file):
-                raise DamageError("it does not begin like one")
+                raise DamageError("it does not begin with an .rrd header")
             footer = framing.read_footer(file)
             return cls(
                 path, _scan(file) if footer is None else _manifests(footer, path.stat().st_size), footer is not None
@@ -126,7 +126,7 @@ def _manifests(footer: bytes, size: int) -> list[Store]:
 
 def _entries(manifest: pa.RecordBatch, size: int) -> list[Entry]:
     if manifest.num_rows > size // _SHORTEST:
-        raise DamageError(f"its footer tells of {manifest.num_rows} chunks in {size} bytes")
+        raise DamageError(f"its footer lists {manifest.num_rows} chunks in {size} bytes")
     columns = [_manifest_column(manifest, name, kind) for name, kind in _MANIFEST.items()]
     if any(None in column for column in columns):
         raise DamageError("its footer describes chunks incompletely")
@@ -154,7 +154,7 @@ def _refuse_overlap(entries: list[Entry], size: int) -> None:
     end = framing.STREAM_HEADER
     for entry in sorted(entries, key=lambda entry: entry.offset):
         if entry.length > LARGEST:
-            raise DamageError(f"its footer tells of a chunk of {entry.length} bytes")
+            raise DamageError(f"its footer lists a chunk of {entry.length} bytes")
         if entry.offset < end or entry.offset + entry.length > size:
-            raise DamageError(f"its footer tells of a chunk at byte {entry.offset}, where none can be")
+            raise DamageError(f"its footer lists a chunk at byte {entry.offset}, where none can be")
         end = entry.offset + entry.length

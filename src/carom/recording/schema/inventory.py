@@ -1,4 +1,4 @@
-"""Which entities a recording has, and which part of the model each one shows."""
+"""The inventory of entities: which a recording of a scene has, and why."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from carom.recording.schema.series import SERIES
 
 ONCE = "once, however long it is"
 
-_PARTS = {  # entity → the part of the model without which it is not there
+_PARTS = {  # entity → the part of the model that it requires
     paths.CONTACTS: "contact",
     paths.TORQUE: "torque",
     paths.ANGULAR_ACCELERATION: "torque",
 }
-_ALWAYS = {  # entity → why it is there
+_ALWAYS = {  # entity → why it is recorded
     paths.DT_LIMIT: "adaptive or not",
     paths.PHASE: "where it changes",
     paths.EVENTS: "where something happens",

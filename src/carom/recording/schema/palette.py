@@ -20,7 +20,7 @@ NAMED = {"orange": ORANGE, "sky": SKY, "green": GREEN, "yellow": YELLOW, "blue":
 # Neighbouring stages must be told apart at a glance, so the order alternates warm and cold.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
-SERIAL_STAGE = 64  # contacts past so many colours share one last, serial stage; drawn white
+SERIAL_STAGE = 64  # contacts beyond this many colours are solved serially, last; drawn white
 
 BODIES = (SKY, ORANGE, GREEN, YELLOW, PURPLE, BLUE, VERMILION)
 
@@ -48,7 +48,7 @@ def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
 
 
 def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Colours of bodies that stay: a hue per group, a shade per body.
+    """Return the static colours of bodies: a hue per group, a shade per body.
 
     With a single group of few bodies each body has a hue of its own.
     """

@@ -1,6 +1,6 @@
 """Paths of the entities of a recording, those of scalars apart (`series`), and the version of the schema."""
 
-SCHEMA_VERSION = 2  # 2: a run can go on from a checkpoint; 1: checkpoints were there to be read
+SCHEMA_VERSION = 2  # 2: a run can be resumed from a checkpoint; 1: checkpoints could only be read
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"

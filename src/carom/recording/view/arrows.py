@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 TORQUE_REACH = 2.0  # L_max in median body radii
 ANGULAR_ACCELERATION_REACH = 4.0
-_ROUND_OFF = 1e-6  # a vector so small against its natural unit came of rounding: no measure for the others
+_ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and set no scale
 
 
 def longest(radius: NDArray[np.float64], reach: float) -> float:

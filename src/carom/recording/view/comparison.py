@@ -35,13 +35,13 @@ _SERIES = {
 }
 _LARGEST = 100_000_000  # bytes of positions: of longer recordings every k-th frame is shown
 _BATCH = 4_000_000  # bytes
-_SEEN = 0.02  # of the median radius: shorter lines are inside the spheres anyway
-_HALO = 1.04  # what B's spheres are larger by: they would hide in A's where nothing differs
+_SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
+_HALO = 1.04  # scale of B's spheres, which identical ones of A would hide
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A frame of both."""
+    """A frame of both recordings."""
 
     step: int
     time: float  # s
@@ -119,7 +119,7 @@ def _send(
 
 
 def _logarithm(values: FloatArray) -> FloatArray:
-    """Take log₁₀; where nothing differs there is no point, and the line has a gap."""
+    """Take log₁₀; zeros become gaps in the line."""
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.log10(values)
     return np.where(np.isfinite(logarithm), logarithm, np.nan)

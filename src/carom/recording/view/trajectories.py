@@ -24,8 +24,8 @@ FloatArray = NDArray[np.float64]
 
 PROPERTY = "tradeoff"
 
-PATHS_UP_TO = 20  # bodies, whose paths are drawn whole; of more only where they are
-SMALLEST = 1e-17  # what no distance is shown as, on a scale of decades
+PATHS_UP_TO = 20  # bodies whose whole paths are drawn; of more bodies only positions
+SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True)

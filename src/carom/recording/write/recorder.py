@@ -1,4 +1,4 @@
-"""`Recorder`: takes frames from the physics and writes them to an .rrd in a thread of its own."""
+"""`Recorder`: takes frames from the physics and writes them to an .rrd in its own thread."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from carom.physics.frame import Frame, FrameStore
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema import checkpoint
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit, View
 from carom.recording.write.batch_queue import BatchQueue
+from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import Stream
 
@@ -34,8 +34,8 @@ _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # what a killed run may lose
 _QUEUE_BYTES = 32_000_000
-_FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: send a second one only if the eye's distance grew by more
-_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets its one blueprint at the end
+_FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: a second one is sent only if the camera's distance grew by more
+_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
 class Recorder:
@@ -66,13 +66,13 @@ class Recorder:
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
-        # a slot comes round when its frame has been in the queue, in the batch being written, and been the last one
+        # a slot is reused once its frame has left the queue, the batch being written, and `_last`
         self._slots = max(room, batch) + batch + 2
-        self._plan = checkpoint.CheckpointPlan()
+        self._plan = CheckpointPlan()
         self._encoder: BatchEncoder | None = None
-        self._references: dict[str, float] = {}  # as sent
+        self._references: dict[str, float] = {}  # as last sent
         self._camera_fit: CameraFit | None = None
-        self._framed = 0.0  # m, the eye's distance in the blueprint
+        self._framed = 0.0  # m, the camera's distance in the blueprint
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
@@ -86,12 +86,12 @@ class Recorder:
         return self._stream.payload_bytes
 
     def store_for(self, bodies: Bodies) -> FrameStore:
-        """Return room for the arrays of frames on their way through this recorder, and for no longer."""
+        """Return memory for the arrays of frames; a frame's arrays are reused once this recorder is done with it."""
         self._store = FrameStore(self._slots, bodies)
         return self._store
 
     def put(self, frame: Frame) -> None:
-        """Hand over a frame; wait while the queue is full. Raises what stopped the recorder, if anything did."""
+        """Hand over a frame; wait while the queue is full. Raises the error that stopped the recorder, if any."""
         self._queue.put(frame)
 
     def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
@@ -110,7 +110,7 @@ class Recorder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Close a recording that was not finished, saying so in it."""
+        """Close an unfinished recording with the outcome "interrupted"."""
         if not self._closed and self._error is None:
             reason = "interrupted" if error is None else f"interrupted: {type(error).__name__}: {error}"
             self.finish(reason)
@@ -127,7 +127,7 @@ class Recorder:
             self._record()
         except RecordingError as error:
             self._fail(error)
-        except Exception as error:  # whatever it is, the physics must hear of it
+        except Exception as error:  # the physics thread must learn of any failure
             self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
 
     def _record(self) -> None:
@@ -139,7 +139,7 @@ class Recorder:
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
-        if encoder.arrow_references != self._references:  # a killed run says them, too
+        if encoder.arrow_references != self._references:  # sent now, so that a killed run has them too
             self._references = dict(encoder.arrow_references)
             self._stream.send_property("arrows", self._references)
         kept = self._plan.chosen(batch)
@@ -148,7 +148,7 @@ class Recorder:
             self._last_checkpoint = kept[-1].step
         self._look(batch, encoder.origin)
         self._last = batch[-1]
-        self.frames += len(batch)  # even if the flush finds the disk full: the reserve has taken them
+        self.frames += len(batch)  # even if the flush finds the disk full: the reserve had room for them
         self._stream.flush()
 
     def _begin(self, first: Frame) -> BatchEncoder:
@@ -165,21 +165,21 @@ class Recorder:
         reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
         self._camera_fit = CameraFit(self.header.radius, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
-        self._stream.flush()  # what is logged waits in a batcher; a run killed now would be frames of nobody
+        self._stream.flush()  # logged data waits in a batcher; without it the frames of a killed run could not be read
         if continued is not None:
             self._stream.send_continued(continued)
             self.frames = continued.frames
         return self._encoder
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
-        """Follow where the bodies are; lay out what there is, early for a live viewer and for a run that is killed."""
+        """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""
         assert self._camera_fit is not None, "it begins with the first batch"
         if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._send_blueprint(self._camera_fit.view())
         self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
-        """Frame the whole recording, if that differs from the first frame so much that one sees it."""
+        """Send a layout that shows the whole recording, if it differs visibly from the first."""
         if self._camera_fit is not None:
             view = self._camera_fit.view()
             if view.follows or view.distance > _FRAMED_ANEW * self._framed:
@@ -190,10 +190,10 @@ class Recorder:
         self._framed = view.distance
 
     def _fail(self, error: RecordingError) -> None:
-        """Close with what there is, and only then let the physics know."""
+        """Close the file with what there is, and then report the error to the physics."""
         try:
             self._close(str(error), {}, ())
-        except Exception as second:  # the first fault is the one to tell
+        except Exception as second:  # report the first error
             error.add_note(f"closing it failed, too: {second}")
         self._error = error
         self._queue.fail(error)
@@ -215,13 +215,13 @@ class Recorder:
         self._check()
 
     def _check(self) -> None:
-        """Open the closed file again and see whether all frames are in it."""
+        """Open the closed file and check that it has all frames."""
         found = Recording.open(self.path).frames
         if found != self.frames:
             raise RecordingError(f"{self.path} holds {found} frames, but {self.frames} were written")
 
 
 def _unbroken(batch: list[Frame]) -> list[list[Frame]]:
-    """Split a batch where the frame store began again at its first slot."""
+    """Split a batch where the frame store wrapped around to its first slot."""
     turn = next((k for k, frame in enumerate(batch) if k and frame.slot == 0), None)
     return [batch] if turn is None else [batch[:turn], batch[turn:]]

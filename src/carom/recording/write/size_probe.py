@@ -12,9 +12,9 @@ import rerun as rr
 
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.frame import Frame
-from carom.recording.schema.checkpoint import CheckpointPlan
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
+from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.statics import statics
 from carom.recording.write.stream import Stream

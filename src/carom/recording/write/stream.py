@@ -116,7 +116,7 @@ class Stream:
         if self._sink.gone:
             raise RecordingError(f"{self.path} was removed or renamed while it was written")
         if self._sink.full:
-            raise RecordingError(f"cannot go on writing {self.path}: no space left on the disk")
+            raise RecordingError(f"cannot write more of {self.path}: no space left on the disk")
 
     def close(self) -> None:
         """Write the footer and close the file; raises if the footer cannot be written."""
