@@ -16,7 +16,7 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.experiment.work_precision.reference import scale_of
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.plan.features import pull_fraction
+from carom.plan.auto import pull_fraction
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 

@@ -11,7 +11,7 @@ from carom.experiment.work_precision.coordinate_descent import excess
 from carom.experiment.work_precision.settings_grid import Point, default_points, knobs, vary
 from carom.experiment.work_precision.tradeoff import Result, Study
 from carom.experiment.work_precision.tune import Tuning, tuned
-from carom.plan.features import integrator
+from carom.plan.auto import integrator
 from carom.scene.schema import Scene
 from examples import cloud
 

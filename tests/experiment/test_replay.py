@@ -19,7 +19,7 @@ from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.plan.features import frame_interval
+from carom.plan.auto import frame_interval
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint

@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 from carom.physics.forces.drag import exponentials
 from carom.physics.frame import Frame
 from carom.physics.space import Space
-from carom.plan.features import integrator, require
+from carom.plan.auto import integrator
+from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene

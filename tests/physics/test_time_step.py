@@ -13,7 +13,7 @@ from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
 from carom.physics.time_step import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
-from carom.plan.features import PAIRS_UP_TO
+from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
 from examples import kinetic_energy_of, random_bodies
 

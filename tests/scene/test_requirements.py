@@ -8,17 +8,8 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.plan.features import (
-    cfl,
-    frame_interval,
-    gravity_method,
-    integrator,
-    pull_fraction,
-    require,
-    smoothing,
-    target_dx,
-    timing,
-)
+from carom.plan.auto import cfl, frame_interval, gravity_method, integrator, pull_fraction, smoothing, target_dx, timing
+from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS

@@ -17,7 +17,8 @@ from carom.physics.frame import Frame
 from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import every
 from carom.physics.space import WARM_UP_STEPS, Space
-from carom.plan.features import Requirements, frame_interval
+from carom.plan.auto import frame_interval
+from carom.plan.features import Requirements
 from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents
 from carom.recording.write.size_probe import Taken, probe

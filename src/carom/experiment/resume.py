@@ -13,7 +13,7 @@ from carom.experiment.restore import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.plan.features import frame_interval
+from carom.plan.auto import frame_interval
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording

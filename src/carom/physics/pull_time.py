@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.parallel.jit import kernel
-from carom.plan.features import PAIRS_UP_TO
+from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 
 FloatArray = NDArray[np.float64]

@@ -36,7 +36,8 @@ from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.status import StepStatus
 from carom.physics.time_step import Timestep
-from carom.plan.features import frame_interval, integrator, require
+from carom.plan.auto import frame_interval, integrator
+from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.plan.step_limits import StepLimits, step_limits, wider_limits
 from carom.scene.halfspace import half_spaces

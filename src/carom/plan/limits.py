@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 
-from carom.plan.features import gravity_method, integrator, require
+from carom.plan.auto import gravity_method, integrator
+from carom.plan.features import require
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from carom.plan.features import (
+from carom.plan.auto import (
     FREE_CFL,
     MANY,
     STEP_PER_BODY,

@@ -17,7 +17,7 @@ import math
 
 from carom.experiment.work_precision.settings_grid import Point, default_points, knobs
 from carom.experiment.work_precision.tradeoff import Result, Study, Teller
-from carom.plan.features import auto_interval
+from carom.plan.auto import auto_interval
 
 FRAMES_KEPT = 0.95  # of the frames that a recording of the scene has: a longer step is not worth a jerking picture
 NEARER = 0.9  # of the factor by which limits are missed, that half the step has to come down to

@@ -24,7 +24,8 @@ from carom.experiment.work_precision.error_measures import NAMES, Errors, Scale,
 from carom.experiment.work_precision.event_driven_reference import TIGHTEST, solve, why_not
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.plan.features import cfl, gravity_method, pull_fraction, require, target_dx
+from carom.plan.auto import cfl, gravity_method, pull_fraction, target_dx
+from carom.plan.features import require
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from carom.experiment.work_precision.reference import refined
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
-from carom.plan.features import gravity_method, integrator, require, smoothing, timing
+from carom.plan.auto import gravity_method, integrator, smoothing, timing
+from carom.plan.features import require
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS

@@ -20,7 +20,7 @@ from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.plan.features import frame_interval
+from carom.plan.auto import frame_interval
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

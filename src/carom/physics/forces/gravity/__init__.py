@@ -9,7 +9,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.thread_team import Team
-from carom.plan.features import gravity_method
+from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene
 
