@@ -47,7 +47,7 @@ CONTACTS = {
     "tray": {"total": 89, "max_overlap": 5.430910332685188e-05, "impacts": 60, "impacts_counted": "each"},
 }
 CLIPPED = {  # frames and steps between 0.15 and 0.45 s
-    "cloud": {"frames": 3, "first_step": 56, "last_step": 126, "replays_from": 56},
+    "cloud": {"frames": 3, "first_step": 56, "last_step": 126, "replays_from": 0},
     "tray": {"frames": 2, "first_step": 10, "last_step": 20, "replays_from": 0},
 }
 
