@@ -93,7 +93,7 @@ class _NoSpin(ast.NodeTransformer):
 
     def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
         asks = ast.unparse(node.test)
-        if asks in ("spins", "spins and V[b, 7] > 0.0", "len(omega) > 0"):
+        if asks in ("spins", "spins and body.inverse_inertia > 0.0", "len(omega) > 0"):
             return node.orelse
         return self.generic_visit(node)
 
@@ -113,9 +113,9 @@ def without_spin(folder: Path) -> Path:
     """Copy the package into a folder and delete spin from its kernels; return the folder."""
     package = Path(carom.__file__).parent
     shutil.copytree(package, folder / "carom", ignore=shutil.ignore_patterns("__pycache__"))
-    contact = folder / "carom" / "physics" / "contact"
-    for name in ("solver", "sweep", "booking", "motion"):
-        path = contact / f"{name}.py"
+    solver = folder / "carom" / "physics" / "contact" / "solver"
+    for name in ("impacts", "prepare", "solve", "line_search", "energy_audit", "body_state"):
+        path = solver / f"{name}.py"
         tree = _NoSpin().visit(ast.parse(path.read_text(encoding="utf-8")))
         left = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
         assert not left & {"spins", "omega"}, f"{name} still knows of spin"
