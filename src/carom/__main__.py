@@ -5,17 +5,33 @@ from __future__ import annotations
 import os
 import sys
 
+LEAST_ADDRESS_SPACE = 1.2e9  # bytes; with 0.9 GB Arrow aborts in the middle of a run of two spheres, with 1.1 it ends
+
 
 def main() -> None:
     """Run the command; an interrupt while it is loaded ends it without a traceback."""
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL")
+    refuse_small_address_space()
     try:
         from carom.cli.process import main as run  # noqa: PLC0415 - takes half a second
     except KeyboardInterrupt:
         os.write(2, b"carom: interrupted\n")
         os._exit(130)
     run()
+
+
+def refuse_small_address_space() -> None:
+    """Exit where ``ulimit -v`` leaves too little for the libraries: they abort without a word when it is used up."""
+    import resource  # noqa: PLC0415 - POSIX only
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+        sys.stderr.write(
+            f"carom: address space is limited to {limit / 1e9:.2g} GB, and carom needs {LEAST_ADDRESS_SPACE / 1e9:.2g}"
+            " GB or more; raise the limit (ulimit -v, in kB)\n"
+        )
+        sys.exit(2)
 
 
 if __name__ == "__main__":

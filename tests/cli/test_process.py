@@ -188,6 +188,14 @@ def test_a_system_that_is_not_posix_is_refused_in_one_sentence(tmp_path: Path) -
     assert done.stderr == "carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL\n"
 
 
+def test_an_address_space_that_is_too_small_is_refused_before_a_library_aborts(tmp_path: Path) -> None:
+    script = f"ulimit -v 900000; {sys.executable} -m carom run two-spheres"
+    done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("carom: address space is limited to 0.92 GB, and carom needs 1.2 GB or more")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     script = f"{sys.executable} -m carom scenes | head -1"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", script], cwd=tmp_path, capture_output=True, check=False)
