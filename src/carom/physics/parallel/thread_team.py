@@ -10,8 +10,8 @@ one.
 
 Rejected, with what was measured:
 
-- `prange`: its threads meet at a barrier after each of hundreds of colours, 2 µs on a quiet machine and 7.8 ms beside
-  two busy processes with libgomp's defaults. Its threading layer differs from machine to machine.
+- Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, 2 µs on a quiet machine and
+  7.8 ms beside two busy processes with libgomp's defaults. Its threading layer differs from machine to machine.
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
   still looks at the board begins within 1 µs.
 - Helpers that ask the interpreter what to call: they and the leader wait for its lock, 10 to 30 µs a phase. A step of
