@@ -28,8 +28,8 @@ def refuse_small_address_space() -> None:
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
         sys.stderr.write(
-            f"carom: address space is limited to {limit / 1e9:.2g} GB, and carom needs {LEAST_ADDRESS_SPACE / 1e9:.2g}"
-            " GB or more; raise the limit (ulimit -v, in kB)\n"
+            f"carom: address space is limited to {limit / 1e9:.2g} GB, and its libraries need "
+            f"{LEAST_ADDRESS_SPACE / 1e9:.2g} GB or more; raise the limit (ulimit -v, in kB)\n"
         )
         sys.exit(2)
 

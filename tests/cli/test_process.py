@@ -192,7 +192,7 @@ def test_an_address_space_that_is_too_small_is_refused_before_a_library_aborts(t
     script = f"ulimit -v 900000; {sys.executable} -m carom run two-spheres"
     done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("carom: address space is limited to 0.92 GB, and carom needs 1.2 GB or more")
+    assert done.stderr.startswith("carom: address space is limited to 0.92 GB, and its libraries need 1.2 GB or more")
     assert not list(tmp_path.iterdir())
 
 
