@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
+from carom.plan import pulls
 from carom.plan.auto import cfl, frame_interval, gravity_method, integrator, pull_fraction, smoothing, target_dx, timing
 from carom.plan.features import require
 from carom.scene.error import SceneError
+from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
@@ -261,3 +263,14 @@ def test_the_seeds_hundredth_of_a_metre_is_what_a_person_writes_or_what_many_bod
 def test_the_reason_for_the_adaptive_step_names_what_it_follows() -> None:
     assert require(pair(time={"target_dx": 0.25, "cfl": 0.1})).adaptive_step.why == "cfl = 0.1, target_dx = 0.25 m"
     assert "target_dx = 4e-06 m: 0.002 of a fall" in require(pair()).adaptive_step.why
+
+
+def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(RESTING, gravity={"constant": 0})
+    assert not require(scene).contact.modelled
+    trap = ForceKind("gravity-well", lambda scene: (True, "of this test"), differs=True)
+    monkeypatch.setattr(pulls, "FORCES", (*FORCES, trap))
+    needs = require(scene)
+    assert needs.contact.modelled and needs.resting.modelled
+    assert needs.resting.why.startswith("well presses")
+    assert needs.impact_time.why.startswith("the well presses contacts together")

@@ -6,6 +6,7 @@ from typing import Literal
 
 from carom.plan import contacts, pulls
 from carom.plan.forced import forced_parts
+from carom.scene.forces import GRAVITY
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.schema import Scene
 
@@ -63,8 +64,9 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contacts.contact(scene).modelled:
         return "no contact is possible"
-    if contacts.load(scene) and not contacts.field_presses(scene):
-        return "the bodies' own gravity presses contacts together"
+    if (force := contacts.load(scene)) and not contacts.field_presses(scene):
+        whose = "the bodies' own gravity" if force == GRAVITY.short_name else f"the {force}"
+        return f"{whose} presses contacts together"
     return "" if chosen.drifts_once else f"a step of {chosen.name} is more than one drift"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.plan.pulls import gravity, pushing
+from carom.plan.pulls import differing, pushing
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -15,7 +15,7 @@ def contact(scene: Scene) -> Part:
     solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
     if scene.count == 1 and solids == 0:
         return Part(name, False, "one body has nothing to touch")
-    if not gravity(scene).modelled and not _moves_relatively(scene):
+    if not differing(scene) and not _moves_relatively(scene):
         return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
     if solids:
         return Part(name, True, f"{scene.count} bodies and {solids} planes may meet")
@@ -68,8 +68,8 @@ def stabilisation(scene: Scene, contact: Part) -> Part:
 
 def load(scene: Scene) -> str:
     """Say what presses contacts together; empty if nothing does, and every contact is an impact."""
-    if gravity(scene).modelled:
-        return "gravity"
+    if force := differing(scene):
+        return force
     return f"the {pushing(scene)}" if field_presses(scene) else ""
 
 

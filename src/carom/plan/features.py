@@ -225,7 +225,7 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
     if force := pulls.damping(scene):
         why = f"its one drift has room for the {force.name}"
-    elif not pulls.gravity(scene).modelled:
+    elif not pulls.differing(scene):
         why = "exact without a pull between bodies"
     elif contacts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"

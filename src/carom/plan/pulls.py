@@ -17,6 +17,12 @@ def gravity(scene: Scene) -> Part:
     return part(GRAVITY, scene)
 
 
+def differing(scene: Scene) -> str:
+    """Name the first force that accelerates bodies at rest differently, so that they may meet; empty if none does."""
+    found = (kind.short_name for kind in FORCES if kind.differs and part(kind, scene).modelled)
+    return next(found, "")
+
+
 def pushing(scene: Scene) -> str:
     """Name the first force that accelerates all bodies at rest alike; empty if none does."""
     return next((kind.short_name for kind in FORCES if kind.pushes(scene)), "")

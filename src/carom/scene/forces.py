@@ -28,6 +28,7 @@ class ForceKind:
     colour: str = ""  # of that series, by its name in the palette
     flag: str = ""  # in a recording's properties; `has_` and its short name unless given
     pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
+    differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
     part: str = ""  # without which that series is not recorded; the force itself unless given
     contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
@@ -87,6 +88,7 @@ GRAVITY = ForceKind(
     meaning="of the bodies' own gravity",
     colour="purple",
     flag="gravitates",
+    differs=True,
     part="potential",
     contradiction=_no_gravity_method,
 )
