@@ -22,10 +22,9 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.constraint_graph import colour_contacts
-from carom.physics.contact.law import materials_of
+from carom.physics.contact.law import IMPULSES, materials_of
 from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.contact.solver.warm_start import IMPULSES
 from carom.physics.parallel.thread_team import Team
 from carom.scene.halfspace import HalfSpaces
 from carom.scene.placement import Start

@@ -77,7 +77,7 @@ def _strike(bodies: Bodies, space: Space, i: int, j: int, n: FloatArray, since_k
     contact, change = space.scene.contact, bodies.acceleration * since_kick
     bodies.velocity[:] += change
     if j >= len(bodies):
-        e = space.planes.law[j - len(bodies), 0]
+        e = space.planes.material[j - len(bodies), 0]
         bodies.velocity[i] -= (1 + e) * (bodies.velocity[i] @ n) * n
     else:
         b1, b2 = BodyProxy(bodies, i), BodyProxy(bodies, j)

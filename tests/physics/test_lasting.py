@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.solver.warm_start import IMPULSES, ImpulseCache, impulses_of
+from carom.physics.contact.law import IMPULSES
+from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
 from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -140,7 +140,7 @@ def test_half_spaces_are_the_planes_and_then_the_walls_with_unit_normals_and_law
     assert np.allclose(np.linalg.norm(solids.normal, axis=1), 1.0, rtol=0, atol=2e-16)
     assert np.allclose(solids.normal[0], [0.6, 0.0, 0.8], rtol=0, atol=2e-16)
     assert np.allclose(solids.offset, [0.8, -1, -1, -2, -2, -3, -3], rtol=0, atol=2e-16)
-    assert solids.law.tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
+    assert solids.material.tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
 
 
 def test_what_is_written_outside_a_periodic_box_begins_inside_it() -> None:

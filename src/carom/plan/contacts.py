@@ -90,7 +90,7 @@ def resting(scene: Scene, contact: Part) -> Part:
 def restitution(scene: Scene, contact: Part) -> Part:
     """Decide whether anything bounces."""
     name, e = "restitution", scene.contact.restitution
-    if contact.modelled and e == 0 and all(plane.law(scene.contact)[0] == 0 for plane in scene.plane):
+    if contact.modelled and e == 0 and all(plane.material(scene.contact).restitution == 0 for plane in scene.plane):
         return Part(name, False, "every coefficient is 0: no bounce")
     return where_bodies_meet(name, contact, f"e = {e:g}")
 
@@ -98,7 +98,8 @@ def restitution(scene: Scene, contact: Part) -> Part:
 def friction(scene: Scene, contact: Part) -> Part:
     """Decide whether contacts resist sliding."""
     name, law = "friction", scene.contact
-    if contact.modelled and law.static_friction == 0 and all(plane.law(law)[1] == 0 for plane in scene.plane):
+    planes_are_smooth = all(plane.material(law).static_friction == 0 for plane in scene.plane)
+    if contact.modelled and law.static_friction == 0 and planes_are_smooth:
         return Part(name, False, "both coefficients are 0")
     return where_bodies_meet(name, contact, f"μs = {law.static_friction:g}, μk = {law.kinetic_friction:g}")
 

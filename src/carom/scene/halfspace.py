@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.schema import Scene
+from carom.scene.schema import Material, Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ class HalfSpaces:
     name: list[str]
     normal: FloatArray  # (p, 3) unit vectors, out of the solid
     offset: FloatArray  # (p,) m
-    law: FloatArray  # (p, 3) restitution, static and kinetic friction
+    material: FloatArray  # (p, k) the coefficients of `Material`
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -45,7 +45,7 @@ def planes_of(scene: Scene) -> HalfSpaces:
         name=[plane.name or f"plane {index}" for index, plane in enumerate(scene.plane)],
         normal=np.array(normals).reshape(-1, 3),
         offset=np.array([n @ np.array(plane.point) for n, plane in zip(normals, scene.plane, strict=True)]),
-        law=np.array([plane.law(scene.contact) for plane in scene.plane]).reshape(-1, 3),
+        material=np.array([plane.material(scene.contact) for plane in scene.plane]).reshape(-1, len(Material._fields)),
     )
 
 
@@ -54,13 +54,11 @@ def half_spaces(scene: Scene) -> HalfSpaces:
     planes, size = planes_of(scene), scene.domain.size
     if scene.domain.boundary != "walls" or size is None:
         return planes
-    contact = scene.contact
-    law = (contact.restitution, contact.static_friction, contact.kinetic_friction)
     return HalfSpaces(
         name=[*planes.name, *(name for name, _ in WALLS)],
         normal=np.vstack((planes.normal, [inward for _, inward in WALLS])),
         offset=np.concatenate((planes.offset, -0.5 * np.repeat(size, 2))),
-        law=np.vstack((planes.law, [law] * len(WALLS))),
+        material=np.vstack((planes.material, [scene.contact.material] * len(WALLS))),
     )
 
 

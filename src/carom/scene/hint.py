@@ -10,13 +10,12 @@ from typing import Any
 from pydantic import BaseModel
 
 from carom.scene.lines import KeyPath
-from carom.scene.schema import Scene
+from carom.scene.schema import Material, Scene
 
 LONGEST = 80  # characters of a key that are compared
 MOST = 4  # places that are named
 ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # of the characters, in the same section and in others
 SHORTEST = 3  # characters that the beginning of a key may have
-SAME_FOR_ALL = ("restitution", "static_friction", "kinetic_friction")  # no body has its own so far
 OTHER_WORDS = {
     "sphere": "body",
     "spheres": "body",
@@ -45,7 +44,7 @@ def hint(path: KeyPath) -> str:
     if model is None:
         return ""
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
-    if path[0] in ("body", "group") and key in SAME_FOR_ALL:
+    if path[0] in ("body", "group") and key in Material._fields:
         return f"; a body has no {key} of its own yet: contact.{key} holds for all, plane.0.{key} for one plane"
     if near := _near(key, here, ALIKE):
         return _meant([near])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
     AfterValidator,
@@ -136,6 +136,14 @@ class Drag(Section):
         return self
 
 
+class Material(NamedTuple):
+    """The coefficients of the contact law: those of [contact] between bodies, those of a [[plane]] at that plane."""
+
+    restitution: float
+    static_friction: float
+    kinetic_friction: float
+
+
 class Contact(Section):
     """[contact]: what happens where spheres touch."""
 
@@ -195,6 +203,11 @@ class Contact(Section):
                 "a sliding contact cannot hold more than a sticking one, so kinetic_friction must be the smaller"
             )
         return self
+
+    @property
+    def material(self) -> Material:
+        """The coefficients between bodies."""
+        return Material(self.restitution, self.static_friction, self.kinetic_friction)
 
 
 class Domain(Section):
@@ -401,14 +414,15 @@ class Plane(Section):
             )
         return self
 
-    def law(self, contact: Contact) -> tuple[float, float, float]:
-        """Return restitution, static and kinetic friction; a coefficient not given follows the one that is."""
+    def material(self, contact: Contact) -> Material:
+        """Return the coefficients at the plane; a friction not given follows the one that is."""
         static, kinetic = self.static_friction, self.kinetic_friction
         if static is None:
             static = contact.static_friction if kinetic is None else max(kinetic, contact.static_friction)
         if kinetic is None:
             kinetic = min(static, contact.kinetic_friction)
-        return (contact.restitution if self.restitution is None else self.restitution, static, kinetic)
+        restitution = contact.restitution if self.restitution is None else self.restitution
+        return Material(restitution, static, kinetic)
 
 
 ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that only a run of the promised duration can keep or break

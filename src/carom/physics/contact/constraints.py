@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import CACHE_LINE, record
+from carom.physics.diagnostics.ledger import TERMS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -20,6 +21,7 @@ Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
+LEDGER_TERMS = " ".join(TERMS)
 
 CONTACT = record(
     "nx ny nz arm_i arm_j"  # normal from i to j; m, from each centre to the contact point
@@ -34,7 +36,7 @@ CONTACT_STATE = record(
     "overlap found_overlap"  # m, now, minus the gap where there is one; as found, before any correction, or 0
     " rest_speed approach_speed"  # m/s, up to which the contact is at rest; at which it closed before the impulses
     " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before the impulses that hold it
-    " restitution_loss friction_loss stabilisation_gain"  # J, its ledger
+    f" {LEDGER_TERMS}"  # J, its ledger
     " push_x push_y push_z push_fraction",  # m, Σ δ n of the position corrections; part of an overlap that one undoes
     flags="apart biased",  # whether it was found apart; whether Baumgarte's bias makes it separate
     size=2 * CACHE_LINE,
@@ -60,7 +62,7 @@ PIECE_FINDINGS = record(  # what a phase found in a piece of contacts
     " residual_norm largest_push largest_pull"  # of conjugate gradients: r·z; N s, the largest impulses of either sign
     " slope step_limit"  # of the line search: J, s·c; the largest α that lets no contact pull
     " fastest"  # m/s, the fastest approach
-    " restitution_loss friction_loss stabilisation_gain",  # J
+    f" {LEDGER_TERMS}",  # J
     flags="any_rests",  # whether a contact is at rest
     size=2 * CACHE_LINE,
 )

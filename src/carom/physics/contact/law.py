@@ -1,25 +1,97 @@
-"""The contact law: how far a contact rebounds, and what friction it can carry.
+"""The contact law: what impulses a contact may exert, and what every law shares.
 
-    v_n' = -e v_n                                   restitution (Newton), for impacts
-    |J_t| ≤ μ_s J_n where the contact sticks,  |J_t| = μ_k J_n against the slip where it slides     (Coulomb)
+`ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels ask the law by
+these functions only. Numba resolves and inlines them when it compiles a kernel, so a call costs nothing; a law that
+each scene chooses at run time would cost a branch or a compilation for each law.
 
-The helpers take and return numbers, are inlined by Numba, and so cost nothing.
+To change the law:
+
+1. Write a module like `coulomb` with these functions, each decorated by ``inline``.
+2. Name it in `LAW`, below.
+3. If it needs coefficients of its own, add them to `carom.scene.schema`: to ``Material``, whose fields `MATERIAL`
+   takes over, and as keys of ``[contact]`` and ``[[plane]]``.
+
+What every law shares: contacts push and never pull (λ_n ≥ 0, the condition of the solver); the warm start keeps one
+normal and one tangential impulse, `IMPULSES`; the ledger books what the normal impulse takes out as restitution and
+what the tangential one takes out as friction. A law that pulls or that resists rolling changes these, too: the
+conditions in ``solver/solve.py`` and ``solver/conjugate_gradients.py``, and the fields of ``CONTACT``.
 """
 
 from __future__ import annotations
 
+from typing import Any, Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact import coulomb
 from carom.physics.parallel.jit import inline
+from carom.scene.schema import Material
 
+FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
-MATERIAL = np.dtype([(name, np.float64) for name in ("restitution", "static_friction", "kinetic_friction")], align=True)
+MATERIAL = np.dtype([(name, np.float64) for name in Material._fields], align=True)
+IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
 
 
-def materials_of(rows: NDArray[np.float64]) -> Records:
-    """Return records, (k,), given (k, 3) restitution, static and kinetic friction of each material."""
+class ContactLaw(Protocol):
+    """The functions of a contact law; ``material`` is a record of `MATERIAL`.
+
+    Impulses are in N s, speeds in m/s.
+    """
+
+    def restitution(self, material: Any, approach: float, rest_speed: float) -> float:
+        """Return the coefficient of restitution of an impact.
+
+        Parameters
+        ----------
+        material
+            Of the contact.
+        approach
+            Closing speed.
+        rest_speed
+            Closing speed up to which the contact is at rest.
+        """
+
+    def dissipates(self, material: Any) -> bool:
+        """Tell whether an impact may rebound more slowly than it closed."""
+
+    def impact_friction(self, material: Any, normal: float, stopping: float) -> float:
+        """Return the tangential impulse of an impact, against the slip.
+
+        Parameters
+        ----------
+        material
+            Of the contact.
+        normal
+            The normal impulse of the impact.
+        stopping
+            The tangential impulse that would end the slip.
+        """
+
+    def lasting_friction(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, ...]:
+        """Return the tangential impulse that a lasting contact exerts, (3,).
+
+        Parameters
+        ----------
+        material
+            Of the contact.
+        normal
+            Total of the normal impulse since the kick, not what an iteration adds to it.
+        tx, ty, tz
+            Total of the tangential impulse that would end the slip.
+        """
+
+    def sticks(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+        """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
+
+
+LAW: ContactLaw = coulomb
+
+
+def materials_of(rows: FloatArray) -> Records:
+    """Return a record of each material, (k,), given its coefficients in the order of `MATERIAL`, one row each."""
     return np.ascontiguousarray(rows, dtype=np.float64).view(MATERIAL)[:, 0]
 
 
@@ -30,47 +102,31 @@ def material_index(j: int, bodies: int) -> int:
 
 
 @inline
-def slip_velocity(
-    tx: float, ty: float, tz: float, nx: float, ny: float, nz: float, wx: float, wy: float, wz: float
-) -> tuple[float, float, float]:
-    """Return the slip at the contact point, u = v_t - w × n.
+def restitution_at_depth(e: float, vn: float, overlap: float, pull: float) -> float:
+    """Return the restitution coefficient of an impact found after its time; see `solver.impacts`.
 
     Parameters
     ----------
-    tx, ty, tz
-        m/s, v_t, the tangential part of the centres' relative velocity.
-    nx, ny, nz
-        The normal, from i to j.
-    wx, wy, wz
-        m/s, w = ρ_i ω_i + ρ_j ω_j, with the lever arms ρ.
+    e
+        The coefficient at the surface.
+    vn
+        m/s, normal velocity where the impact was found.
+    overlap
+        m
+    pull
+        m/s², relative acceleration that presses the bodies together.
     """
-    return tx - (wy * nz - wz * ny), ty - (wz * nx - wx * nz), tz - (wx * ny - wy * nx)
+    at_depth: float = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * pull / (vn * vn)))
+    return at_depth
 
 
 @inline
-def friction_impulse(sticking: float, normal: float, static_friction: float, kinetic_friction: float) -> float:
-    """Return |J_t|, given the impulse that would end the slip and the normal impulse; all in N s."""
-    return kinetic_friction * normal if sticking > static_friction * normal else sticking
+def normal_loss(Jn: float, vn: float, Kn: float) -> float:
+    """Return the energy in J that a normal impulse takes out, given v_n before it and K_n = 1/m_i + 1/m_j."""
+    return -Jn * (vn + 0.5 * Jn * Kn)
 
 
 @inline
-def within_friction_cone(
-    tx: float, ty: float, tz: float, normal: float, static_friction: float, kinetic_friction: float
-) -> tuple[float, float, float]:
-    """Return a tangential impulse as it is where the contact sticks with it, or the kinetic friction along it.
-
-    The total impulse of a lasting contact is clamped, not what an iteration changes of it.
-    """
-    squared = tx * tx + ty * ty + tz * tz
-    most = static_friction * normal
-    if squared > most * most:
-        scale = kinetic_friction * normal / np.sqrt(squared)
-        tx, ty, tz = scale * tx, scale * ty, scale * tz
-    return tx, ty, tz
-
-
-@inline
-def sticks(tx: float, ty: float, tz: float, normal: float, static_friction: float) -> bool:
-    """Tell whether a tangential impulse is inside of the friction cone."""
-    most = static_friction * normal
-    return tx * tx + ty * ty + tz * tz < most * most
+def tangential_loss(Jt: float, slip: float, Kt: float) -> float:
+    """Return the energy in J that an impulse against the slip takes out, given the slip before it and K_t."""
+    return Jt * (slip - 0.5 * Jt * Kt)

@@ -90,8 +90,7 @@ class ContactPipeline:
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
-        own = (contact.restitution, contact.static_friction, contact.kinetic_friction)
-        materials = materials_of(np.vstack((np.array(own), planes.law)))
+        materials = materials_of(np.vstack((np.array(contact.material), planes.material)))
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # limits reached and told so far

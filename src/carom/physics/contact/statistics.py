@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK, LEDGER_TERMS
 from carom.physics.contact.snapshot import ContactSnapshot
-from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 
@@ -26,7 +26,7 @@ Records = NDArray[np.void]
 MIN_BLOCKS_PER_TASK = 1
 
 BLOCK_COUNTS = record(  # what is counted of a block of contacts
-    "restitution_loss friction_loss stabilisation_gain"  # J
+    f"{LEDGER_TERMS}"  # J
     " contacts impacts struck"  # numbers, and J: Σ ½ μ v_n² of the impacts
     " hardest hardest_i hardest_j"  # J, and the ends
     " deepest deepest_i deepest_j"  # overlap / smaller radius, and the ends
@@ -126,7 +126,7 @@ def _count(
 
 @inline
 def _begin(block: Any) -> None:
-    block.restitution_loss = block.friction_loss = block.stabilisation_gain = 0.0
+    clear_terms(block)
     block.contacts = block.impacts = block.struck = block.hardest = block.deepest = 0.0
     block.hardest_i = block.hardest_j = block.deepest_i = block.deepest_j = np.inf
 

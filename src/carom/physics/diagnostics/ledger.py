@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import columns
-from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.jit import inline, kernel
 
 FloatArray = NDArray[np.float64]
 
@@ -73,6 +74,12 @@ class Ledger:
 def terms_of(records: NDArray[np.void]) -> FloatArray:
     """Return the terms that records hold, (m, 3) J, as a view."""
     return columns(records, TERMS)
+
+
+@inline
+def clear_terms(entry: Any) -> None:
+    """Set the terms of a record to 0."""
+    entry.restitution_loss = entry.friction_loss = entry.stabilisation_gain = 0.0
 
 
 @kernel

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.time_of_impact import time_of_impact, time_of_impact_in_box
 from carom.physics.contact.continuous.trajectories import ROUNDING, Neighbours, Trajectories, advance, leaves_reach
-from carom.physics.contact.law import friction_impulse, material_index, slip_velocity
+from carom.physics.contact.law import LAW, material_index, normal_loss, tangential_loss
+from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.periodic_box import minimum_image
@@ -71,7 +72,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
         partner = T.body[known].partner
         i, j = min(known, partner), max(known, partner)
         _collide(i, j, log[row], T)
-        lossy = T.materials[material_index(j, n)].restitution < 1.0
+        lossy = LAW.dissipates(T.materials[material_index(j, n)])
         _count_impact(known, lossy, T)
         _count_impact(partner, lossy, T)
         if T.inverse_mass[known] > 0.0:
@@ -213,13 +214,13 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     material = T.materials[material_index(j, n)]
     Kn = mi + mj
     rest_speed = max(T.rest_speed[i], T.rest_speed[j])
-    e = material.restitution if -vn > rest_speed else 0.0
+    e = LAW.restitution(material, -vn, rest_speed)
     Jn = max(0.0, -(1.0 + e) * vn) / Kn
     Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
     entry.i, entry.j, entry.time = i, j, clock
     entry.nx, entry.ny, entry.nz = nx, ny, nz
     entry.approach, entry.rest_speed = max(0.0, -vn), rest_speed
-    entry.restitution_loss = -Jn * (vn + 0.5 * Jn * Kn)
+    entry.restitution_loss = normal_loss(Jn, vn, Kn)
     entry.friction_loss = entry.stabilisation_gain = 0.0
     if len(omega) > 0:
         wx = ri * omega[i, 0] + rj * omega[j, 0]
@@ -229,9 +230,9 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         slip = np.sqrt(ux * ux + uy * uy + uz * uz)
         if slip > 0.0:
             Kt = Kn + ri * ri * T.inverse_inertia[i] + rj * rj * T.inverse_inertia[j]
-            Jt = friction_impulse(slip / Kt, Jn, material.static_friction, material.kinetic_friction)
+            Jt = LAW.impact_friction(material, Jn, slip / Kt)
             if Jt > 0.0:
-                entry.friction_loss = Jt * (slip - 0.5 * Jt * Kt)
+                entry.friction_loss = tangential_loss(Jt, slip, Kt)
                 fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
                 Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
                 tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part turns nothing

@@ -15,7 +15,7 @@ A stack of n spheres takes some n iterations, and about n² of `solve`; so does 
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.law import material_index, sticks
+from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inner, kernel
@@ -125,7 +125,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
         if spins:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
             material = system.materials[material_index(j, count)]
-            if sticks(tx, ty, tz, contact.normal_impulse, material.static_friction):
+            if LAW.sticks(material, contact.normal_impulse, tx, ty, tz):
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True
                 search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz

@@ -30,7 +30,7 @@ from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTIN
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.halfspace import HalfSpaces
@@ -329,6 +329,6 @@ def _clear(contact: Any, state: Any) -> None:
     contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
     state.rest_speed = state.approach_speed = 0.0
     state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
-    state.restitution_loss = state.friction_loss = state.stabilisation_gain = 0.0
+    clear_terms(state)
     state.push_x = state.push_y = state.push_z = state.push_fraction = 0.0
     state.biased = False

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.continuous.trajectories import ROUNDING
-from carom.physics.contact.law import friction_impulse, material_index
+from carom.physics.contact.law import LAW, material_index, normal_loss, restitution_at_depth, tangential_loss
 from carom.physics.contact.solver.body_state import push, turn
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner, long_kernel
@@ -64,12 +64,12 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):  # a lasting contact is held, and a gap
             continue  # that is open has time
         material = system.materials[material_index(j, count)]
-        e = 0.0 if rests else material.restitution
+        e = LAW.restitution(material, -vn, state.rest_speed)
         overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:
             an = (a[i, 0] - a[j, 0]) * nx + (a[i, 1] - a[j, 1]) * ny + (a[i, 2] - a[j, 2]) * nz
             if an > 0.0:
-                e = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * an / (vn * vn)))
+                e = restitution_at_depth(e, vn, overlap, an)
         change = -(1.0 + e) * vn
         biased = change + bias_rate * overlap
         if biased <= 0.0:
@@ -82,9 +82,9 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
         Kn = body_i.inverse_mass + body_j.inverse_mass
         Jn = biased / Kn
         Jn_unbiased = max(0.0, change) / Kn
-        lost = -Jn_unbiased * (vn + 0.5 * Jn_unbiased * Kn)
+        lost = normal_loss(Jn_unbiased, vn, Kn)
         state.restitution_loss += lost
-        state.stabilisation_gain += Jn * (vn + 0.5 * Jn * Kn) + lost
+        state.stabilisation_gain += lost - normal_loss(Jn, vn, Kn)
         Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
         if spins:
             ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
@@ -92,8 +92,8 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
             if speed > 0.0:
                 ri, rj = contact.arm_i, contact.arm_j
                 Kt = Kn + ri * ri * body_i.inverse_inertia + rj * rj * body_j.inverse_inertia
-                Jt = friction_impulse(speed / Kt, Jn, material.static_friction, material.kinetic_friction)
-                state.friction_loss += Jt * (speed - 0.5 * Jt * Kt)
+                Jt = LAW.impact_friction(material, Jn, speed / Kt)
+                state.friction_loss += tangential_loss(Jt, speed, Kt)
                 tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.law import material_index
+from carom.physics.contact.law import LAW, material_index
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch
@@ -92,7 +92,7 @@ def correct_positions(lo: int, hi: int, piece: int, system: ConstraintSystem) ->
         state = system.states[c]
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * nx + vy * ny + vz * nz
-        rebounds = -vn > state.rest_speed and system.materials[material_index(j, n)].restitution > 0.0
+        rebounds = LAW.restitution(system.materials[material_index(j, n)], -vn, state.rest_speed) > 0.0
         if vn > LEAVING * state.rest_speed or rebounds:
             continue
         if overlap > ENOUGH * reach:

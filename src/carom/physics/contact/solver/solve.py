@@ -31,7 +31,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.law import material_index, within_friction_cone
+from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, push, turn
 from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
 from carom.physics.parallel.jit import inner
@@ -87,7 +87,7 @@ def solve(lo: int, hi: int, piece: int, system: ConstraintSystem, turning: tuple
             oz = contact.friction_z + alpha * contact.delta_z
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(j, count)]
-            tx, ty, tz = within_friction_cone(tx, ty, tz, normal, material.static_friction, material.kinetic_friction)
+            tx, ty, tz = LAW.lasting_friction(material, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
             contact.delta_x, contact.delta_y, contact.delta_z = dx, dy, dz

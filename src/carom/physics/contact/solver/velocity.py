@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.contact.law import slip_velocity
 from carom.physics.parallel.jit import inline
 
 
@@ -22,6 +21,24 @@ def relative_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float
     ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
     vn = ux * nx + uy * ny + uz * nz
     return vn, ux - vn * nx, uy - vn * ny, uz - vn * nz
+
+
+@inline
+def slip_velocity(
+    tx: float, ty: float, tz: float, nx: float, ny: float, nz: float, wx: float, wy: float, wz: float
+) -> tuple[float, float, float]:
+    """Return the slip at the contact point, u = v_t - w × n, in m/s.
+
+    Parameters
+    ----------
+    tx, ty, tz
+        m/s, v_t, the tangential part of the centres' relative velocity.
+    nx, ny, nz
+        The normal, from i to j.
+    wx, wy, wz
+        m/s, w = ρ_i ω_i + ρ_j ω_j, with the lever arms ρ.
+    """
+    return tx - (wy * nz - wz * ny), ty - (wz * nx - wx * nz), tz - (wx * ny - wy * nx)
 
 
 @inline

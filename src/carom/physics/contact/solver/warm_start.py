@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, ConstraintSystem
+from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.body_state import apply_impulse
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
@@ -24,7 +25,6 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 MIN_CONTACTS_PER_TASK = 500
-IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t
 
 
 def impulses_of(contacts: Records) -> FloatArray:

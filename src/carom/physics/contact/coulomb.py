@@ -1,0 +1,52 @@
+"""Newton's restitution and Coulomb's friction, as a `carom.physics.contact.law.ContactLaw`.
+
+An impact rebounds by the coefficient e, a contact at rest does not; friction is bounded:
+
+    v_n' = -e v_n
+    |J_t| ≤ μ_s J_n where the contact sticks,  |J_t| = μ_k J_n against the slip where it slides
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carom.physics.parallel.jit import inline
+
+
+@inline
+def restitution(material: Any, approach: float, rest_speed: float) -> float:
+    """Return e; 0 for contacts that close no faster than one at rest."""
+    return material.restitution if approach > rest_speed else 0.0
+
+
+@inline
+def dissipates(material: Any) -> bool:
+    """Tell whether e < 1."""
+    e: float = material.restitution
+    return e < 1.0
+
+
+@inline
+def impact_friction(material: Any, normal: float, stopping: float) -> float:
+    """Return the impulse that ends the slip, or kinetic friction where static friction cannot end it."""
+    return material.kinetic_friction * normal if stopping > material.static_friction * normal else stopping
+
+
+@inline
+def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return a tangential impulse unchanged inside the friction cone, else the kinetic friction along it."""
+    squared = tx * tx + ty * ty + tz * tz
+    most = material.static_friction * normal
+    if squared > most * most:
+        scale = material.kinetic_friction * normal / np.sqrt(squared)
+        tx, ty, tz = scale * tx, scale * ty, scale * tz
+    return tx, ty, tz
+
+
+@inline
+def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+    """Tell whether a tangential impulse is inside the friction cone."""
+    most: float = material.static_friction * normal
+    return tx * tx + ty * ty + tz * tz < most * most
