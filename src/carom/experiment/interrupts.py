@@ -9,7 +9,7 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a terminal that is closed
-_SAME_PRESS = 0.3  # s; wrappers such as `uv run` pass on an interrupt that the terminal has sent already
+SAME_PRESS = 0.3  # s; wrappers such as `uv run` pass on an interrupt that the terminal has sent already
 
 _received: list[int] = []  # signals that were raised as KeyboardInterrupt
 
@@ -47,7 +47,7 @@ class Interrupts:
         self.count = 0
         self.sender = "the user"
         self._patience = patience
-        self._last = -_SAME_PRESS  # s, when the interrupt key was last pressed
+        self._last = -SAME_PRESS  # s, when the interrupt key was last pressed
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -70,7 +70,7 @@ class Interrupts:
                 self.count, self.sender = 1, signal.Signals(number).name
             return
         now = time.monotonic()
-        if now - self._last >= _SAME_PRESS:
+        if now - self._last >= SAME_PRESS:
             self.count += 1
         self._last = now
         if self.count > self._patience:
