@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,32 @@ def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
     assert called.returncode == 0, called.stderr
     values, compiled, folder = json.loads(called.stdout)
     return values, compiled, folder
+
+
+def test_processes_that_start_together_compile_each_kernel_once(package: Path) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        answers = list(pool.map(lambda _: call(package), range(2)))
+    assert [values for values, _, _ in answers] == [[2.0 + k for k in range(COUNT)]] * 2
+    assert sum(compiled for _, compiled, _ in answers) == COUNT + 1
+
+
+def test_a_kernel_that_a_killed_process_had_begun_is_compiled_by_another(tmp_path: Path) -> None:
+    kernel = tmp_path / "kernel.nbc"
+    claim = f"""
+import pathlib, sys
+from carom.physics.parallel import kernel_cache
+print(kernel_cache._claim(pathlib.Path({str(kernel)!r})), flush=True)
+sys.stdin.read()
+"""
+    with subprocess.Popen([sys.executable, "-c", claim], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None and other.stdout.readline() == b"True\n"
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(kernel_cache, "PATIENCE", 0.1)
+            assert not kernel_cache._claim(kernel), "while the other process has it"
+        other.kill()
+        other.wait()
+        assert kernel_cache._claim(kernel)
+    kernel_cache._release(kernel)
 
 
 def damage(rng: random.Random, files: list[Path]) -> None:

@@ -10,10 +10,19 @@ NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of
 
 
 def announce_compilation(say: Callable[[str], None] | None = None) -> None:
-    """Say so, on stderr unless told how, when kernels are compiled, once."""
+    """Say so, on stderr unless told how, when kernels are compiled, once; let a second process compile some of them."""
+    from carom.experiment.compile_ahead import start_compiling
     from carom.physics.parallel.jit import cache_folder, on_compilation
 
-    text = "Compiling kernels, once on this machine (about half a minute) …"
+    text = "Compiling kernels, once on this machine (about 20 s) …"
     if not cache_folder():
         text = f"Compiling kernels (about half a minute), at every start: {NO_CACHE} …"
-    on_compilation(lambda: say(text) if say else typer.echo(text, err=True))
+
+    def announce() -> None:
+        if say:
+            say(text)
+        else:
+            typer.echo(text, err=True)
+        start_compiling()
+
+    on_compilation(announce)

@@ -63,6 +63,13 @@ def _compiled(function: Function, **options: Any) -> Function:
     return cast("Function", compiled)
 
 
+def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
+    """Compile a kernel for such arguments, or load it, without calling it."""
+    compiled: Any = function
+    kind_of: Any = numba.typeof
+    compiled.compile(tuple(kind_of(argument) for argument in arguments))
+
+
 def cache_folder() -> str:
     """Return the folder in which the compiled kernels of this package are kept; empty if none is writable."""
     return str(kernel_cache.cache_folder(Path(__file__).parents[1]) or "")

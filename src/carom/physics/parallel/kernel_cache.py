@@ -3,17 +3,20 @@
 Numba's own cache unpickles and links whatever lies in its folder, and knows a kernel by the file it is written in. Here
 each file begins with a checksum of what it holds, of the kernel and the types it is for, and of all sources that the
 kernel may be made of: what is damaged, exchanged or out of date is compiled anew. One file for each kernel and types;
-no index that two processes would write at once.
+no index that two processes would write at once. A process that is about to compile a kernel claims it, so that others
+wait for the result instead of compiling it, too.
 """
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import pickle
 import stat
 import sys
 import tempfile
+import time
 import uuid
 from collections.abc import Callable
 from functools import cache
@@ -30,6 +33,9 @@ from numba.core.compiler import CompileResult
 from carom.physics.parallel.sources import sources_of
 
 CHECKSUM = 16  # bytes, before the others
+CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
+PATIENCE = 120.0  # s, to wait for another process, which takes a few seconds if it works at all
+POLL = 0.02  # s, between two looks at a claim
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3])
 
 
@@ -113,18 +119,33 @@ class KernelCache(caching._Cache):
         """Return what is compiled for a signature, or None where there is nothing that holds what it should."""
         target_context.refresh()
         types = _types(sig, target_context.codegen())
-        try:
-            content = self._path(types).read_bytes()
-        except OSError:
-            return None
-        data = memoryview(content)[CHECKSUM:]
-        if content[:CHECKSUM] != self._checksum(types, data):
+        data = self._read(types)
+        if data is None and _claim(self._path(types)):  # somebody else may have compiled it meanwhile
+            data = self._read(types)
+            if data is not None:
+                _release(self._path(types))
+        if data is None:
             return None
         return CompileResult._rebuild(target_context, *pickle.loads(data))  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled for a signature; where it cannot be kept, it is compiled again next time."""
         types = _types(sig, data.codegen)
+        try:
+            self._write(types, data)
+        finally:
+            _release(self._path(types))
+
+    def _read(self, types: bytes) -> memoryview | None:
+        """Return what the file for some types holds; None if there is none, or not what it should be."""
+        try:
+            content = self._path(types).read_bytes()
+        except OSError:
+            return None
+        data = memoryview(content)[CHECKSUM:]
+        return data if content[:CHECKSUM] == self._checksum(types, data) else None
+
+    def _write(self, types: bytes, data: Any) -> None:
         if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # only of use to this process
             return
         content: bytes = serialize.dumps(data._reduce())  # type: ignore[no-untyped-call]
@@ -155,6 +176,48 @@ class KernelCache(caching._Cache):
 
     def flush(self) -> None:
         """Do nothing; Numba wants it."""
+
+
+@cache
+def _claims(folder: Path) -> int | None:
+    """Open the file of the claims in a folder, once: to close it would give up all claims of this process."""
+    try:
+        return os.open(folder / CLAIMS, os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError:
+        return None
+
+
+def _byte_of(path: Path) -> int:
+    return xxhash.xxh3_64_intdigest(path.name.encode()) >> 2  # what a file's offset can hold
+
+
+def _claim(path: Path) -> bool:
+    """Claim a kernel, and wait while another process has it; tell whether this process has it now.
+
+    The end of a process ends its claims. Processes cannot wait for each other in a circle: each holds claims only of
+    kernels that call, directly or not, the one it waits for.
+    """
+    claims = _claims(path.parent)
+    if claims is None:
+        return False
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            fcntl.lockf(claims, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _byte_of(path))
+        except BlockingIOError:
+            time.sleep(POLL)
+        except OSError:  # a file system without locks
+            return False
+        else:
+            return True
+    return False
+
+
+def _release(path: Path) -> None:
+    claims = _claims(path.parent)
+    if claims is not None:
+        with contextlib.suppress(OSError):
+            fcntl.lockf(claims, fcntl.LOCK_UN, 1, _byte_of(path))
 
 
 def _types(sig: Any, codegen: Any) -> bytes:

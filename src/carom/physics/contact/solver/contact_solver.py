@@ -26,7 +26,7 @@ from carom.physics.contact.islands import Islands
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
-from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTING, work
+from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTING, compile_phases, work
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
@@ -196,6 +196,10 @@ class ContactSolver:
         return ContactStatistics.of(
             self._system.pairs, self._system.contacts, self._system.states, self._bodies.ends, self._team
         )
+
+    def compile_phases(self) -> None:
+        """Compile the phases of holding contacts, without doing any."""
+        compile_phases(self._system)
 
     def update_geometry(self) -> None:
         """Find the geometry of the contacts at the present positions."""

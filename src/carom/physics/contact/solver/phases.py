@@ -40,7 +40,7 @@ from carom.physics.contact.solver.position_correction import correct_positions
 from carom.physics.contact.solver.prepare import prepare
 from carom.physics.contact.solver.solve import HELD, solve
 from carom.physics.contact.solver.warm_start import warm_start
-from carom.physics.parallel.jit import inline, inner, long_kernel
+from carom.physics.parallel.jit import compile_for, inline, inner, long_kernel
 from carom.physics.parallel.thread_team import (
     END,
     PATIENCE,
@@ -289,6 +289,19 @@ def _do_piece(system: ConstraintSystem, k: int) -> None:
             conjugate_direction(lo, hi, system)
         elif phase == PROJECT:
             project(lo, hi, k, system)
+
+
+def compile_phases(system: ConstraintSystem) -> None:
+    """Compile the phases that `_do_piece` calls, the last first: another process may begin with the others."""
+    compile_for(project, 0, 0, 0, system)
+    compile_for(conjugate_direction, 0, 0, system)
+    compile_for(conjugate_step, 0, 0, 0, system)
+    compile_for(measure_violation, 0, 0, 0, system)
+    compile_for(audit, 0, 0, 0, system)
+    compile_for(solve, 0, 0, 0, system, ())
+    compile_for(solve, 0, 0, 0, system, (1,))
+    compile_for(warm_start, 0, 0, system)
+    compile_for(scale_back, system)
 
 
 @inner

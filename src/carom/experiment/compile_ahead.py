@@ -1,0 +1,85 @@
+"""Compiling kernels in a second process, beside the first run on a machine.
+
+Numba compiles under a lock of its own, so a thread would gain nothing. Both processes share the cache of compiled
+kernels, and neither compiles what the other one has begun, see `kernel_cache`. This one takes what a run needs late: it
+begins with the last phases of the solver. It only ever fills the cache. Where it fails, the run compiles by itself.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from typing import Any
+
+import numpy as np
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.law import materials_of
+from carom.physics.contact.solver.contact_solver import ContactSolver
+from carom.physics.parallel.jit import cache_folder
+from carom.physics.parallel.thread_team import SOLO, cores
+from carom.physics.space import Space
+from carom.scene.halfspace import half_spaces
+from carom.scene.placement import place
+from carom.scene.schema import Scene
+
+_SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
+POINTS: dict[str, Any] = {
+    "title": "points that pull each other",
+    "body": [_SPINNING, {"position": [1.0, 0.0, 0.0], "mass": 1.0}],
+    "gravity": {"constant": 1.0},
+    "contact": {"enabled": False},
+    "time": {"duration": 0.1, "max_dt": 0.02},
+}
+
+
+def start_compiling() -> subprocess.Popen[bytes] | None:
+    """Start the second process; None where it could not help: on one core, or without a cache to share.
+
+    It ends with this process, however that ends, and leaves no file but the kernels.
+    """
+    if cores() < 2 or not cache_folder():
+        return None
+    try:
+        helper = subprocess.Popen(
+            [sys.executable, "-P", "-m", "carom.experiment.compile_ahead"],
+            stdin=subprocess.PIPE,  # closed when this process ends
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except OSError:
+        return None
+    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # or it would stay a zombie
+    return helper
+
+
+def compile_ahead() -> None:
+    """Compile what most runs need, with the last first."""
+    scene = Scene.from_dict(POINTS)
+    _solver_of(scene).compile_phases()
+    Space(scene, threads=1).energy()
+    count = ALL_PAIRS_UP_TO + 1
+    HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
+
+
+def _solver_of(scene: Scene) -> ContactSolver:
+    """Build a solver of no contacts."""
+    bodies = Bodies.at_start(place(scene), spins=True, orients=True)
+    frictionless = materials_of(np.zeros((1, 3)))
+    solver = ContactSolver(bodies, half_spaces(scene), frictionless, np.zeros(3), friction=True, team=SOLO)
+    solver.lay(solver.order)
+    return solver
+
+
+def _end_with_parent() -> None:
+    sys.stdin.buffer.read()
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    compile_ahead()
+    os._exit(0)

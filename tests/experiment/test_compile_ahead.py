@@ -1,0 +1,98 @@
+"""A second process compiles kernels beside the first run on a machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from carom.experiment import compile_ahead
+from carom.experiment.warmup import SCENES
+from carom.physics.parallel.thread_team import cores
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+PILE = {"title": "a pile", **SCENES["a pile, recorded"]}
+STEPS = 5
+RUN = f"""
+import json
+from numba.core import event
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+class Listener(event.Listener):
+    def __init__(self):
+        self.compiled = []
+    def on_start(self, found):
+        self.compiled.append(found.data["dispatcher"].py_func.__name__)
+    def on_end(self, found):
+        pass
+
+listener = Listener()
+event.register("numba:compile", listener)
+space = Space(Scene.from_dict({PILE!r}))
+for step in range({STEPS}):
+    space.compute_dynamics(step + 1)
+print(json.dumps([space.fingerprint(), listener.compiled]))
+"""
+START = """
+import sys
+from carom.experiment.compile_ahead import start_compiling
+print(start_compiling().pid, flush=True)
+sys.stdin.read()
+"""
+
+
+def is_running(pid: int) -> bool:
+    """Tell whether a process runs; one that has ended and that nobody has asked about does not."""
+    state = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
+    return bool(state.strip()) and not state.startswith("Z")
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.skipif(cores() < 2, reason="on one core there is no second process")
+def test_the_second_process_ends_with_the_first_however_that_ends(tmp_path: Path, end: signal.Signals) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    starting = [sys.executable, "-c", START]
+    with subprocess.Popen(starting, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as first:
+        assert first.stdout is not None
+        second = int(first.stdout.readline())
+        assert is_running(second)
+        first.send_signal(end)
+        first.wait()
+    deadline = time.monotonic() + 60.0  # it takes a second or two to load
+    while is_running(second) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not is_running(second)
+
+
+def test_no_second_process_is_started_where_it_could_not_help(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(compile_ahead, "cache_folder", lambda: "")
+        assert compile_ahead.start_compiling() is None
+    monkeypatch.setattr(compile_ahead, "cores", lambda: 1)
+    assert compile_ahead.start_compiling() is None
+
+
+@pytest.mark.slow
+def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tmp_path: Path) -> None:
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    ahead = [sys.executable, "-m", "carom.experiment.compile_ahead"]
+    with subprocess.Popen(ahead, stdin=subprocess.PIPE, env=environment) as second:
+        assert second.wait() == 0
+    taken = {path.name.split("-")[0].rpartition(".")[2] for path in tmp_path.rglob("*.nbc")}
+    run = subprocess.run([sys.executable, "-c", RUN], env=environment, stdout=subprocess.PIPE, check=True)
+    fingerprint, compiled = json.loads(run.stdout)
+    phases = {"project", "conjugate_step", "conjugate_direction", "measure_violation", "audit", "solve", "warm_start"}
+    assert phases | {"search", "_pull", "turn"} <= taken
+    assert not phases & set(compiled)
+    space = Space(Scene.from_dict(PILE))
+    for step in range(STEPS):
+        space.compute_dynamics(step + 1)
+    assert space.fingerprint() == fingerprint
