@@ -12,7 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.atomics import atomic_load, atomic_max, atomic_replace
+from carom.physics.contact.union_find import join, join_shared, root_of
+from carom.physics.parallel.atomics import atomic_load, atomic_max
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.physics.periodic_box import minimum_image
@@ -28,8 +29,8 @@ UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some con
 class Islands:
     """Finds the island of each contact, and the speed up to which it is at rest there; keeps its tables.
 
-    Threads join islands at the same time: of two roots the higher one is hung below the lower one, so that the root of
-    an island is the lowest of its bodies in the end, whoever came first.
+    Threads join islands at the same time (`union_find`); the root of an island is the lowest of its bodies, whichever
+    thread came first.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class Islands:
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
         self._parent = np.empty(ends, dtype=np.int64)  # both are touched only where contacts are
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of a island the largest in it
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of an island the largest in it
 
     def write_rest_speeds(
         self,
@@ -122,8 +123,7 @@ def island_rest_speeds(
             d2 += d * d
         near = (radius[i] + radius[j]) * scale + skin
         if d2 <= near * near:
-            i, j = root_of(parent, i), root_of(parent, j)
-            parent[max(i, j)] = min(i, j)
+            join(parent, i, j)
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
     for i in range(n):
@@ -152,15 +152,6 @@ def largest_coordinate(position: FloatArray) -> float:
     return largest
 
 
-@kernel
-def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body of the island that a body belongs to."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
 @long_kernel
 def _stand_alone(
     lo: int,
@@ -173,7 +164,7 @@ def _stand_alone(
     largest: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:
-    """Begin with each body as a island of its own; tell whether one is accelerated unlike the first: all may fall."""
+    """Begin with each body as an island of its own; tell whether one is accelerated unlike the first: all may fall."""
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:
@@ -193,11 +184,8 @@ def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: I
     """Join the islands at the ends of each contact."""
     for c in range(lo, hi):
         i, j = pairs[c, 0], pairs[c, 1]
-        if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
-            continue
-        i, j = root_of(parent, i), root_of(parent, j)
-        while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
-            i, j = root_of(parent, i), root_of(parent, j)  # another thread has hung one of them elsewhere
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join_shared(parent, i, j)
 
 
 @long_kernel

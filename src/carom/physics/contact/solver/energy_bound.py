@@ -14,8 +14,8 @@ a connected component of the collision graph without what is fixed.
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.islands import root_of
 from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.contact.union_find import join, root_of
 from carom.physics.parallel.jit import inner
 
 
@@ -32,8 +32,7 @@ def scale_back(system: ConstraintSystem) -> None:
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         if bodies[i].inverse_mass > 0.0 and bodies[j].inverse_mass > 0.0:
-            i, j = root_of(island, i), root_of(island, j)
-            island[max(i, j)] = min(i, j)
+            join(island, i, j)
     for c in range(len(pairs)):
         if not system.held[c]:
             continue

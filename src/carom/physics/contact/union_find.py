@@ -1,0 +1,35 @@
+"""Union-find: sets of bodies, each a tree whose root is its lowest body (Galler & Fischer 1964)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.parallel.atomics import atomic_replace
+from carom.physics.parallel.jit import inner
+
+IntArray = NDArray[np.int64]
+
+
+@inner
+def root_of(parent: IntArray, i: int) -> int:
+    """Return the lowest body of the set that a body belongs to; halve the path to it."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@inner
+def join(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies: of two roots the higher one is hung below the lower one."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    parent[max(i, j)] = min(i, j)
+
+
+@inner
+def join_shared(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies while other threads join sets, too; the roots do not depend on who comes first."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
+        i, j = root_of(parent, i), root_of(parent, j)  # another thread has hung one of them elsewhere
