@@ -151,7 +151,7 @@ def _parts(frame: Frame) -> dict[str, list[Any]]:
     energy, contacts, memory = frame.energy, frame.contacts, frame.memory
     terms = (energy.translational, energy.rotational, energy.gravitational, energy.field, energy.integration_error)
     by_contacts = (energy.ledger.restitution, energy.ledger.friction, energy.ledger.stabilisation)
-    ledger = (*by_contacts, *energy.ledger.forces.values())
+    ledger = (*by_contacts, *(loss for _, loss in energy.ledger.forces))
     seen = [contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours]
     held = [memory.pairs, memory.rest_speed, memory.held_pairs, memory.impulse, _floats(memory.kick)] if memory else []
     turning = (frame.torque, frame.angular_acceleration)

@@ -162,7 +162,7 @@ def test_a_ball_at_rest_on_a_floor_books_nothing(dt: float, wind: list[float]) -
     drag = {"relaxation_time": 0.3, "medium_velocity": wind}
     space, frame = run(scene_of([ball], **FLOOR, time={"duration": 100 * dt, "fixed_dt": dt}, drag=drag))
     ledger = frame.energy.ledger
-    assert max(abs(ledger.restitution), abs(ledger.friction), abs(ledger.forces["drag"])) <= 1e-12
+    assert max(abs(ledger.restitution), abs(ledger.friction), abs(ledger.entry("drag"))) <= 1e-12
     assert abs(frame.velocity).max() <= 1e-14 and space.extremes.warned == ()
 
 
@@ -191,7 +191,7 @@ def test_friction_of_a_ball_that_a_wind_rolls_vanishes_with_the_square_of_the_st
 def test_a_medium_that_moves_drives_bodies_and_raises_no_alarm() -> None:
     drag = {"relaxation_time": 0.2, "medium_velocity": [3.0, 0.0, 0.0]}
     space, frame = run(cloud(100, gravity={"constant": 0.0}, drag=drag))
-    assert frame.energy.ledger.forces["drag"] < 0.0, "it put more in than it took out"
+    assert frame.energy.ledger.entry("drag") < 0.0, "it put more in than it took out"
     assert space.extremes.warned == () and space.extremes.energy_gain.value <= 1e-12
 
 

@@ -249,3 +249,12 @@ def test_the_watch_goes_on_after_a_checkpoint_as_if_the_run_had_not_stopped() ->
     again.restore(checkpoint)
     assert run(again) == whole
     assert replace(again.extremes) == replace(space.extremes)
+
+
+def test_an_energy_and_its_ledger_hash_as_what_they_hold() -> None:
+    first, same, other = (
+        Energy(1.0, 0.0, 0.0, 0.0, Ledger().plus_loss("drag", loss), 0.0, 1.0, (("spring", 2.0),))
+        for loss in (1.0, 1.0, 3.0)
+    )
+    assert hash(first) == hash(same) and len({first, same, other}) == 2
+    assert first.ledger.entry("drag") == 1.0 and first.term("spring") == 2.0

@@ -52,7 +52,7 @@ class Audit:
         losses: Iterable[str] = (),
     ) -> None:
         periodic = scene.domain.boundary == "periodic"
-        self.ledger = Ledger(forces=dict.fromkeys(losses, 0.0))
+        self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
         self.energy: Energy
         self.momentum: Momentum
         self.step = -1  # of the last check

@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from dataclasses import field as default
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import kernel
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
@@ -43,17 +42,18 @@ class Energy:
     ledger: Ledger
     integration_error: float
     scale: float  # what errors are compared with; see `EnergyAccount`
-    others: Mapping[str, float] = default(default_factory=dict)  # of the potentials of other forces, by their terms
+    others: NamedEnergies = ()  # of the potentials of other forces, by their terms
 
     def term(self, name: str) -> float:
         """Return a term by its name in the recording, in joules."""
-        return self.others[name] if name in self.others else float(getattr(self, name))
+        others = dict(self.others)
+        return others[name] if name in others else float(getattr(self, name))
 
     @property
     def total(self) -> float:
         """Sum of the terms."""
         total = self.translational + self.rotational + self.gravitational + self.field
-        for energy in self.others.values():
+        for _, energy in self.others:
             total += energy
         return total
 
@@ -156,7 +156,7 @@ class EnergyAccount:
             ledger=ledger,
             integration_error=total - self.baseline.initial + ledger.balance,
             scale=self.baseline.scale,
-            others=others,
+            others=tuple(others.items()),
         )
 
 

@@ -6,8 +6,7 @@ order.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
 TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same, as fields of records
+NamedEnergies = tuple[tuple[str, float], ...]  # J, by entries of the ledger or terms of the energy; hashable
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +33,12 @@ class Ledger:
     restitution: float = 0.0  # taken out by the normal impulses
     friction: float = 0.0  # taken out by the tangential impulses
     stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
-    forces: Mapping[str, float] = field(default_factory=dict)  # taken out by forces without a potential, by entry
+    forces: NamedEnergies = ()  # taken out by forces without a potential, by entry
 
     def entry(self, name: str) -> float:
         """Return an entry by its name in the recording, in joules."""
-        return self.forces[name] if name in self.forces else float(getattr(self, name))
+        forces = dict(self.forces)
+        return forces[name] if name in forces else float(getattr(self, name))
 
     def plus(self, contacts: FloatArray) -> Ledger:
         """Return the ledger after a step, given the contacts' own, (m, 3) J."""
@@ -52,7 +53,8 @@ class Ledger:
 
     def plus_loss(self, entry: str, loss: float) -> Ledger:
         """Return the ledger after a force without a potential took out so many joules."""
-        return replace(self, forces={**self.forces, entry: self.forces.get(entry, 0.0) + loss})
+        forces = dict(self.forces)
+        return replace(self, forces=tuple({**forces, entry: forces.get(entry, 0.0) + loss}.items()))
 
     @property
     def balance(self) -> float:
@@ -63,7 +65,7 @@ class Ledger:
     @property
     def by_forces(self) -> float:
         """What forces without a potential took out; less than 0 if they put more in, as a medium that moves may."""
-        return sum(self.forces.values())
+        return sum(loss for _, loss in self.forces)
 
     @property
     def taken_out(self) -> float:

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
@@ -32,6 +32,7 @@ _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
 _LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
+_BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
 _FULL = 7  # contacts per body in a dense packing, near ones included
@@ -84,9 +85,9 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
         if arrays:
             columns[name] = _flat(arrays)
     first = checkpoints[0].energy
-    for name in (*_ENERGIES, *first.others):
+    for name in (*_ENERGIES, *dict(first.others)):
         columns[f"energy_{name}"] = _each([c.energy.term(name) for c in checkpoints])
-    for name in (*_LEDGER, *first.ledger.forces):
+    for name in (*_LEDGER, *dict(first.ledger.forces)):
         columns[f"ledger_{name}"] = _each([c.energy.ledger.entry(name) for c in checkpoints])
     columns["books"] = [_books(c.books) for c in checkpoints], [1] * len(checkpoints)
     memories = [c.contacts for c in checkpoints if c.contacts is not None]
@@ -95,7 +96,22 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 def _books(books: Books) -> str:
     """Return the books as JSON; energies of forces that the scene has not got leave no byte."""
-    return json.dumps(asdict(books, dict_factory=lambda items: {key: value for key, value in items if value != {}}))
+
+    def entries(items: list[tuple[str, Any]]) -> dict[str, Any]:
+        kept = (item for item in items if item[1] or item[0] not in _BY_NAME)
+        return {key: dict(value) if key in _BY_NAME else value for key, value in kept}
+
+    return json.dumps(asdict(books, dict_factory=entries))
+
+
+def _books_of(text: str) -> Books:
+    """Undo `_books`."""
+
+    def entries(found: dict[str, Any]) -> dict[str, Any]:
+        by_name = {key: found[key] for key in _BY_NAME if isinstance(found.get(key), dict)}
+        return {**found, **{key: tuple(value.items()) for key, value in by_name.items()}}
+
+    return _BOOKS.validate_python(json.loads(text, object_hook=entries))
 
 
 def _encode_contacts(memories: Sequence[ContactCheckpoint]) -> dict[str, Column]:
@@ -150,7 +166,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
                 others=row.further("energy_", _POTENTIALS),
             ),
             contacts=row.contacts() if "contact_pairs" in stored else None,
-            books=_BOOKS.validate_python(json.loads(row.text("books"))),
+            books=_books_of(row.text("books")),
         )
         if _DIGEST in stored:
             digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
@@ -172,8 +188,8 @@ class _Row:
     def number(self, name: str) -> float:
         return float(self._finite(name, 1)[0])
 
-    def further(self, prefix: str, names: Sequence[str]) -> dict[str, float]:
-        return {name: self.number(prefix + name) for name in names if prefix + name in self._stored}
+    def further(self, prefix: str, names: Sequence[str]) -> NamedEnergies:
+        return tuple((name, self.number(prefix + name)) for name in names if prefix + name in self._stored)
 
     def text(self, name: str) -> str:
         if name not in self._stored:
