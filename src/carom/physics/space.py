@@ -464,11 +464,8 @@ class Space:
         if self._damping is None or damped is None:
             contact.hold(kick, dt, share)
             return
-        ends = self.state.ends
-        before, acceleration = ends.velocity.copy(), ends.acceleration.copy()
-        ends.acceleration[:] = self._damping.against()
-        contact.hold(kick, dt, share)
-        ends.acceleration[:] = acceleration
+        before = self.state.ends.velocity.copy()
+        contact.hold(kick, dt, share, self._damping.against())
         if len(contact.held):
             loss = self._damping.lost_in_hold(damped, before)
             self._exchanged.append(Exchange(loss, np.zeros(3), np.zeros(3)))

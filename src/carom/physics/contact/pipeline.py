@@ -152,11 +152,18 @@ class ContactPipeline:
         if self._lasts:
             self._order_contacts(self._near(dt), dt)
 
-    def hold(self, kick: float, dt: float, share: float) -> None:
+    def hold(self, kick: float, dt: float, share: float, against: FloatArray | None = None) -> None:
         """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s.
 
-        ``share`` is the part of the forces' work in that drift, in s of it, that the kick has done already: the kick's
-        own length, but for drag.
+        Parameters
+        ----------
+        kick, dt
+            s
+        share
+            s, of the drift: the part of the forces' work in it that the kick has done already. That is the length of
+            the kick, unless there is drag.
+        against
+            (n + p, 3) m/s², what accelerates the ends (default: their accelerations).
         """
         if self._needs.torque.modelled:
             self._team.divide(
@@ -164,7 +171,7 @@ class ContactPipeline:
             )
         self.held = np.zeros((0, 3))
         if self._is_at_rest():
-            self._hold_contacts(self._dt, kick, dt, 0.0, share)
+            self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.held = self._solver.audited
 
     def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
@@ -295,14 +302,16 @@ class ContactPipeline:
         """Tell whether something presses the contacts together: without that, all of them are impacts."""
         return self._lasts and self._presses
 
-    def _hold_contacts(self, dt: float, kick: float, drift: float, bias_rate: float, share: float) -> int:
+    def _hold_contacts(
+        self, dt: float, kick: float, drift: float, bias_rate: float, share: float, against: FloatArray | None = None
+    ) -> int:
         """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._pairs
         place = solver.order.place
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
             self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
-        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto")
+        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto", against)
 
     @property
     def seen(self) -> ContactSnapshot:

@@ -217,7 +217,7 @@ class ContactSolver:
         counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
         self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, counts)
         self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
-        self._work(POSITIONS, max_iterations)
+        self._work(POSITIONS, system, max_iterations)
 
     def audit_corrections(self) -> None:
         """Book the work of the pushes, at the accelerations that follow them."""
@@ -239,13 +239,22 @@ class ContactSolver:
         """
         self._settings["bias_rate"] = bias_rate
         self._settings["impacts_only"] = impacts_only
-        iterations = self._lead(IMPACTS, max_iterations)
+        iterations = self._lead(IMPACTS, self._system, max_iterations)
         found = self._system.found
         self._fastest = float(found["fastest"].max(initial=0.0))
         self.any_rests = bool(found["any_rests"].any())
         return iterations
 
-    def hold(self, dt: float, kick: float, drift: float, bias_rate: float, max_iterations: int, refines: bool) -> int:
+    def hold(
+        self,
+        dt: float,
+        kick: float,
+        drift: float,
+        bias_rate: float,
+        max_iterations: int,
+        refines: bool,
+        against: FloatArray | None = None,
+    ) -> int:
         """Find the impulses of contacts at rest after a kick, from those in `contacts` on; return the iterations.
 
         Parameters
@@ -258,11 +267,14 @@ class ContactSolver:
             1/s.
         refines
             Whether conjugate gradients follow where the iterations leave too much.
+        against
+            (n + p, 3) m/s², what accelerates the ends (default: their accelerations).
         """
         settings = self._settings
         settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
         settings["bias_rate"], settings["refines"] = bias_rate, refines
-        return self._lead(RESTING, max_iterations)
+        system = self._system if against is None else self._system._replace(acceleration=against)
+        return self._lead(RESTING, system, max_iterations)
 
     def is_closing(self) -> bool:
         """Tell whether a contact closes faster than one at rest after the iterations: there were too few of them."""
@@ -277,18 +289,17 @@ class ContactSolver:
         shapes = (bodies.position, bodies.radius, self._box, planes.normal, planes.offset)
         return system.pairs, *shapes, system.contacts, system.states
 
-    def _lead(self, job: int, max_iterations: int) -> int:
+    def _lead(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Do a job on the velocities of the active bodies; return the number of iterations."""
-        system, ends, team, b = self._system, self._bodies.ends, self._team, len(self._system.active)
+        ends, team, b = self._bodies.ends, self._team, len(system.active)
         gathered = (ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, system.bodies)
         team.divide(b, MIN_PER_TASK, gather, system.active, *gathered)
-        iterations = self._work(job, max_iterations)
+        iterations = self._work(job, system, max_iterations)
         team.divide(b, MIN_PER_TASK, scatter, system.active, system.bodies, ends.velocity, self._spin)
         return iterations
 
-    def _work(self, job: int, max_iterations: int) -> int:
+    def _work(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Do a job, with the team if it is worth it; return the number of iterations."""
-        system = self._system
         if len(system.pairs) < SHARED_FROM:
             return work(ALONE, job, system, max_iterations)
         with self._team.gathered(work, HELP, system, 0) as board:
