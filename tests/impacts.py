@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.bodies import Bodies, BodyProxy
-from carom.physics.contact.impulse import CollisionContext
+from carom.physics.bodies import Bodies
+from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 
 FloatArray = NDArray[np.float64]

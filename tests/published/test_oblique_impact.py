@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carom.physics.bodies import BodyProxy
-from carom.physics.contact.impulse import CollisionContext
+from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from examples import random_bodies, scene_of
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.bodies import Bodies, BodyProxy
+from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
@@ -32,6 +32,7 @@ from carom.physics.integrator import drift, kick, wrap
 from carom.physics.names import Names
 from carom.physics.parallel.thread_team import Team, cores
 from carom.physics.pull_time import PullTime
+from carom.physics.reference_api import BodyProxy
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Schedule, at, every
 from carom.physics.status import StepStatus

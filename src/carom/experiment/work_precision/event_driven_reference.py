@@ -4,7 +4,7 @@ SciPy's DOP853 integrates gravity and the uniform field with tolerances near rou
 in which two bodies may come together is searched for the first moment at which they touch by conservative advancement:
 the gap, divided by a bound of the closing speed, is a time in which they cannot meet, so no contact is stepped over.
 The moment is then refined on steps from the same beginning, and the contact is resolved by the readable form of the
-impulse law, `physics/contact/impulse.py`. Samples do not cut the steps: each one is a shorter step beside the one that
+impulse law, `physics/reference_api.py`. Samples do not cut the steps: each one is a shorter step beside the one that
 passes it, which is more accurate than DOP853's interpolation.
 
 Where infinitely many contacts follow each other, as before a body comes to rest on another, the solution ends: resting
@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853, OdeSolution
 
 from carom.experiment.work_precision.trajectory import Trajectory
-from carom.physics.bodies import Bodies, BodyProxy
-from carom.physics.contact.impulse import CollisionContext
+from carom.physics.bodies import Bodies
+from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 

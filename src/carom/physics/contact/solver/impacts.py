@@ -1,6 +1,7 @@
 """Impacts: the contacts of a step, colour by colour, in iterations until nothing approaches.
 
-The equations stand in `impulse`. What each impulse does to the energy follows from the impulse itself,
+`carom.physics.reference_api` has the equations, and `contact.law` what an impulse is. What each impulse does to the
+energy follows from the impulse itself,
 
     ΔE_n = J_n (v_n + ½ J_n / m_r),    1/m_r = 1/m_i + 1/m_j
     ΔE_t = -J_t (|u_t| - ½ J_t K_t),   K_t = 1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j

@@ -1,4 +1,7 @@
-"""One collision with vectors: what `solver.impacts.resolve_impacts` does to a pair, in readable form.
+"""The calls of the reference engine: one body, and one collision, with vectors.
+
+``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` does
+what `contact.solver.impacts.resolve_impacts` does to a pair, in readable form; tests hold the two equal:
 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
@@ -17,9 +20,91 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.bodies import BodyProxy
+from carom.physics.bodies import Bodies
 
 FloatArray = NDArray[np.float64]
+
+
+class BodyProxy:
+    """A view of one body: reading and writing it reads and writes the arrays."""
+
+    __slots__ = ("_bodies", "index")
+
+    def __init__(self, bodies: Bodies, index: int) -> None:
+        self._bodies = bodies
+        self.index = index
+
+    @property
+    def position(self) -> FloatArray:
+        """(3,) m."""
+        return self._row(self._bodies.position)
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(3,) m/s."""
+        return self._row(self._bodies.velocity)
+
+    @property
+    def angular_velocity(self) -> FloatArray:
+        """(3,) rad/s; zeros that nothing reads where the scene requires no spin."""
+        return self._row(self._bodies.angular_velocity) if self.spins else np.zeros(3)
+
+    @property
+    def orientation(self) -> FloatArray:
+        """(4,) xyzw."""
+        orientations = self._bodies.orientation
+        return self._row(orientations) if len(orientations) else np.array([0.0, 0.0, 0.0, 1.0])
+
+    @property
+    def mass(self) -> float:
+        """Mass in kg."""
+        return float(self._bodies.mass[self.index])
+
+    @property
+    def radius(self) -> float:
+        """Radius in m."""
+        return float(self._bodies.radius[self.index])
+
+    @property
+    def inertia(self) -> float:
+        """Moment of inertia in kg m²."""
+        return float(self._bodies.inertia[self.index])
+
+    @property
+    def inverse_mass(self) -> float:
+        """1/kg; 0 for a fixed body."""
+        return float(self._bodies.ends.inverse_mass[self.index])
+
+    @property
+    def inverse_inertia(self) -> float:
+        """1/(kg m²); 0 for a fixed body."""
+        return float(self._bodies.ends.inverse_inertia[self.index])
+
+    @property
+    def spins(self) -> bool:
+        """Whether the scene requires spin."""
+        return len(self._bodies.angular_velocity) > 0
+
+    def apply_impulse(self, impulse: FloatArray, arm: FloatArray) -> None:
+        """Apply an impulse at a point of the body.
+
+        Δv = J / m, Δω = I⁻¹ (r × J).
+
+        Parameters
+        ----------
+        impulse
+            (3,) N s.
+        arm
+            (3,) m, from the centre to the point.
+        """
+        self.velocity[:] += impulse * self.inverse_mass
+        if self.spins:
+            self.angular_velocity[:] += np.cross(arm, impulse) * self.inverse_inertia
+
+    def _row(self, array: FloatArray) -> FloatArray:
+        """View, not copy, this body's row."""
+        row: FloatArray = array[self.index]
+        return row
 
 
 @dataclass(frozen=True)
