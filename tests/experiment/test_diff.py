@@ -54,8 +54,8 @@ def test_exponential_growth_is_measured_through_exact_states_and_single_precisio
     assert found.matched_by == "step"
     assert found.verdict.kind == "chaos"
     assert found.verdict.first == 10 and found.curve.time[10] == pytest.approx(0.5)
-    assert found.growth is not None
-    assert found.growth.rate == pytest.approx(3.0, rel=0.01), (
+    assert found.divergence is not None
+    assert found.divergence.rate == pytest.approx(3.0, rel=0.01), (
         "single precision rounds the least of the points by 1 in 2"
     )
     exact = found.curve.floor == 0.0
@@ -177,8 +177,8 @@ def test_a_gas_of_spheres_is_chaotic(gas: Diff) -> None:
     assert list(gas.scene) == ["body.13.position"]
     assert gas.verdict.kind == "start"
     assert gas.verdict.jump == pytest.approx(1e-12 / np.sqrt(27), rel=1e-3)
-    assert gas.growth is not None and gas.growth.is_exponential
-    assert gas.growth.factor > 1e6
+    assert gas.divergence is not None and gas.divergence.is_exponential
+    assert gas.divergence.factor > 1e6
     assert "e^(λt)" in gas.verdict.text
 
 

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.experiment.diff.divergence import Curve, growth, verdict
+from carom.experiment.diff.divergence import Curve, divergence_of, verdict
 
 SIZE, REACH = 10.0, 15.0  # m
 
@@ -35,7 +35,7 @@ def exponential(rate: float, amplitude: float = 1e-15, count: int = 200, first: 
 def test_the_rate_of_an_exponential_is_found_to_its_standard_error(rate: float) -> None:
     clean = exponential(rate)
     noise = np.exp(np.random.default_rng(3).normal(0.0, 0.3, len(clean.rms)))
-    grown = growth(replace(clean, rms=clean.rms * noise))
+    grown = divergence_of(replace(clean, rms=clean.rms * noise))
     assert grown is not None and grown.is_exponential
     assert abs(grown.rate - rate) < 4 * grown.standard_error, "4σ: one seed in 16 000 misses it"
     assert grown.standard_error < 0.05 * rate
@@ -45,7 +45,7 @@ def test_the_rate_of_an_exponential_is_found_to_its_standard_error(rate: float) 
 
 def test_round_off_that_grows_exponentially_is_chaos() -> None:
     found = exponential(3.0)
-    said = verdict(found, growth(found))
+    said = verdict(found, divergence_of(found))
     assert said.kind == "chaos" and said.first == 10
     assert "λ = 3 ± " in said.text and "twice as much every 0.231 s" in said.text
 
@@ -55,7 +55,7 @@ def test_a_difference_that_is_there_at_once_is_a_jump_even_if_it_grows_afterward
     steady = curve(np.where(np.arange(200) >= 60, size, 0.0), 60)
     growing = exponential(1.0, amplitude=size, first=60)
     for found in (steady, growing):
-        said = verdict(found, growth(found))
+        said = verdict(found, divergence_of(found))
         assert said.kind == "jump" and said.first == 60
         assert said.jump == pytest.approx(size) and said.jump > said.allowed
         assert "step 60, t = 3 s" in said.text
@@ -68,7 +68,7 @@ def test_what_chaos_makes_of_round_off_between_two_frames_far_apart_is_no_jump()
     rms = np.minimum(1e-15 * np.exp(rate * time), 1e-15 * np.exp(rate * 5.0 * np.minimum(np.arange(count), 2)))
     fine = exponential(rate, count=300)
     sparse = replace(curve(rms * (np.arange(count) >= 1), 1, every=100))
-    assert verdict(sparse, growth(fine)).kind == "chaos"
+    assert verdict(sparse, divergence_of(fine)).kind == "chaos"
     assert verdict(sparse, None).kind == "jump", "without the rate there is no reason for so much"
 
 
@@ -76,7 +76,7 @@ def test_what_chaos_makes_of_round_off_between_two_frames_far_apart_is_no_jump()
 def test_a_power_of_time_is_not_taken_for_chaos(power: float) -> None:
     time = 0.05 * np.arange(400)
     found = curve(1e-14 * time**power, 1)
-    grown = growth(found)
+    grown = divergence_of(found)
     assert grown is not None and not grown.is_exponential
     assert grown.power == pytest.approx(power, rel=0.1)
     assert verdict(found, grown).kind == "drift"
@@ -84,14 +84,14 @@ def test_a_power_of_time_is_not_taken_for_chaos(power: float) -> None:
 
 def test_a_small_difference_that_does_not_grow_is_called_that() -> None:
     found = curve(np.where(np.arange(100) >= 7, 1e-15, 0.0), 7)
-    assert growth(found) is None
+    assert divergence_of(found) is None
     assert verdict(found, None).kind == "small"
 
 
 def test_what_cannot_be_seen_in_single_precision_is_not_fitted() -> None:
     found = exponential(3.0)
     blurred = replace(found, floor=np.full(len(found.rms), 1e-6))
-    grown = growth(blurred)
+    grown = divergence_of(blurred)
     assert grown is not None
     assert found.rms[np.searchsorted(found.time, grown.begin)] > 1e-6
     said = verdict(blurred, grown)

@@ -81,7 +81,7 @@ def _document(found: Diff) -> dict[str, Any]:
             "matched_by": found.matched_by,
         },
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
-        "growth": None if found.growth is None else asdict(found.growth),
+        "growth": None if found.divergence is None else asdict(found.divergence),
         "size": curve.size,
         "curve": [dict(zip(names, row, strict=True)) for row in columns],
     }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from carom.experiment.diff.divergence import Curve, Growth, Verdict, growth, verdict
+from carom.experiment.diff.divergence import Curve, Divergence, Verdict, divergence_of, verdict
 from carom.experiment.diff.frame_alignment import FrameAlignment
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -33,7 +33,7 @@ class Diff:
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
     curve: Curve
-    growth: Growth | None
+    divergence: Divergence | None
     verdict: Verdict
 
     @property
@@ -55,7 +55,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     """
     matched = FrameAlignment(a, b)
     curve = matched.curve()
-    grown = growth(curve)
+    divergence = divergence_of(curve)
     scene = differing(_scene(a), _scene(b))
     defaults = _defaults(a, b, scene)
     return Diff(
@@ -66,8 +66,8 @@ def diff(a: Recording, b: Recording) -> Diff:
         frames=(a.frames, b.frames),
         matched_by=matched.by,
         curve=curve,
-        growth=grown,
-        verdict=verdict(curve, grown),
+        divergence=divergence,
+        verdict=verdict(curve, divergence),
     )
 
 

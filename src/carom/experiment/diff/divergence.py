@@ -36,7 +36,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Growth:
+class Divergence:
     """A line through ln rms over the growing part of a curve."""
 
     rate: float  # 1/s, λ
@@ -61,7 +61,7 @@ class Verdict:
     allowed: float  # m, what round-off could have become by then
 
 
-def growth(curve: Curve) -> Growth | None:
+def divergence_of(curve: Curve) -> Divergence | None:
     """Fit the growing part of a curve: from the first visible difference to the largest below saturation."""
     seen = np.flatnonzero((curve.rms > curve.floor) & np.isfinite(curve.rms))
     if len(seen) == 0:
@@ -79,20 +79,20 @@ def growth(curve: Curve) -> Growth | None:
     power, _, misfit_of_power = _line(np.log(since), np.log(rms))
     doubling = float(np.log(2.0) / rate) if rate > 0 else float("inf")
     exponential = misfit <= misfit_of_power and rate > _SURE * error
-    return Growth(
+    return Divergence(
         rate, error, doubling, float(time[0]), float(time[-1]), len(seen), float(rms[-1] / rms[0]), power, exponential
     )
 
 
-def verdict(curve: Curve, grown: Growth | None) -> Verdict:
+def verdict(curve: Curve, divergence: Divergence | None) -> Verdict:
     """Decide whether a difference is grown round-off or a fault."""
     if not curve.differs.any():
         return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {curve.time[first]:.6g} s"
     jump = float(curve.rms[first]) if curve.rms[first] > curve.floor[first] else 0.0
-    allowed = _allowed(curve, grown, first)
-    how = _grows(grown)
+    allowed = _allowed(curve, divergence, first)
+    how = _grows(divergence)
     seen = f"{jump:.2e} m" if jump else f"less than the {curve.floor[first]:.0e} m that the recording resolves"
     if first == 0:
         return Verdict("start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed)
@@ -105,32 +105,32 @@ def verdict(curve: Curve, grown: Growth | None) -> Verdict:
             jump,
             allowed,
         )
-    if grown is None:
+    if divergence is None:
         largest = float(np.max(curve.rms[first:]))
         text = f"small: {seen} at {when}, at most {largest:.1e} m later; {how}, so where it comes from cannot be told"
         return Verdict("small", text, first, jump, allowed)
-    kind = "chaos" if grown.is_exponential else "drift"
+    kind = "chaos" if divergence.is_exponential else "drift"
     return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
 
 
-def _allowed(curve: Curve, grown: Growth | None, first: int) -> float:
+def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
     """Bound the size (m) to which round-off can have grown since the last identical frame."""
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
-    rate = grown.rate if grown is not None and grown.is_exponential else 0.0
+    rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
     stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
     return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
 
 
-def _grows(grown: Growth | None) -> str:
-    if grown is None:
+def _grows(divergence: Divergence | None) -> str:
+    if divergence is None:
         return "it does not grow tenfold"
-    if grown.is_exponential:
+    if divergence.is_exponential:
         return (
-            f"it grows by e^(λt), λ = {grown.rate:.3g} ± {grown.standard_error:.1g} /s, "
-            f"twice as much every {grown.doubling_time:.3g} s"
+            f"it grows by e^(λt), λ = {divergence.rate:.3g} ± {divergence.standard_error:.1g} /s, "
+            f"twice as much every {divergence.doubling_time:.3g} s"
         )
-    return f"it grows like a power of time, t^{grown.power:.2g}, not exponentially"
+    return f"it grows like a power of time, t^{divergence.power:.2g}, not exponentially"
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.diff.divergence import Curve
 from carom.recording.errors import RecordingError
-from carom.recording.read.positions import Track
+from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
 
 FloatArray = NDArray[np.float64]
@@ -55,13 +55,13 @@ class FrameAlignment:
         """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m)."""
         i, j, part = self._place(k)
         if part == 1.0:
-            exact = self._a.track.exact(self._a.step[i]), self._b.track.exact(self._b.step[j])
+            exact = self._a.positions.exact(self._a.step[i]), self._b.positions.exact(self._b.step[j])
             if exact[0] is not None and exact[1] is not None:
                 return exact[0], self._near(exact[0], exact[1]), 0.0
-        one, other = self._a.track.drawn(self._a.step[i]), self._b.track.drawn(self._b.step[j])
+        one, other = self._a.positions.drawn(self._a.step[i]), self._b.positions.drawn(self._b.step[j])
         rounding = _SINGLE * min(_rms(one - self._a.origin), _rms(other - self._b.origin))
         if part < 1.0:
-            earlier = self._near(other, self._b.track.drawn(self._b.step[j - 1]))
+            earlier = self._near(other, self._b.positions.drawn(self._b.step[j - 1]))
             rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
             other = earlier + part * (other - earlier)
         return one, self._near(one, other), rounding
@@ -73,7 +73,7 @@ class FrameAlignment:
             one, other, floor[k] = self.at(k)
             rms[k] = _rms(other - one)
             reach = max(reach, float(np.max(np.abs(one), initial=0.0)))
-        first = self._a.track.drawn(self._a.step[self._first[0]])
+        first = self._a.positions.drawn(self._a.step[self._first[0]])
         return Curve(
             step=np.array([self._a.step[i] for i in self._first]),
             time=self._a.time[self._first],
@@ -104,7 +104,7 @@ class FrameAlignment:
         third = j + 1 if j + 1 < len(self._b.step) else j - 2
         if third < 0:
             return float("inf")
-        further = self._near(later, self._b.track.drawn(self._b.step[third]))
+        further = self._near(later, self._b.positions.drawn(self._b.step[third]))
         bend = further - 2 * later + earlier if third > j else further - 2 * earlier + later
         return _rms(bend) / 8.0
 
@@ -127,7 +127,7 @@ class _Frames:
         self.step: list[int] = prints["step"].to_pylist()
         self.time: FloatArray = prints["time"].to_numpy()
         self.bits: NDArray[np.uint64] = prints["fingerprint"].to_numpy()
-        self.track = Track(recording)
+        self.positions = RecordedPositions(recording)
         self.origin = recording.origin
         self.radius = float(np.max(recording.bodies.radius))
         table = recording.energy()

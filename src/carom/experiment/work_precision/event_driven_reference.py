@@ -45,8 +45,8 @@ EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass
-class Exact:
-    """The exact course of a scene up to where it ends."""
+class EventDrivenSolution:
+    """The event-driven reference of a scene, up to where it ends."""
 
     trajectory: Trajectory
     ended: str = ""  # why it does not go on to the end of the scene; empty if it does
@@ -68,7 +68,7 @@ def why_not(scene: Scene) -> str:
 
 def solve(
     space: Space, times: FloatArray, tolerance: float = TIGHTEST, *, twin: int = 0, budget: float = math.inf
-) -> Exact:
+) -> EventDrivenSolution:
     """Solve a scene from the start of its space.
 
     Parameters
@@ -115,7 +115,7 @@ class _Solver:
         speed = max(float(np.abs(start.velocity).max()), length / scene.time.duration)
         self._absolute = tolerance * np.repeat([length, speed], 3 * self._n)
 
-    def run(self) -> Exact:
+    def run(self) -> EventDrivenSolution:
         end, longest = float(self._times[-1]), math.inf
         while self._time < end and not self._ended:
             touching = self._advance(end, longest)
@@ -139,7 +139,7 @@ class _Solver:
             steps=0,
             frames=0,
         )
-        return Exact(trajectory, self._ended, self._struck)
+        return EventDrivenSolution(trajectory, self._ended, self._struck)
 
     def _advance(self, end: float, longest: float) -> list[int]:
         """Advance to a time or to the first contacts before it; return which pairs those are.

@@ -8,7 +8,7 @@ import numpy as np
 
 from carom.experiment.work_precision.tradeoff import Study
 from carom.physics.space import Space
-from carom.recording.view.trajectories import Course, write_courses
+from carom.recording.view.trajectories import ComparedTrajectory, write_trajectories
 
 
 def record(study: Study, path: Path) -> None:
@@ -22,12 +22,12 @@ def record(study: Study, path: Path) -> None:
     reference = study.reference
     if reference is None or not len(reference.trajectory):
         return
-    courses = [Course(f"reference, {reference.kind}", reference.trajectory.position, np.empty(0))]
+    trajectories = [ComparedTrajectory(f"reference, {reference.kind}", reference.trajectory.position, np.empty(0))]
     longest = reference.trajectory
     for result in study.results:
         if result.status == "measured":
             run = study.trajectory(result)
             distance, _ = reference.scale.apart(run, reference.trajectory)
-            courses.append(Course(result.setting.name, run.position, distance))
+            trajectories.append(ComparedTrajectory(result.setting.name, run.position, distance))
             longest = run
-    write_courses(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, courses)
+    write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)

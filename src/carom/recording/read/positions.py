@@ -1,4 +1,4 @@
-"""`Track`: positions of the bodies of a recording, read frame by frame."""
+"""`RecordedPositions`: positions of the bodies of a recording, read frame by frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 _KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
 
 
-class Track:
+class RecordedPositions:
     """Positions in m, (n, 3): as they are drawn, or exact where there is a checkpoint."""
 
     def __init__(self, recording: Recording) -> None:

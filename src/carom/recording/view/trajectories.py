@@ -29,7 +29,7 @@ SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class ComparedTrajectory:
     """One run: its name, where its bodies were, and how far they were from the reference."""
 
     name: str
@@ -37,7 +37,9 @@ class Course:
     distance: FloatArray  # (K',) of the size of the system; K' ≤ K, up to where there is a reference
 
 
-def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, courses: list[Course]) -> None:
+def write_trajectories(
+    path: Path, title: str, time: FloatArray, radius: FloatArray, trajectories: list[ComparedTrajectory]
+) -> None:
     """Write a recording of several runs.
 
     Parameters
@@ -48,7 +50,7 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
         (K,) s.
     radius
         (n,) m.
-    courses
+    trajectories
         The reference first: it is drawn grey, the others each in a colour of its own.
 
     Raises
@@ -57,10 +59,10 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
         If it cannot be written.
     """
     clock = Clock.fitting(float(time[-1]), float(time[0]))
-    origin = courses[0].position[0].mean(axis=0)
-    layout = hashlib.sha256("\n".join(("tradeoff", title, *(course.name for course in courses))).encode()).hexdigest()
-    colours = [palette.GREY, *(palette.BODIES[k % len(palette.BODIES)] for k in range(len(courses) - 1))]
-    names = [f"{number:02d}-{_entity(course.name)}" for number, course in enumerate(courses)]
+    origin = trajectories[0].position[0].mean(axis=0)
+    layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
+    colours = [palette.GREY, *(palette.BODIES[k % len(palette.BODIES)] for k in range(len(trajectories) - 1))]
+    names = [f"{number:02d}-{_entity(trajectory.name)}" for number, trajectory in enumerate(trajectories)]
     with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         about: dict[str, Scalar] = {
@@ -69,9 +71,9 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
             "bodies": len(radius),
         }
         writer.send_property("carom", about)
-        writer.send_property(PROPERTY, {"courses": "; ".join(course.name for course in courses)})
-        for name, course, colour in zip(names, courses, colours, strict=True):
-            _send(writer, name, course, colour, time, radius, origin, clock)
+        writer.send_property(PROPERTY, {"courses": "; ".join(each.name for each in trajectories)})
+        for name, trajectory, colour in zip(names, trajectories, colours, strict=True):
+            _send(writer, name, trajectory, colour, time, radius, origin, clock)
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
@@ -82,14 +84,14 @@ def write_courses(path: Path, title: str, time: FloatArray, radius: FloatArray, 
 def _send(
     writer: Writer,
     name: str,
-    course: Course,
+    trajectory: ComparedTrajectory,
     colour: int,
     time: FloatArray,
     radius: FloatArray,
     origin: FloatArray,
     clock: Clock,
 ) -> None:
-    position = (course.position - origin).astype(np.float32)
+    position = (trajectory.position - origin).astype(np.float32)
     count, n, _ = position.shape
     index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
     bodies = f"world/{name}/bodies"
@@ -98,9 +100,9 @@ def _send(
     writer.send_columns(bodies, index, columns)
     if n <= PATHS_UP_TO:
         writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
-    if len(course.distance):
-        writer.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=course.name))
-        decades = np.log10(np.maximum(course.distance, SMALLEST))
+    if len(trajectory.distance):
+        writer.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=trajectory.name))
+        decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
         shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
