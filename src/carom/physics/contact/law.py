@@ -13,8 +13,14 @@ To change the law:
 
 What every law shares: contacts push and never pull (λ_n ≥ 0, the condition of the solver); the warm start keeps one
 normal and one tangential impulse, `IMPULSES`; the ledger books what the normal impulse takes out as restitution and
-what the tangential one takes out as friction. A law that pulls or that resists rolling changes these, too: the
-conditions in ``solver/solve.py`` and ``solver/conjugate_gradients.py``, and the fields of ``CONTACT``.
+what the tangential one takes out as friction. A law that changes these touches more:
+
+- one that pulls changes where the solver lets go of a contact: `solver.solve`, `solver.conjugate_gradients`,
+  `solver.phases` and `statistics`;
+- one that resists rolling has a third impulse: the fields of ``CONTACT`` in `constraints`, `IMPULSES`, and the phases
+  that handle ``friction_x`` in `solver`.
+
+`carom.physics.reference_api.CollisionContext` states the law in use once more, with vectors, for tests to compare.
 """
 
 from __future__ import annotations
