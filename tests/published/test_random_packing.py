@@ -21,7 +21,8 @@ def test_spheres_without_friction_fill_0_64_and_touch_six_others() -> None:
     space = pour(2000, width=12, friction=0.0, settling=0.5, until=200.0, sweeps=30, seed=1)
     assert packing_fraction(space) == pytest.approx(0.639, abs=0.015)
     assert contacts_of_a_body(space, fewest=4) == pytest.approx(6.0, abs=0.3)
-    assert len(space.contacts) / len(space.state) == pytest.approx(3.0, rel=0.03)
+    # rattlers, which nothing presses, need no contacts: they are 2 to 5 in 100 spheres (O'Hern et al. 2003)
+    assert len(space.contacts) / len(space.state) == pytest.approx(3.0, rel=0.05)
 
 
 @pytest.mark.slow
