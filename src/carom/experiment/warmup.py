@@ -51,6 +51,14 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"timing": "time-of-impact"},
         "time": {"duration": 0.2, "max_dt": 0.02},
     },
+    "a pile in a wind, and what falls on it": {
+        "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
+        "plane": [{"point": [0.0, 0.0, -1.0]}],
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
+        "contact": {"allow_overlap": True},
+        "drag": {"relaxation_time": 1.0, "medium_velocity": [1.0, 0.0, 0.0]},
+        "time": {"duration": 0.2, "max_dt": 0.02},
+    },
 }
 
 
