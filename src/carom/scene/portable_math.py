@@ -1,7 +1,7 @@
-"""Cube roots and powers with the same bits on any processor.
+"""Cube roots, powers and exponentials with the same bits on any processor.
 
-NumPy's ``cbrt`` and ``power`` have other last bits where the processor has AVX-512. These use sums, products, quotients
-and changes of the exponent only, each of which IEEE 754 defines to the last bit.
+NumPy's ``cbrt``, ``power`` and ``exp`` have other last bits where the processor has AVX-512. These use sums, products,
+quotients and changes of the exponent only, each of which IEEE 754 defines to the last bit.
 """
 
 from __future__ import annotations
@@ -45,7 +45,16 @@ def cube_root(x: FloatArray) -> FloatArray:
 
 def power(base: FloatArray, exponent: FloatArray | float) -> FloatArray:
     """Return bᵖ of numbers above 0, to some parts in 10¹⁵."""
-    return _exp(exponent * _log(base))
+    return exponential(exponent * _log(base))
+
+
+def exponential(x: FloatArray) -> FloatArray:
+    """Return eˣ of numbers whose exponential is one."""
+    k = np.rint(x / (LN2_HIGH + LN2_LOW))
+    high, low = x - k * LN2_HIGH, k * LN2_LOW
+    r = high - low
+    c = r - r * r * _polynomial(r * r, EXP)
+    return np.asarray(np.ldexp(1.0 - ((low - (r * c) / (2.0 - c)) - high), k.astype(np.int64)))
 
 
 def _log(x: FloatArray) -> FloatArray:
@@ -57,14 +66,6 @@ def _log(x: FloatArray) -> FloatArray:
     half_square = 0.5 * f * f
     tail = s * (half_square + _polynomial(s * s, LOG) * (s * s)) + k * LN2_LOW
     return np.asarray(k * LN2_HIGH - ((half_square - tail) - f))
-
-
-def _exp(x: FloatArray) -> FloatArray:
-    k = np.rint(x / (LN2_HIGH + LN2_LOW))
-    high, low = x - k * LN2_HIGH, k * LN2_LOW
-    r = high - low
-    c = r - r * r * _polynomial(r * r, EXP)
-    return np.asarray(np.ldexp(1.0 - ((low - (r * c) / (2.0 - c)) - high), k.astype(np.int64)))
 
 
 def _polynomial(x: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:

@@ -22,7 +22,6 @@ with w between the factors and κ = ½ (h φ₂ + k₂²/(h φ₂)), which makes
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -35,15 +34,14 @@ from carom.physics.forces.uniform_field import MIN_BODIES_PER_TASK, add
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.forces import DRAG
+from carom.scene.portable_math import exponential
 from carom.scene.schema import Drag, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LN2 = 0.6931471805599453
-LN2_HIGH, LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10  # 32 bits, so that n × LN2_HIGH is exact
 VANISHED = 745.0  # e^-z is 0 from here on
-TERMS = 20  # of a series on [-1, 1]: 1/22! is below a rounding
+TERMS = 20  # of a series on [0, 1]: 1/22! is below a rounding
 
 
 def exponentials(z: float) -> tuple[float, float, float]:
@@ -58,21 +56,9 @@ def exponentials(z: float) -> tuple[float, float, float]:
         phi2 = 0.5 * series
         phi1 = 1.0 - z * phi2
         return 1.0 - z * phi1, phi1, phi2
-    decay = _exponential(z)
+    decay = float(exponential(np.array(-z))) if z < VANISHED else 0.0
     phi1 = (1.0 - decay) / z
     return decay, phi1, (1.0 - phi1) / z
-
-
-def _exponential(z: float) -> float:
-    """Return e^{-z}: z is reduced by whole multiples of ln 2 (Cody & Waite 1980), then Taylor's series."""
-    if z >= VANISHED:
-        return 0.0
-    count = math.floor(z / LN2 + 0.5)
-    r = (z - count * LN2_HIGH) - count * LN2_LOW
-    series = 1.0
-    for k in range(TERMS, 0, -1):
-        series = 1.0 - r / k * series
-    return math.ldexp(series, -count)
 
 
 class StokesDrag:
