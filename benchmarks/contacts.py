@@ -26,7 +26,7 @@ from carom.physics.contact.law import IMPULSES, materials_of
 from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 from carom.scene.placement import Start
 from measurement import medians, save
 

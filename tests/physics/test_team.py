@@ -17,7 +17,7 @@ from carom.physics.contact.solver.contact_solver import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
 from carom.physics.parallel.thread_team import END, Team, claim, dismiss, finish, is_over, post, sharing_all, wait
 from carom.physics.space import Space
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 from examples import random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]

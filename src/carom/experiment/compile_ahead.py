@@ -22,7 +22,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.jit import cache_folder
 from carom.physics.parallel.thread_team import SOLO, cores
 from carom.physics.space import Space
-from carom.scene.halfspace import half_spaces
+from carom.scene.half_space import half_spaces
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 

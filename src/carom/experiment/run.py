@@ -28,7 +28,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember
 from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
-from carom.scene.halfspace import planes_of
+from carom.scene.half_space import planes_of
 from carom.scene.schema import Scene
 
 POLL = 0.1  # s between two looks at a run under way

@@ -41,7 +41,7 @@ from carom.plan.auto import frame_interval, integrator
 from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.plan.step_limits import StepLimits, step_limits, wider_limits
-from carom.scene.halfspace import half_spaces
+from carom.scene.half_space import half_spaces
 from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
 

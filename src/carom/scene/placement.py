@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.scene.error import SceneError
-from carom.scene.halfspace import HalfSpaces, half_spaces
+from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.neighbours import (
     QUERY_MARGIN,
     overlapping_pairs,

@@ -35,7 +35,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 from carom.scene.schema import Contact
 
 FloatArray = NDArray[np.float64]

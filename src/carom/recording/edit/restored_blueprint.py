@@ -11,7 +11,7 @@ from carom.recording.schema.header import Header
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit
 from carom.scene.forces import FORCES
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 
 _LOOKS = 50  # frames by which the camera is placed
 

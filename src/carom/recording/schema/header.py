@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.scene.forces import FORCES
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 
 Scalar = str | int | float | bool
 

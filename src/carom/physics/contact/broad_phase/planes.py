@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -32,7 +32,7 @@ from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import Team
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -33,7 +33,7 @@ from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
-from carom.scene.halfspace import HalfSpaces
+from carom.scene.half_space import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
