@@ -17,7 +17,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
 from carom.recording.schema.timelines import SIM_TIME
-from carom.recording.view.blueprint import whole_time
+from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
 
 FloatArray = NDArray[np.float64]

@@ -1,0 +1,23 @@
+"""What the 3D views share: where the eye is, and the ground behind the bodies."""
+
+from __future__ import annotations
+
+import rerun.blueprint as rrb
+
+from carom.recording.schema import palette, paths
+from carom.recording.view.camera import View
+
+
+def eye(view: View) -> rrb.EyeControls3D:
+    """Place Rerun's eye."""
+    return rrb.EyeControls3D(
+        position=view.eye,
+        look_target=view.target,
+        eye_up=[0.0, 0.0, 1.0],
+        tracking_entity=paths.BODIES if view.follows else None,
+    )
+
+
+def background() -> rrb.Background:
+    """Return the dark ground of all 3D views."""
+    return rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)

@@ -1,0 +1,54 @@
+"""The 3D view of the collision graph: edges and arrows, with the bodies as thin wires."""
+
+from __future__ import annotations
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.api import VisualizerLike
+from rerun.encodings import EntityPathLike
+
+from carom.recording.schema import paths
+from carom.recording.schema.header import Header
+from carom.recording.view.camera import View
+from carom.recording.view.eye import background, eye
+from carom.recording.write import encoder as entities
+
+_GHOST = 0x8A93A630
+_WIRE = 0x8A93A6FF  # bodies behind arrows and edges
+
+
+def has_graph(header: Header) -> bool:
+    """Tell whether there is anything to show: contacts or torques."""
+    return header.collides or header.has_torque
+
+
+def graph_view(header: Header, view: View) -> rrb.Spatial3DView:
+    """Show edges, torques and angular accelerations."""
+    return rrb.Spatial3DView(
+        name="Collision graph, torques, angular accelerations",
+        origin="/",
+        contents=[
+            paths.BODIES,
+            *entities.surroundings(header),
+            *([paths.CONTACTS] if header.collides else []),
+            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
+        ],
+        background=background(),
+        line_grid=False,
+        eye_controls=eye(view),
+        overrides=faint_bodies(header),
+    )
+
+
+def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
+    """Draw bodies as thin wires, so that lines and arrows are what one sees."""
+    match entities.shape(header):
+        case "ellipsoids":
+            thin = rr.Radius.ui_points(0.4)
+            return {
+                paths.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
+            }
+        case "points":
+            return {paths.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
+        case _:
+            return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}
