@@ -15,6 +15,7 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.event import Event
 
 FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
 
 
 class FrameStore:
@@ -116,6 +117,9 @@ class Frame:
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
     angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it
     slot: int | None = None  # where its arrays lie in a `FrameStore`, if they do
+    impacts: Rows | None = None  # (k,) `CONTACT_ROW`, those since the frame before, in order of time; None: not asked
+    impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
+    contact_rows: Rows | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
 
     @property
     def checkpoint(self) -> Checkpoint:

@@ -1,0 +1,39 @@
+"""The contact table: what each contact of a step did, one row a contact, for whoever reads a run.
+
+The signs of the impulses are those of body j: it takes ``normal_impulse`` along the normal and ``friction``, body i the
+opposite. docs/physics.md, section 9, defines impulses, modes and energies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+MODES = ("impact", "sticking", "sliding", "resting", "open")  # `mode` is an index into these
+IMPACT_MODE, STICKING, SLIDING, RESTING, OPEN = range(len(MODES))
+# impact: it closed faster than its rest speed; sticking, sliding: by Coulomb's law; resting: friction is not modelled;
+# open: it touches and carries no impulse
+
+CONTACT_ROW = np.dtype(
+    [
+        ("step", np.int64),
+        ("time", np.float64),  # s, of the impact, or the end of the step
+        ("i", np.int64),  # i < j
+        ("j", np.int64),  # from n on: planes, as in the collision graph
+        ("x", np.float64),  # m, the contact point
+        ("y", np.float64),
+        ("z", np.float64),
+        ("nx", np.float64),  # the normal, from i to j
+        ("ny", np.float64),
+        ("nz", np.float64),
+        ("approach_speed", np.float64),  # m/s, at which it closed before the impulses; 0 if it did not close
+        ("normal_impulse", np.float64),  # N s
+        ("friction_x", np.float64),  # N s, the tangential impulse
+        ("friction_y", np.float64),
+        ("friction_z", np.float64),
+        ("mode", np.uint8),
+        ("restitution_loss", np.float64),  # J, what the normal impulse took out
+        ("friction_loss", np.float64),  # J, what the tangential impulse took out
+        ("stabilisation_gain", np.float64),  # J, what undoing the overlap put in
+    ],
+    align=True,
+)
