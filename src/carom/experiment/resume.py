@@ -9,7 +9,7 @@ from pathlib import Path
 
 from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_output
-from carom.experiment.restore import recorded_scene, space_of
+from carom.recording.read.restore import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
