@@ -9,8 +9,8 @@ import pytest
 import carom
 from carom.experiment.replay import replay
 from carom.experiment.report import report
-from carom.recording.read.restore import recorded_scene
 from carom.experiment.resume import resumable_run, resume
+from carom.recording.read.restore import recorded_scene
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

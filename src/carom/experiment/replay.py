@@ -13,13 +13,13 @@ import numpy as np
 from carom.experiment.environment import versions
 from carom.experiment.frame_check import FrameCheck, Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_output
-from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header
 from carom.recording.write.recorder import Recorder
 from carom.scene.forces import FORCES

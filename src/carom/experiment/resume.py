@@ -9,7 +9,6 @@ from pathlib import Path
 
 from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_output
-from carom.recording.read.restore import recorded_scene, space_of
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
@@ -17,6 +16,7 @@ from carom.plan.auto import frame_interval
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene, space_of
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
 from carom.scene.command import command
