@@ -1,9 +1,41 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
-from carom.recording.view.camera import CameraFit
+from carom.recording.view.camera import CameraFit, View, corners_of
 from merry import Merry
+
+FloatArray = NDArray[np.float64]
+SLOPE = np.tan(np.radians(55 / 2))  # Rerun's eye opens 55° from top to bottom
+
+
+def on_screen(view: View, position: FloatArray, aspect: float) -> FloatArray:
+    """Return places in the picture, (n, 2): its shorter side goes from -1 to 1."""
+    right = np.cross([0.0, 0.0, 1.0], view.to_eye)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(view.to_eye, right)])
+    offset = position - view.eye
+    places: FloatArray = (offset @ axes.T) / (-offset @ view.to_eye)[:, None] / SLOPE
+    return places / min(1.0, aspect)
+
+
+def filled(view: View, position: FloatArray, aspect: float) -> float:
+    """Return the share of the shorter side that the bodies reach across, the larger of both directions."""
+    return float(np.ptp(on_screen(view, position, aspect), axis=0).max() / 2)
+
+
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 1.9])
+@pytest.mark.parametrize("stretched", [(1, 1, 1), (1, 0.05, 0.05), (1, 1, 0.01), (0.02, 0.02, 1)])
+def test_bodies_of_any_shape_fill_half_of_the_shorter_side_and_stay_inside(
+    aspect: float, stretched: tuple[float, float, float]
+) -> None:
+    position = np.random.default_rng(1).normal(size=(19, 3)) * stretched * 100 + 1e4
+    view = CameraFit(np.full(19, 0.1), position).view(aspect)
+    assert filled(view, position, aspect) > 0.5
+    places = np.abs(on_screen(view, position, aspect)) * min(1.0, aspect)
+    assert np.all(places <= [aspect, 1.0])
 
 
 def test_bodies_that_fly_off_do_not_shrink_the_rest(merry: Merry) -> None:
@@ -14,7 +46,24 @@ def test_bodies_that_fly_off_do_not_shrink_the_rest(merry: Merry) -> None:
     extent.see([frames[1]], np.zeros(3))
     before = extent.view().distance
     extent.see([replace(frames[2], position=away)], np.zeros(3))
-    assert extent.view().distance < 1.5 * before
+    assert extent.view().distance < 1.1 * before
+
+
+@pytest.mark.parametrize("bodies", [8, 60])
+def test_a_moment_is_framed_without_the_body_that_escapes(bodies: int) -> None:
+    merry = Merry(bodies)
+    position = next(merry.frames(1)).position
+    whole = CameraFit(merry.header.radius, position).view()
+    position[0] = [1e6, 0, 0]
+    assert CameraFit(merry.header.radius, position).view().distance < 1.2 * whole.distance
+
+
+def test_the_one_large_body_among_many_small_ones_is_seen_whole() -> None:
+    position = np.random.default_rng(2).normal(size=(400, 3))
+    radius = np.full(400, 0.01)
+    position[0], radius[0] = [0.0, 0.0, 0.0], 20.0
+    view = CameraFit(radius, position).view(1.0)
+    assert view.height() > 2 * 20.0
 
 
 def test_an_explosion_leaves_the_start_visible(merry: Merry) -> None:
@@ -22,7 +71,19 @@ def test_an_explosion_leaves_the_start_visible(merry: Merry) -> None:
     extent = CameraFit(merry.header.radius, frame.position)
     first = extent.view().distance
     extent.see([replace(frame, position=1000 * frame.position)], np.zeros(3))
-    assert first < extent.view().distance < 3 * first
+    view = extent.view()
+    assert first < view.distance
+    assert filled(view, frame.position, 1.25) > 0.5
+
+
+def test_walls_are_in_view_as_a_whole(merry: Merry) -> None:
+    header = replace(merry.header, walls=np.array([500.0, 300.0, 900.0]))
+    corners = corners_of(header, np.array([10.0, 0.0, 0.0]))
+    assert corners is not None
+    position = next(merry.frames(1)).position
+    for aspect in (0.7, 1.9):
+        view = CameraFit(header.radius, position, corners).view(aspect)
+        assert np.all(np.abs(on_screen(view, corners, aspect)) * min(1.0, aspect) <= [aspect, 1.0])
 
 
 def test_bodies_that_leave_as_a_whole_are_followed(merry: Merry) -> None:
@@ -37,6 +98,8 @@ def test_bodies_that_leave_as_a_whole_are_followed(merry: Merry) -> None:
 
 def test_a_run_that_ended_in_nan_can_still_be_framed(merry: Merry) -> None:
     frame = next(merry.frames(1))
+    nowhere = np.full_like(frame.position, np.nan)
     extent = CameraFit(merry.header.radius, frame.position)
-    extent.see([replace(frame, position=np.full_like(frame.position, np.nan))], np.zeros(3))
+    extent.see([replace(frame, position=nowhere)], np.zeros(3))
     assert np.isfinite(extent.view().distance)
+    assert np.isfinite(CameraFit(merry.header.radius, nowhere).view().distance)

@@ -322,6 +322,14 @@ class Recording:
         return None
 
     @_named
+    def drawn_box(self, path: str) -> NDArray[np.float64]:
+        """Return the size of the walls or of the periodic box as drawn, (3,) m."""
+        half = np.asarray(self._static(path)["Boxes3D:half_sizes"], dtype=np.float64)
+        if half.shape != (3,) or not np.all((half > 0.0) & np.isfinite(half)):
+            raise DamageError(f"/{path} is not one box")
+        return 2.0 * half
+
+    @_named
     def moment(self, at: float | None = None) -> float:
         """Return the time (s) to look at: the given one, else the hardest impact, else the most contacts, else the end.
 

@@ -8,19 +8,25 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.bodies_view import bodies_view
-from carom.recording.view.camera import View
+from carom.recording.view.camera import CameraFit
+from carom.recording.view.canvas import Canvas
 from carom.recording.view.graph_view import graph_view, has_graph
 from carom.recording.view.plot_views import plot_views, whole_time
 
+WINDOW = Canvas()
 
-def blueprint(header: Header, view: View) -> rrb.Blueprint:
-    """Lay out a recording of this scene, with the camera at this view."""
+_ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
+
+
+def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW) -> rrb.Blueprint:
+    """Lay out a recording of this scene, with the camera where it fits."""
+    shares = _shares(header)
     return rrb.Blueprint(
         rrb.Vertical(
-            rrb.Horizontal(*_spatial(header, view), column_shares=_shares(header)),
+            rrb.Horizontal(*_spatial(header, camera, canvas, shares), column_shares=shares),
             rrb.Horizontal(*plot_views(header)),
             rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
-            row_shares=[5, 2.4, 1.7],
+            row_shares=list(_ROWS),
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -31,12 +37,17 @@ def blueprint(header: Header, view: View) -> rrb.Blueprint:
     )
 
 
-def _shares(header: Header) -> list[float] | None:
-    return [3, 2] if has_graph(header) else None
+def _shares(header: Header) -> list[float]:
+    return [3, 2] if has_graph(header) else [1]
 
 
-def _spatial(header: Header, view: View) -> list[rrb.View]:
-    return [bodies_view(header, view), *([graph_view(header, view)] if has_graph(header) else [])]
+def _spatial(header: Header, camera: CameraFit, canvas: Canvas, shares: list[float]) -> list[rrb.View]:
+    down = _ROWS[0] / sum(_ROWS)
+    areas = [canvas.area(share / sum(shares), down) for share in shares]
+    views: list[rrb.View] = [bodies_view(header, camera, areas[0])]
+    if has_graph(header):
+        views.append(graph_view(header, camera, areas[1]))
+    return views
 
 
 def _texts() -> rrb.Container:

@@ -6,15 +6,18 @@ import rerun.blueprint as rrb
 
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.camera import View
+from carom.recording.view.camera import CameraFit
+from carom.recording.view.canvas import Area
 from carom.recording.view.eye import background, eye
+from carom.recording.view.specks import with_specks
 from carom.recording.write import encoder as entities
 
 
-def bodies_view(header: Header, view: View) -> rrb.Spatial3DView:
+def bodies_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Show bodies, contacts and what surrounds them."""
+    view = camera.view(area.aspect)
     return rrb.Spatial3DView(
-        name="Bodies and contacts",
+        name="Bodies and contacts" if header.collides else "Bodies",
         origin="/",
         contents=[
             paths.BODIES,
@@ -24,4 +27,5 @@ def bodies_view(header: Header, view: View) -> rrb.Spatial3DView:
         background=background(),
         line_grid=False,
         eye_controls=eye(view),
+        overrides=with_specks(header, view, area),
     )

@@ -1,4 +1,13 @@
-"""Places the camera so that a recording opens with its bodies in view."""
+"""Places the camera so that the bodies fill a 3D view.
+
+With d the unit vector towards the eye, e an axis of the screen and D the eye's distance from the target, a sphere with
+centre o and radius r is on the right side of the picture's border of slope s if
+
+    o·e − t + r √(1 + s²)  ≤  s (D − o·d),
+
+t being the target's coordinate along e. Each border so asks for one number, the largest o·e + s o·d + r √(1 + s²) of
+the bodies that count; two opposite borders give the smallest D and its t.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
+from carom.recording.schema.header import Header
 
 FloatArray = NDArray[np.float64]
 
-_MOST = 95.0  # per cent of the bodies in view; the others may be escaping
-_GROWTH = 2.5  # limit of the distance, in units of that for the first frame: farther away, bodies look too small
-_MARGIN = 1.05
+ASPECT = 1.25  # width over height of a 3D view, unless the layout knows better
 
-_TO_EYE = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # from the scene; z is up
-_RIGHT = np.cross([0.0, 0.0, 1.0], _TO_EYE) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], _TO_EYE))
-_UP = np.cross(_TO_EYE, _RIGHT)
-_SLOPE = np.tan(np.radians(55.0 / 2))  # Rerun's eye opens 55° from top to bottom
-_ASPECT = 1.25  # of the narrower of the two 3D views
+_ESCAPING = 0.05  # share of the bodies that may be out of view, beyond which none counts as escaping
+_FAR = 8.0  # median distances from the middle; of few bodies, those farther away are escaping, too
+_FEW = 5  # all of so few bodies are to be seen
+_FILLED = 0.9  # of the picture's shorter side, by what must be seen
+_LOOSE = 1.5  # largest distance over the one that just shows what must be seen: that still fills 60 %
+_SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's eye opens 55° from top to bottom
+_FLAT = 0.2  # thickness over width; a flatter set of bodies is looked at from higher above
+_LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,23 +41,43 @@ class View:
     target: FloatArray  # (3,) m
     distance: float  # m, of the eye from the target
     follows: bool
+    to_eye: FloatArray  # (3,) unit vector
 
     @property
     def eye(self) -> FloatArray:
         """Place of the eye (m)."""
-        return np.asarray(self.target + self.distance * _TO_EYE)
+        return np.asarray(self.target + self.distance * self.to_eye)
+
+    def height(self) -> float:
+        """Return the height (m) that fills the picture from top to bottom at the target."""
+        return 2.0 * _SLOPE * self.distance
 
 
 class CameraFit:
-    """Fits the camera's distance to most of the bodies; a few that escape do not count."""
+    """Fits the camera to the bodies of one moment; those of others count as far as these do not get small.
 
-    def __init__(self, radius: FloatArray, first: FloatArray) -> None:
+    Parameters
+    ----------
+    radius
+        (n,) m.
+    first
+        (n, 3) m, the positions at the moment that the view opens with.
+    corners
+        (k, 3) m, what has to be seen whole, such as the corners of walls.
+    """
+
+    def __init__(self, radius: FloatArray, first: FloatArray, corners: FloatArray | None = None) -> None:
+        near = _near(first)
         self._radius = radius
-        self._centre = _middle(first)
-        self._first = self._distance(first, self._centre)
+        self._first, self._first_radius = first[near], radius[near]
+        self._corners = np.zeros((0, 3)) if corners is None else corners
+        self._to_eye = _direction(first if corners is None else corners)
+        self._axes = _screen(self._to_eye)
+        self._centre = _middle(first, radius)
+        self._own = self._box(first)  # (2, 3) m, lower and upper ends along the axes
+        self._still = self._own  # … of all moments
+        self._moving = self._own - self._axes @ self._centre  # … about the middle of each
         self._drift = 0.0
-        self._moving = self._first  # the eye's distance if it follows the bodies
-        self._still = self._first  # … and if it stays
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Take the last frame of a batch into account."""
@@ -54,35 +85,127 @@ class CameraFit:
 
     def look(self, position: FloatArray) -> None:
         """Take positions (n, 3) into account."""
-        centre = _middle(position)
+        centre = _middle(position, self._radius)
         self._drift = max(self._drift, float(np.linalg.norm(centre - self._centre)))
-        self._moving = max(self._moving, self._distance(position, centre))
-        self._still = max(self._still, self._distance(position, self._centre))
+        box = self._box(position)
+        self._still = _joined(self._still, box)
+        self._moving = _joined(self._moving, box - self._axes @ centre)
 
-    def view(self) -> View:
-        """Return a view of the first frame and, unless bodies would look too small, of all others."""
-        follows = self._drift > self._first / 2
-        distance = self._moving if follows else self._still
-        return View(self._centre, min(distance, _GROWTH * self._first), follows)
+    def view(self, aspect: float = ASPECT) -> View:
+        """Return a view of the first moment and, unless bodies would look too small, of all others.
 
-    def _distance(self, position: FloatArray, centre: FloatArray) -> float:
-        """Return the distance from which most bodies are inside the picture's borders.
-
-        A body at height h over the line of sight and depth d towards the eye is inside if
-        h + r ≤ (distance - d) · slope.
+        Parameters
+        ----------
+        aspect
+            Width of the picture over its height.
         """
-        offset = position - centre
-        height = np.maximum(np.abs(offset @ _UP), np.abs(offset @ _RIGHT) / _ASPECT) + self._radius
-        distance = offset @ _TO_EYE + height / _SLOPE
-        finite = distance[np.isfinite(distance)]
-        if len(finite) == 0:
-            return float(self._radius.max())
-        return _MARGIN * float(np.percentile(finite, _MOST, method="higher"))
+        follows = len(self._corners) == 0 and self._drift > np.ptp(self._own, axis=0).max() / 2
+        whole = self._moving if follows else self._still - self._axes @ self._centre
+        slopes = _FILLED * _SLOPE * np.array([aspect, 1.0])
+        now = self._borders(self._first, self._first_radius, slopes)
+        if len(self._corners):
+            now = np.maximum(now, self._borders(self._corners, np.zeros(len(self._corners)), slopes))
+        if not np.isfinite(now).all():
+            return View(np.zeros(3), 4.0 * float(self._radius.max()), False, self._axes[2])
+        others = _corners_of(whole) @ self._axes + self._centre
+        later = np.maximum(now, self._borders(others, np.zeros(8), slopes))
+        distance = min(_distance(later, slopes), _LOOSE * _distance(now, slopes))
+        # on the screen the target may be anywhere between those that put what must be seen at either border
+        low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]
+        across, up = np.clip((later[:, 0] - later[:, 1]) / 2, np.minimum(low, high), np.maximum(low, high))
+        target = self._centre + across * self._axes[0] + up * self._axes[1]
+        return View(target, distance, follows, self._axes[2])
+
+    def _borders(self, position: FloatArray, radius: FloatArray, slopes: FloatArray) -> FloatArray:
+        """Return what the right and left, upper and lower borders ask for, (2, 2) m from the centre."""
+        right, up, depth = self._axes @ (position - self._centre).T
+        found = np.empty((2, 2))
+        for k, along in enumerate((right, up)):
+            reach = slopes[k] * depth + radius * np.sqrt(1.0 + slopes[k] ** 2)
+            found[k] = _largest(along + reach, radius), _largest(reach - along, radius)
+        return found
+
+    def _box(self, position: FloatArray) -> FloatArray:
+        near = _near(position)
+        along, radius = position[near] @ self._axes.T, self._radius[near]
+        low = [-_largest(radius - along[:, k], radius) for k in range(3)]
+        high = [_largest(radius + along[:, k], radius) for k in range(3)]
+        return np.array([low, high])
 
 
-def _middle(position: FloatArray) -> FloatArray:
+def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
+    """Return the drawn corners (8, 3) of the walls or of the periodic box; None where there is neither."""
+    size = header.walls if header.walls is not None else header.box
+    return None if size is None else _corners_of(np.array([-size / 2, size / 2]) - origin)
+
+
+def _corners_of(ends: FloatArray) -> FloatArray:
+    """Return the corners (8, 3) of the box between two opposite ones, (2, 3)."""
+    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+
+
+def _joined(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the box around two; ends that are not finite do not count."""
+    other = np.where(np.isfinite(other), other, one)
+    return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+
+
+def _distance(borders: FloatArray, slopes: FloatArray) -> float:
+    return float(np.max(borders.sum(axis=1) / (2.0 * slopes)))
+
+
+def _direction(position: FloatArray) -> FloatArray:
+    """Choose from where to look: from higher above where the bodies lie in a horizontal plane, not in a line."""
     finite = position[np.all(np.isfinite(position), axis=1)]
-    if len(finite) == 0:
+    direction = _LOW
+    if len(finite) > 2:
+        level = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(finite[:, :2].T)), 0.0))
+        if float(np.std(finite[:, 2])) < _FLAT * level[1] and level[0] > _FLAT * level[1]:
+            direction = _HIGH
+    return np.asarray(direction / np.linalg.norm(direction))
+
+
+def _screen(to_eye: FloatArray) -> FloatArray:
+    """Return the axes of the screen: to the right, up and towards the eye."""
+    right = np.cross([0.0, 0.0, 1.0], to_eye)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(to_eye, right), to_eye])
+
+
+def _largest(values: FloatArray, radius: FloatArray) -> float:
+    """Return the largest value of a body that does not escape; of what is not drawn, simply the largest.
+
+    A body counts by its number and by the area that it covers: one in a thousand is not left out if it is a planet.
+    """
+    finite = np.isfinite(values)
+    values, radius = values[finite], radius[finite]
+    if len(values) == 0:
+        return -np.inf
+    area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
+    if area.sum() == 0.0:
+        return float(values.max())
+    weight = 0.5 / len(values) + 0.5 * area / area.sum()
+    order = np.argsort(-values)
+    beyond = np.cumsum(weight[order])
+    return float(values[order[np.searchsorted(beyond, _ESCAPING)]])
+
+
+def _near(position: FloatArray) -> NDArray[np.bool_]:
+    """Tell which bodies are finite and, if there are more than a few, not many times as far out as the others."""
+    finite: NDArray[np.bool_] = np.all(np.isfinite(position), axis=1)
+    if np.count_nonzero(finite) <= _FEW:
+        return finite
+    out = np.full(len(position), np.inf)
+    out[finite] = np.linalg.norm(position[finite] - np.median(position[finite], axis=0), axis=1)
+    near: NDArray[np.bool_] = np.less_equal(out, _FAR * float(np.median(out[finite])))
+    return near
+
+
+def _middle(position: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the middle of the bodies that do not escape."""
+    near = _near(position)
+    if not near.any():
         return np.zeros(3)
-    low, high = np.percentile(finite, [100 - _MOST, _MOST], axis=0, method="nearest")
-    return np.asarray((low + high) / 2)
+    kept, size = position[near], radius[near]
+    ends = [(_largest(kept[:, k], size), -_largest(-kept[:, k], size)) for k in range(3)]
+    return np.asarray(np.mean(ends, axis=1))

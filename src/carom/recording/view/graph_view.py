@@ -9,7 +9,8 @@ from rerun.encodings import EntityPathLike
 
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.camera import View
+from carom.recording.view.camera import CameraFit
+from carom.recording.view.canvas import Area
 from carom.recording.view.eye import background, eye
 from carom.recording.write import encoder as entities
 
@@ -22,7 +23,7 @@ def has_graph(header: Header) -> bool:
     return header.collides or header.has_torque
 
 
-def graph_view(header: Header, view: View) -> rrb.Spatial3DView:
+def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Show edges, torques and angular accelerations."""
     return rrb.Spatial3DView(
         name="Collision graph, torques, angular accelerations",
@@ -35,7 +36,7 @@ def graph_view(header: Header, view: View) -> rrb.Spatial3DView:
         ],
         background=background(),
         line_grid=False,
-        eye_controls=eye(view),
+        eye_controls=eye(camera.view(area.aspect)),
         overrides=faint_bodies(header),
     )
 

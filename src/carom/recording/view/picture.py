@@ -7,6 +7,8 @@ from pathlib import Path
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.view.canvas import Canvas
+from carom.recording.view.presentation import presentation
 from carom.recording.view.viewer import Viewer
 
 _ALIKE = 3  # equal pictures in a row, after which nothing is still loading
@@ -24,6 +26,8 @@ def render(path: str | Path, at: float | None, out_png: str | Path, size: tuple[
     moment = recording.moment(at)
     with Viewer("--headless", "--window-size", f"{size[0]}x{size[1]}") as viewer:
         viewer.show(recording)
+        if not recording.is_overlay:
+            viewer.add(presentation(recording, moment, Canvas(*size)))
         viewer.go_to(recording, moment)
         png = _settled(viewer)
         reports = [f"{view.name}: {report}" for view in viewer.client.get_state().views for report in view.reports]

@@ -22,6 +22,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.supplement import Supplement
 
 _T = TypeVar("_T")
 
@@ -77,6 +78,14 @@ class Viewer:
         """Load a recording, and wait until it is there."""
         self.open(str(recording.path.resolve()))
         self.until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
+
+    def add(self, supplement: Supplement) -> None:
+        """Add rows and a layout to the recording that is shown; the file stays as it is."""
+        shown = self._ask(self.client.get_state).active_recording
+        if shown is None:
+            raise RecordingError("the viewer shows no recording")
+        _, application, recording_id = shown.split(":")  # the viewer gives a file an application id of its own
+        self._ask(lambda: supplement.send(f"rerun+http://{self.address}/proxy", application, recording_id))
 
     def go_to(self, recording: Recording, at: float) -> None:
         """Pause at a simulated time (s)."""

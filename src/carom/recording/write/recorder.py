@@ -21,7 +21,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.view.blueprint import blueprint
-from carom.recording.view.camera import CameraFit, View
+from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
@@ -163,7 +163,7 @@ class Recorder:
             origin = np.average(position, axis=0, weights=self.header.mass)
             self._encoder = BatchEncoder(self.header, origin)
         reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
-        self._camera_fit = CameraFit(self.header.radius, position - origin)
+        self._camera_fit = CameraFit(self.header.radius, position - origin, corners_of(self.header, origin))
         self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # logged data waits in a batcher; without it the frames of a killed run could not be read
         if continued is not None:
@@ -175,7 +175,7 @@ class Recorder:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""
         assert self._camera_fit is not None, "it begins with the first batch"
         if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
-            self._send_blueprint(self._camera_fit.view())
+            self._send_blueprint(self._camera_fit)
         self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
@@ -183,11 +183,11 @@ class Recorder:
         if self._camera_fit is not None:
             view = self._camera_fit.view()
             if view.follows or view.distance > _FRAMED_ANEW * self._framed:
-                self._send_blueprint(view)
+                self._send_blueprint(self._camera_fit)
 
-    def _send_blueprint(self, view: View) -> None:
-        self._stream.send_blueprint(blueprint(self.header, view))
-        self._framed = view.distance
+    def _send_blueprint(self, camera: CameraFit) -> None:
+        self._stream.send_blueprint(blueprint(self.header, camera))
+        self._framed = camera.view().distance
 
     def _fail(self, error: RecordingError) -> None:
         """Close the file with what there is, and then report the error to the physics."""

@@ -1,0 +1,41 @@
+"""How large the views of a layout are on the screen; the camera is placed by the shape of its view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_TITLE = 24  # points, of a view's title bar
+_TIME_PANEL = 34  # points, collapsed
+_TOP_PANEL = 36  # points
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A view without its title bar."""
+
+    width: float  # points of the screen
+    height: float
+
+    @property
+    def aspect(self) -> float:
+        """Width over height."""
+        return self.width / self.height
+
+    @property
+    def shorter(self) -> float:
+        """Length of the shorter side."""
+        return min(self.width, self.height)
+
+
+@dataclass(frozen=True, slots=True)
+class Canvas:
+    """The window, or the picture, in points of the screen."""
+
+    width: int = 1600
+    height: int = 1000
+    framed: bool = True  # with the viewer's bar above and its times below the views
+
+    def area(self, across: float = 1.0, down: float = 1.0) -> Area:
+        """Return the area of a view that takes these shares of the width and of the height."""
+        height = self.height - (_TOP_PANEL + _TIME_PANEL if self.framed else 0)
+        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE))

@@ -1,0 +1,43 @@
+"""Reads the header of a run back from its recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.schema.header import Header
+from carom.scene.forces import FORCES
+from carom.scene.half_space import HalfSpaces
+
+
+def header_of_recording(recording: Recording) -> Header:
+    """Return the header of a recorded run, as far as its file tells."""
+    info, bodies = recording.info, recording.bodies
+    static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+    nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    return Header(
+        title=recording.title,
+        description="",
+        scene_toml=recording.scene_toml,
+        seed=int(info["seed"]),
+        run_id=recording.store.store_id,
+        names=bodies.name,
+        group=bodies.group,
+        mass=bodies.mass,
+        radius=bodies.radius[recording.shown],  # of a clip of some bodies, which is drawn like the whole
+        inertia=bodies.inertia,
+        spins=bool(info["spins"]),
+        has_orientation=bool(info.get("has_orientation", info["spins"])),  # without it: recorded when all went together
+        has_torque=bool(info.get("has_torque", info["spins"])),
+        has_friction=bool(info.get("has_friction", info["spins"])),
+        forces=frozenset(kind.name for kind in FORCES if info.get(kind.present)),
+        collides=bool(info["collides"]),
+        stabilises=bool(info.get("stabilises", info["collides"])),
+        body_colouring=bool(info["body_colouring"]),
+        duration=float(info["duration"]),
+        shortest_dt_hint=0.0,
+        box=np.asarray(info["box"]) if "box" in info else None,
+        walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
+        planes=nowhere if paths.PLANES in static else None,
+    )

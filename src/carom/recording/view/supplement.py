@@ -1,0 +1,39 @@
+"""`Supplement`: what a viewer is given on top of a recording; the file stays as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carom.recording.schema.clock import Clock
+from carom.recording.write.encoder import Rows
+from carom.recording.write.rerun_compat import send_layout
+
+Static = tuple[str, rr.AsComponents]
+
+_FLUSH = 60.0  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Supplement:
+    """Rows, static data and a layout, sent to a viewer that shows the recording."""
+
+    layout: rrb.Blueprint
+    clock: Clock  # of the recording
+    rows: Sequence[Rows] = ()
+    statics: Sequence[Static] = ()
+
+    def send(self, address: str, application: str, recording_id: str) -> None:
+        """Send it to the recording of these ids in the viewer at an address."""
+        with rr.RecordingStream(application, recording_id=recording_id, send_properties=False) as stream:
+            stream.set_sinks(rr.GrpcSink(address))
+            for path, archetype in self.statics:
+                stream.log(path, archetype, static=True)
+            for rows in self.rows:
+                stream.send_columns(rows.path, self.clock.columns(rows.steps, rows.times), rows.columns)
+            send_layout(stream, application, self.layout)
+            stream.flush(timeout_sec=_FLUSH)
+            stream.disconnect()
