@@ -13,6 +13,8 @@ from carom.recording.errors import RecordingError
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
 
+_RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, which people type again
+
 
 def moment(recording: Recording, at: float | None) -> float:
     """Return the simulated time (s) to look at; see `Recording.moment`."""
@@ -40,6 +42,23 @@ def moment(recording: Recording, at: float | None) -> float:
     if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
         return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
     return float(times[-1])
+
+
+def tolerance(time: float) -> float:
+    """Return by how much (s) a time that was printed and typed again may be off."""
+    return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
+
+
+def frame_of(recording: Recording, at: float) -> int | None:
+    """Return the row of the frame that ends the step which a time (s) is in; None if that step has no frame.
+
+    Times after the last frame belong to it, and times before the first one to that.
+    """
+    steps = recording.steps("dt")
+    times, goal = _column(steps, "time"), at - tolerance(at)
+    row = min(int(np.searchsorted(times, goal)), len(times) - 1)
+    began = times[row] - _column(steps, "dt")[row]
+    return row if row == 0 or goal > times[-1] or goal > began else None
 
 
 def _column(table: pa.Table, name: str) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from carom.physics.event import Event
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
+from carom.recording.read.body_states import bodies_at
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import moment
 from carom.recording.read.summary import summary
 from carom.recording.read.tables import Column
+from carom.recording.read.trajectory import trajectory
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
@@ -53,13 +55,37 @@ def _named(
 
 @dataclass(frozen=True, slots=True)
 class BodyTable:
-    """The static properties of the bodies."""
+    """The static properties of the bodies; called with a time, their exact state at that time."""
 
     name: list[str]  # (n,)
     group: NDArray[np.int64]  # (n,)
     mass: NDArray[np.float64]  # (n,) kg
     radius: NDArray[np.float64]  # (n,) m
     inertia: NDArray[np.float64]  # (n,) kg m²
+    _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
+
+    def __call__(self, at: float | None = None) -> pa.Table:
+        """Return the state of all bodies at the end of the step that a time is in, in float64.
+
+        It is that of a checkpoint, or else of a replay from the checkpoint before.
+
+        Parameters
+        ----------
+        at
+            s, by default the moment of `Recording.moment`.
+
+        Returns
+        -------
+        states
+            Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
+            wx, wy, wz (rad/s). The metadata of its schema has the ``step``, the ``time`` (s) and the ``source``.
+
+        Raises
+        ------
+        RecordingError
+            If the time is not in the recording, or it cannot be run again.
+        """
+        return self._states(at)
 
 
 class Recording:
@@ -176,12 +202,43 @@ class Recording:
     @cached_property
     @_named
     def bodies(self) -> BodyTable:
-        """Names, groups, masses, radii and moments of inertia."""
+        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time."""
         stored, n = self._static(paths.STATIC_STATE), int(self.info["bodies"])
         names, groups = stored["name"], np.asarray(stored["group"])
         if not isinstance(names, list) or len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
-        return BodyTable(names, groups, *(self._positive(stored[name], name) for name in ("mass", "radius", "inertia")))
+        mass, radius, inertia = (self._positive(stored[name], name) for name in ("mass", "radius", "inertia"))
+        return BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
+
+    @_named
+    def trajectory(
+        self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
+    ) -> pa.Table:
+        """Return the path of one body: a row a frame.
+
+        Parameters
+        ----------
+        body
+            Its number or its name.
+        start, end
+            s, both included.
+        replay
+            Whether to run the frames again, which gives all columns in float64.
+
+        Returns
+        -------
+        path
+            Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
+            wx, wy, wz (rad/s), and ``exact``: whether the row is in float64. Without a replay exact rows are those of
+            checkpoints; the others have positions in float32 and nulls elsewhere. The metadata of the schema has the
+            ``source``.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such body or no frame in the interval, or it cannot be run again.
+        """
+        return trajectory(self, body, start, end, replay=replay)
 
     def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
         n, array = int(self.info["bodies"]), np.asarray(values)

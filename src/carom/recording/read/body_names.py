@@ -1,0 +1,52 @@
+"""Finds the body that somebody means, by its number or its name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from carom.recording.errors import RecordingError
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
+_MOST_NAMED = 8  # bodies that a message lists
+
+
+def body_number(recording: Recording, body: int | str) -> int:
+    """Return the number of a body.
+
+    Parameters
+    ----------
+    recording
+        Whose bodies they are.
+    body
+        Its number, also as text, or its name.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such body, or several have this name.
+    """
+    names, text = recording.bodies.name, str(body)
+    if isinstance(body, str):
+        found = [number for number, name in enumerate(names) if name == body]
+        if len(found) > 1:
+            raise RecordingError(f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one')
+        if found:
+            return found[0]
+    if text.isascii() and text.isdigit() and int(text) < len(names):
+        return int(text)
+    raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
+
+
+def _others(text: str, names: Sequence[str]) -> str:
+    """Say which bodies there are, and which name is nearest."""
+    count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
+    own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
+    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
+    if near:
+        return f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
+    called = f", called {', '.join(own)}" if own and len(names) <= _MOST_NAMED else ""
+    return count + called
