@@ -23,6 +23,7 @@ from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift,
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.islands import largest_coordinate, largest_square
 from carom.physics.contact.law import materials_of
+from carom.physics.contact.plane_guard import PlaneGuard
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
@@ -91,6 +92,8 @@ class ContactPipeline:
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
         materials = materials_of(np.vstack((np.array(contact.material), planes.material)))
+        self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
+        self._was_crossed = False  # whether a body would have passed through a plane in this step
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # limits reached and told so far
@@ -170,6 +173,8 @@ class ContactPipeline:
                 len(self._spin), MIN_BODIES_PER_COPY, _remember, self._bodies.angular_velocity, self._spin
             )
         self.held = np.zeros((0, 3))
+        if self._guard:
+            self._guard.remember()
         if self._is_at_rest():
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.held = self._solver.audited
@@ -184,6 +189,7 @@ class ContactPipeline:
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
+        self._was_crossed = self._guard is not None and self._guard.stop()
         pairs = self._near(dt)
         profile.mark("search")
         if len(pairs) == 0 and len(self._pairs) == 0:
@@ -192,6 +198,8 @@ class ContactPipeline:
         profile.mark("colouring")
         if self._pushes and len(pairs):
             self._solver.correct_positions(self._most_sweeps)
+            if self._guard:
+                self._guard.stop()
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
@@ -206,6 +214,8 @@ class ContactPipeline:
         profile
             Told where the time goes.
         """
+        if self._guard and self._guard.has_stopped:
+            self.held = np.concatenate((self.held, self._guard.work()))
         if len(self._pairs):
             self._resolve(dt, kick, profile)
         else:
@@ -234,6 +244,12 @@ class ContactPipeline:
             )
         if self._event_drift and self._event_drift.is_exhausted:
             reached.append(f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end.")
+        if self._was_crossed:
+            longer = "" if self._event_drift else ' or contact.timing = "time-of-impact"'
+            reached.append(
+                "A body would have passed through a plane within one step and was stopped where it touched the plane; "
+                f"try a shorter step (time.fixed_dt, time.cfl){longer}."
+            )
         fresh = [text for text in reached if text not in self.warned]
         self.warned.update(fresh)
         return fresh

@@ -1,0 +1,113 @@
+"""No body passes through a plane within a step.
+
+Planes are tested where bodies are at the end of a drift. What drifts farther than its radius may end behind a plane;
+so may what has more impacts in a drift than are resolved, and what a much larger body is pushed against. A body whose
+centre is behind a plane, and was in front of it when the step began, is put back on the straight line between both
+places, to where it first touches a plane. Bodies are in front of all planes, which is a convex region, so one place on
+that line is in front of all of them, also in a corner. The impact follows at the end of the step, like any other.
+
+Its potential changes by -m a·Δx, which is booked as stabilisation, like that of a push.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.thread_team import Team
+from carom.scene.half_space import HalfSpaces
+
+FloatArray = NDArray[np.float64]
+
+MIN_BODIES_PER_TASK = 5000
+DEPTH = 1e-6  # of the radius, to which a body that is stopped overlaps: enough to be found, and not to be seen
+ROUNDING = 8  # units in the last place of the coordinates; it overlaps by these, too
+DEEPEST = 0.5  # of the radius, however coarse the coordinates are
+
+
+class PlaneGuard:
+    """Keeps bodies in front of the planes that they were in front of when a step began.
+
+    Parameters
+    ----------
+    bodies, planes
+        What moves, and what it must not pass through.
+    team
+        Threads that look for what is behind a plane.
+    """
+
+    def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
+        self._bodies, self._planes, self._team = bodies, planes, team
+        self._start = bodies.position.copy()  # m, at the beginning of the step
+        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and by how much they were put back, m
+
+    def remember(self) -> None:
+        """Begin a step at the present positions."""
+        np.copyto(self._start, self._bodies.position)
+        self._stopped.clear()
+
+    def stop(self) -> bool:
+        """Put back what has passed through a plane since the step began; tell whether anything had."""
+        position, planes = self._bodies.position, self._planes
+        found = np.zeros(1, dtype=np.bool_)
+        self._team.divide(
+            len(position), MIN_BODIES_PER_TASK, _look_behind, position, planes.normal, planes.offset, found
+        )
+        if not found[0]:
+            return False
+        crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
+        stopped = np.flatnonzero(crossed.any(axis=1))
+        if len(stopped) == 0:  # what is behind a plane began there
+            return False
+        places = self._first_touch(stopped, crossed[stopped])
+        self._stopped.append((stopped, places - position[stopped]))
+        position[stopped] = places
+        return True
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether a body was put back in this step."""
+        return bool(self._stopped)
+
+    def work(self) -> FloatArray:
+        """Return what stopping bodies did to the energy, (k, 3) J, at the present accelerations."""
+        rows = []
+        for stopped, moved in self._stopped:
+            a, mass = self._bodies.acceleration[stopped], self._bodies.mass[stopped]
+            work = mass * (a[:, 0] * moved[:, 0] + a[:, 1] * moved[:, 1] + a[:, 2] * moved[:, 2])
+            rows.append(np.stack((np.zeros_like(work), np.zeros_like(work), -work), axis=1))
+        return np.concatenate(rows)
+
+    def _first_touch(self, stopped: NDArray[np.intp], crossed: NDArray[np.bool_]) -> FloatArray:
+        """Return where bodies first touched one of the planes that they crossed, (k, 3) m."""
+        start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
+        before, after = self._heights(start), self._heights(end)
+        largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
+        depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))
+        with np.errstate(invalid="ignore", divide="ignore"):  # of planes that were not crossed
+            part = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
+        places: FloatArray = start + np.clip(part.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
+        lost = ((self._heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
+        places[lost] = start[lost]  # by rounding, where a radius is a few units in the last place
+        return places
+
+    def _heights(self, position: FloatArray) -> FloatArray:
+        """Return the heights of centres above each plane, (k, p) m; summed by hand, since BLAS rounds as it likes."""
+        N = self._planes.normal
+        heights = -self._planes.offset + position[:, :1] * N[:, 0]
+        return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
+
+
+@long_kernel
+def _look_behind(
+    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: NDArray[np.bool_]
+) -> None:
+    """Say so if the centre of one of the bodies [lo, hi) is behind a plane."""
+    for k in range(len(offset)):
+        N, o = normal[k], offset[k]
+        for i in range(lo, hi):
+            if -o + N[0] * position[i, 0] + N[1] * position[i, 1] + N[2] * position[i, 2] < 0.0:
+                found[0] = True
+                return
