@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import rerun.blueprint as rrb
 
+from carom.recording.errors import RecordingError
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
@@ -14,40 +17,72 @@ from carom.recording.view.graph_view import graph_view, has_graph
 from carom.recording.view.plot_views import plot_views, whole_time
 
 WINDOW = Canvas()
+ALL = "all"
+VIEWS = ("bodies", "graph", "energy")
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 
 
-def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW) -> rrb.Blueprint:
-    """Lay out a recording of this scene, with the camera where it fits."""
-    shares = _shares(header)
+def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW, only: str = ALL) -> rrb.Blueprint:
+    """Lay out a recording of this scene, with the camera where it fits.
+
+    Parameters
+    ----------
+    header
+        What there is to show.
+    camera
+        Fitted to the bodies.
+    canvas
+        The window that the layout is for.
+    only
+        One of `VIEWS` to fill the window with, or all of them.
+
+    Raises
+    ------
+    RecordingError
+        If there is nothing that the view could show.
+    """
+    root = _all(header, camera, canvas) if only == ALL else _single(header, camera, canvas, only)
+    panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(*_spatial(header, camera, canvas, shares), column_shares=shares),
-            rrb.Horizontal(*plot_views(header)),
-            rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
-            row_shares=list(_ROWS),
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
+        root,
+        rrb.TopPanel(state="expanded" if canvas.framed else "hidden"),
+        rrb.BlueprintPanel(state=panel),
+        rrb.SelectionPanel(state=panel),
         # without a play state the viewer starts playing
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
+        rrb.TimePanel(state=panel, timeline=SIM_TIME, play_state="paused"),
         auto_views=False,
         auto_layout=False,
     )
 
 
-def _shares(header: Header) -> list[float]:
-    return [3, 2] if has_graph(header) else [1]
-
-
-def _spatial(header: Header, camera: CameraFit, canvas: Canvas, shares: list[float]) -> list[rrb.View]:
+def _all(header: Header, camera: CameraFit, canvas: Canvas) -> rrb.Container:
+    shares = [3.0, 2.0] if has_graph(header) else [1.0]
     down = _ROWS[0] / sum(_ROWS)
     areas = [canvas.area(share / sum(shares), down) for share in shares]
     views: list[rrb.View] = [bodies_view(header, camera, areas[0])]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1]))
-    return views
+    return rrb.Vertical(
+        rrb.Horizontal(*views, column_shares=shares),
+        rrb.Horizontal(*plot_views(header)),
+        rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
+        row_shares=list(_ROWS),
+    )
+
+
+def _single(header: Header, camera: CameraFit, canvas: Canvas, only: str) -> rrb.View | rrb.Container:
+    match only:
+        case "bodies":
+            return bodies_view(header, camera, canvas.area())
+        case "graph" if has_graph(header):
+            return graph_view(header, camera, canvas.area())
+        case "graph":
+            raise RecordingError(
+                "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
+            )
+        case _:
+            return plot_views(header)[0]
 
 
 def _texts() -> rrb.Container:

@@ -33,9 +33,11 @@ class Canvas:
 
     width: int = 1600
     height: int = 1000
-    framed: bool = True  # with the viewer's bar above and its times below the views
+    framed: bool = True  # with the viewer's panels and the titles of views
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
         """Return the area of a view that takes these shares of the width and of the height."""
-        height = self.height - (_TOP_PANEL + _TIME_PANEL if self.framed else 0)
+        if not self.framed:
+            return Area(self.width * across, self.height * down)
+        height = self.height - _TOP_PANEL - _TIME_PANEL
         return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE))

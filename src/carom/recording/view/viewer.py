@@ -43,7 +43,7 @@ _VULKAN = (
 class Viewer:
     """A viewer process. Leaving the context ends it."""
 
-    def __init__(self, *options: str) -> None:
+    def __init__(self, *options: str, environment: dict[str, str] | None = None) -> None:
         self._port = _free_port()
         self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
         command = [_binary(), "--bind", _HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
@@ -52,6 +52,7 @@ class Viewer:
             stdout=self._log,
             stderr=self._log,
             stdin=subprocess.DEVNULL,
+            env=environment,
             start_new_session=True,  # the interrupt key is meant for the run, not for the window that watches it
         )
         try:
@@ -93,9 +94,14 @@ class Viewer:
         shown = np.timedelta64(int(nanoseconds), "ns")
         self._ask(lambda: self.client.set_time(SIM_TIME, duration=shown, play_state="paused"))
 
-    def screenshot(self) -> bytes:
-        """Take the whole window as a PNG."""
-        return self._ask(self.client.take_screenshot)
+    def screenshot(self, view: str | None = None) -> bytes:
+        """Take a view, or else the whole window, as a PNG."""
+        return self._ask(lambda: self.client.take_screenshot(view))
+
+    def only_view(self) -> str:
+        """Return the id of the view that a layout of one view has, once it is laid out."""
+        self.until("lay out the view", _LOAD, lambda: len(self._ask(self.client.get_state).views) == 1)
+        return str(self._ask(self.client.get_state).views[0].view_id)
 
     @property
     def address(self) -> str:

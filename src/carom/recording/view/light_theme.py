@@ -1,0 +1,72 @@
+"""Gives the viewer its light theme, without a screen.
+
+Rerun 0.41 takes its theme from its settings file only, and its headless mode reads no settings. So a viewer with a
+window is started on a virtual screen (Xvfb), with a settings file in a folder of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import rerun as rr
+
+from carom.recording.errors import RecordingError
+
+_SETTINGS = '{{"egui": "(options:(theme_preference:Light))", "rerun.version": "{version}"}}'
+_GRACE = 5.0  # s between asking the screen to end and ending it
+_MISSING = "a picture in the light theme needs Xvfb, a virtual screen: apt-get install xvfb; or take --theme dark"
+
+
+@contextlib.contextmanager
+def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
+    """Yield the environment of a viewer with the light theme, on a virtual screen of this size (pixels).
+
+    Raises
+    ------
+    RecordingError
+        If there is no Xvfb.
+    """
+    program = shutil.which("Xvfb")
+    if program is None:
+        raise RecordingError(_MISSING)
+    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
+        settings = Path(folder) / "rerun" / "app.ron"
+        settings.parent.mkdir()
+        settings.write_text(_SETTINGS.format(version=rr.__version__))
+        with _screen(program, size) as display:
+            kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
+            yield {**kept, "DISPLAY": display, "XDG_DATA_HOME": folder}
+
+
+@contextlib.contextmanager
+def _screen(program: str, size: tuple[int, int]) -> Iterator[str]:
+    """Start a virtual screen; yield its name once it is there."""
+    reads, writes = os.pipe()
+    geometry = f"{size[0]}x{size[1]}x24"
+    process = subprocess.Popen(
+        [program, "-displayfd", str(writes), "-screen", "0", geometry, "-nolisten", "tcp"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL,
+        pass_fds=(writes,),
+    )
+    os.close(writes)
+    try:
+        with os.fdopen(reads) as told:
+            number = told.readline().strip()  # empty if it ended
+        if not number:
+            raise RecordingError("Xvfb, the virtual screen for the light theme, did not start; take --theme dark")
+        yield f":{number}"
+    finally:
+        process.terminate()
+        try:
+            process.wait(_GRACE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
