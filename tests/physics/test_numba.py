@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from typing import Any
 
 import numba
@@ -10,10 +11,11 @@ import pytest
 from llvmlite import ir
 from numba import types
 from numba.core import caching, callconv, cgutils, config, event, serialize
-from numba.core.compiler import CompileResult
+from numba.core.compiler import CompileResult, Flags
 from numba.core.dispatcher import Dispatcher
 from numba.extending import intrinsic
 
+from carom.physics.parallel.compilation import QuickFlags, hasten
 from carom.physics.parallel.jit import Compilations
 
 
@@ -223,3 +225,45 @@ def test_code_at_an_address_is_called_and_what_it_raises_is_passed_on() -> None:
 
 def test_the_folder_that_the_environment_names_is_in_the_configuration() -> None:
     assert isinstance(vars(config)["CACHE_DIR"], str)
+
+
+def options(**given: Any) -> tuple[Any, Any]:
+    """Return Numba's options of a compilation and ours, with the same values."""
+    make_plain: Any = Flags  # without types, like all of Numba's inside
+    make_quick: Any = QuickFlags
+    plain = make_plain()
+    for name, value in given.items():
+        setattr(plain, name, value)
+    return plain, make_quick(plain)
+
+
+def test_quick_options_are_equal_where_those_of_numba_are() -> None:
+    default, quick_default = options()
+    plain, quick = options(error_model="numpy", release_gil=True)
+    explicit, quick_explicit = options(release_gil=False)
+    assert quick == plain and plain == quick and quick not in (quick_default, default)
+    assert quick_default == quick_explicit and default == explicit
+    assert quick.values() == plain.values()
+    assert len({hash(found) for found in (default, quick_default, plain, quick, explicit, quick_explicit)}) == 1
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_a_hastened_kernel_is_compiled_with_quick_options_and_without_the_garbage_collector(collects: bool) -> None:
+    seen: list[Any] = []
+
+    class Seen(numba.core.compiler.Compiler):
+        def define_pipelines(self) -> Any:
+            seen.append((type(self.state.flags), gc.isenabled()))
+            return super().define_pipelines()  # type: ignore[no-untyped-call]
+
+    compile_as: Any = numba.njit
+    dispatcher: Any = compile_as(pipeline_class=Seen)(double)
+    hasten(dispatcher)
+    before = gc.isenabled()
+    (gc.enable if collects else gc.disable)()
+    try:
+        assert dispatcher(1.0) == 2.0
+        assert gc.isenabled() == collects
+    finally:
+        (gc.enable if before else gc.disable)()
+    assert seen == [(QuickFlags, False)]

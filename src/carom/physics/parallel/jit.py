@@ -14,6 +14,7 @@ from numba import types
 from numba.core import event
 
 from carom.physics.parallel import kernel_cache
+from carom.physics.parallel.compilation import hasten
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -49,6 +50,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     """Compile for Python and for other kernels, not for C; once for all numbers that are written where it is called."""
     compile_as: Any = numba.njit  # whose stub does not know all options
     compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    hasten(compiled)
     kept = kernel_cache.cache_of(function)
     if kept is not None:
         compiled._cache = kept
