@@ -25,7 +25,7 @@ class ForceKind:
     loss: str = ""  # its entry in the ledger, if it has none
     legend: str = ""  # of that series
     meaning: str = ""  # of that series, for docs/recording.md
-    colour: str = ""  # of that series, by its name in the palette
+    colour: str = ""  # of that series, by its name in the palette of curves
     flag: str = ""  # in a recording's properties; `has_` and its short name unless given
     pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
     differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
@@ -107,7 +107,7 @@ DRAG = ForceKind(
     loss="drag",
     legend="drag",
     meaning="taken out by the drag of the medium since the start; negative if a moving medium put more in",
-    colour="blue",
+    colour="purple",
     pushes=_medium_moves,
     damps=True,
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
