@@ -42,7 +42,7 @@ PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN
 DT_LIMITS = {
     "start": GREY,
     "acceleration": PURPLE,
-    "held": WHITE,
+    "held": 0x8C6BB1FF,
     "velocity": ORANGE,
     "pull": VERMILION,
     "cap": SKY,
