@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
+from time import sleep
 from typing import Annotated
 
 import typer
@@ -32,11 +33,51 @@ class Theme(StrEnum):
     LIGHT = "light"
 
 
-def view(file: RecordingArgument, at: AtOption = None) -> None:
+def view(
+    file: RecordingArgument,
+    at: AtOption = None,
+    web: Annotated[bool, typer.Option("--web", help="Host it for a browser, on 127.0.0.1 only.")] = False,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="With --web. Default: a free one.")
+    ] = 0,
+) -> None:
     """Open a recording in the Rerun viewer."""
+    if web:
+        _view_in_browser(file, at, port)
+        return
+    if port:
+        raise typer.BadParameter("--port goes with --web")
     from carom.recording.view.viewer import open_viewer
 
     open_viewer(file, at)
+
+
+def _view_in_browser(file: Path, at: float | None, port: int) -> None:
+    """Host a recording until the interrupt key."""
+    import contextlib
+    import getpass
+    import socket
+    import webbrowser
+    from urllib.parse import urlsplit
+
+    from carom.cli.text import say
+    from carom.recording.read.recording import Recording
+    from carom.recording.view.viewer import has_screen
+    from carom.recording.view.web.server import hosted
+
+    recording = Recording.open(file)
+    moment = None if at is None else recording.moment(at)
+    with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, port) as link:
+        say(link)
+        if not has_screen():
+            taken = urlsplit(link).port
+            say("There is no display here. On the machine with the browser, run this and open the link there:")
+            say(f"    ssh -N -L {taken}:127.0.0.1:{taken} {getpass.getuser()}@{socket.gethostname()}")
+        elif not webbrowser.open(link):
+            say("No browser was found; open the link in one.", err=True)
+        say("Ctrl-C ends it.")
+        while True:
+            sleep(1.0)
 
 
 def picture(

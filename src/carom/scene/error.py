@@ -1,7 +1,7 @@
-"""The exception for mistakes in a scene."""
+"""The one exception that a person's mistake in a scene raises."""
 
 from __future__ import annotations
 
 
 class SceneError(ValueError):
-    """A scene cannot be simulated as written; the message names the place, the mistake and what would be right."""
+    """A scene that cannot be simulated as written; the message names the place, the fault and what would be right."""

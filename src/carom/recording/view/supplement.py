@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -28,8 +29,15 @@ class Supplement:
 
     def send(self, address: str, application: str, recording_id: str) -> None:
         """Send it to the recording of these ids in the viewer at an address."""
+        self._put(rr.GrpcSink(address), application, recording_id)
+
+    def save(self, path: Path, application: str, recording_id: str) -> None:
+        """Write it to a file, which a viewer loads on top of the recording of these ids."""
+        self._put(rr.FileSink(path), application, recording_id)
+
+    def _put(self, sink: rr.GrpcSink | rr.FileSink, application: str, recording_id: str) -> None:
         with rr.RecordingStream(application, recording_id=recording_id, send_properties=False) as stream:
-            stream.set_sinks(rr.GrpcSink(address))
+            stream.set_sinks(sink)
             for path, archetype in self.statics:
                 stream.log(path, archetype, static=True)
             for rows in self.rows:

@@ -26,7 +26,7 @@ from carom.recording.view.supplement import Supplement
 
 _T = TypeVar("_T")
 
-_HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
+HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
 _START = 60.0  # s
 _LOAD = 120.0  # s
 _POLL = 0.1  # s
@@ -44,9 +44,9 @@ class Viewer:
     """A viewer process. Leaving the context ends it."""
 
     def __init__(self, *options: str, environment: dict[str, str] | None = None) -> None:
-        self._port = _free_port()
+        self._port = free_port()
         self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
-        command = [_binary(), "--bind", _HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
+        command = [binary(), "--bind", HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
         self._process = subprocess.Popen(
             command,
             stdout=self._log,
@@ -57,7 +57,7 @@ class Viewer:
         )
         try:
             self.until("start", _START, self._listens)
-            self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{_HOST}:{self._port}/proxy"))
+            self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{HOST}:{self._port}/proxy"))
         except BaseException:
             self._end()
             raise
@@ -106,7 +106,7 @@ class Viewer:
     @property
     def address(self) -> str:
         """Where a live recording can be sent."""
-        return f"{_HOST}:{self._port}"
+        return f"{HOST}:{self._port}"
 
     def wait(self) -> None:
         """Wait until the person closes the window."""
@@ -120,7 +120,7 @@ class Viewer:
 
     def _listens(self) -> bool:
         with socket.socket() as probe:
-            return probe.connect_ex((_HOST, self._port)) == 0
+            return probe.connect_ex((HOST, self._port)) == 0
 
     def _ask(self, question: Callable[[], _T]) -> _T:
         """Ask the viewer; on failure report that its process has ended, if it has."""
@@ -166,7 +166,7 @@ def start_live_viewer() -> str:
     RecordingError
         If there is no screen, or the viewer cannot use it.
     """
-    if sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+    if not has_screen():
         raise RecordingError(_NO_SCREEN)
     viewer = Viewer("--expect-data-soon")
     viewer.outlast(_DYING)
@@ -194,7 +194,7 @@ def _reason(said: str) -> str:
     return said.strip().splitlines()[-1] if said.strip() else "it ended without a word"
 
 
-def _binary() -> str:
+def binary() -> str:
     """Find the viewer that belongs to the installed rerun-sdk, not one that happens to be on the PATH."""
     spec = importlib.util.find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or []) if spec else []:
@@ -204,7 +204,13 @@ def _binary() -> str:
     raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
 
 
-def _free_port() -> int:
+def has_screen() -> bool:
+    """Tell whether windows can be opened, as far as that is known beforehand."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
+
+
+def free_port() -> int:
+    """Return a port of this machine on which nobody listens now."""
     with socket.socket() as probe:
-        probe.bind((_HOST, 0))
+        probe.bind((HOST, 0))
         return int(probe.getsockname()[1])

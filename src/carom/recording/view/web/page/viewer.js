@@ -1,0 +1,165 @@
+// Shows recording.rrd in Rerun's web viewer. The address may end in "#at=42900000&show=moment-1": the time at which
+// it is paused, in ns of its timeline, and the name of two files for it: moment-1.rbl, a layout, and moment-1.rrd, the
+// same layout and what is to be added to the recording.
+"use strict";
+
+const PATIENCE = 200; // ms between two looks at what the viewer has loaded
+const progress = document.getElementById("progress");
+
+// Rerun asks its makers' hosts for news and sends them usage data. A recording stays where it is: nothing leaves this
+// origin. The page's security policy would refuse these requests, too, with an error in the console for each.
+const fetchAnything = window.fetch.bind(window);
+window.fetch = (request, options) => {
+  const url = new URL(request instanceof Request ? request.url : request, location.href);
+  const ours = url.origin === location.origin;
+  return ours ? fetchAnything(request, options) : Promise.resolve(new Response(null, { status: 204 }));
+};
+
+function say(text) {
+  progress.textContent = text;
+}
+
+async function got(name) {
+  const response = await fetch(name);
+  if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
+  return response;
+}
+
+async function download(name) {
+  const response = await got(name);
+  const total = Number(response.headers.get("content-length"));
+  const parts = [];
+  let loaded = 0;
+  for (const reader = response.body.getReader(); ; ) {
+    const { done, value } = await reader.read();
+    if (done) return new Blob(parts);
+    parts.push(value);
+    loaded += value.length;
+    say(`Loading the viewer …${loaded <= total ? ` ${Math.floor((100 * loaded) / total)} %` : ""}`);
+  }
+}
+
+// Some hosts unpack a .gz file on its way to the browser.
+async function unpacked(blob) {
+  const [first, second] = new Uint8Array(await blob.slice(0, 2).arrayBuffer());
+  if (first !== 0x1f || second !== 0x8b) return blob.arrayBuffer();
+  return new Response(blob.stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+}
+
+// The viewer is driven by Rerun's protocol buffers, viewer_control.proto.
+function varint(value) {
+  const bytes = [];
+  for (let rest = BigInt.asUintN(64, value); ; rest >>= 7n) {
+    if (rest < 128n) return [...bytes, Number(rest)];
+    bytes.push(Number(rest & 127n) | 128);
+  }
+}
+
+function message(field, content) {
+  return [(field << 3) | 2, ...varint(BigInt(content.length)), ...content];
+}
+
+function pauseAt(viewer, nanoseconds) {
+  const timeline = message(2, message(1, new TextEncoder().encode("sim_time")));
+  const time = message(3, [1 << 3, ...varint(nanoseconds)]);
+  const paused = [5 << 3, 1];
+  return viewer.viewer_control(new Uint8Array(message(6, [...timeline, ...time, ...paused])));
+}
+
+// Counts the recordings that are open and the sources that are still loading: fields 3 and 7 of the viewer's state.
+function opened(viewer) {
+  const bytes = viewer.viewer_state();
+  const counts = { 3: 0, 7: 0 };
+  let place = 0;
+  function number() {
+    for (let value = 0, unit = 1; ; unit *= 128) {
+      const byte = bytes[place++];
+      value += (byte & 127) * unit;
+      if (byte < 128) return value;
+    }
+  }
+  while (place < bytes.length) {
+    const tag = number();
+    if (tag >> 3 in counts) counts[tag >> 3] += 1;
+    const wire = tag & 7;
+    if (wire === 5 || wire === 1) place += wire === 5 ? 4 : 8;
+    else {
+      const value = number();
+      if (wire === 2) place += value;
+    }
+  }
+  return { recordings: counts[3], loading: counts[7] };
+}
+
+const pause = () => new Promise((resolve) => setTimeout(resolve, PATIENCE));
+
+const wanted = new URLSearchParams(location.hash.slice(1));
+const time = /^-?\d+$/.test(wanted.get("at")) ? BigInt(wanted.get("at")) : null;
+const moment = /^[\w-]+$/.test(wanted.get("show")) ? wanted.get("show") : null;
+
+// Hands a small file to the viewer, without leaving what it shows.
+async function send(viewer, name) {
+  const bytes = new Uint8Array(await (await got(name)).arrayBuffer());
+  viewer.open_channel(name, name);
+  viewer.send_rrd_to_channel(name, bytes);
+  viewer.close_channel(name);
+  await pause();
+}
+
+async function load(viewer) {
+  await send(viewer, `${moment ?? "layout"}.rbl`); // a recording without a layout would be shown with one of the viewer's own
+  viewer.add_receiver(new URL("recording.rrd", location.href).href);
+  for (let there = false; !there; ) {
+    await pause();
+    const { recordings, loading } = opened(viewer);
+    // refused as long as the recording has no times, and repeated until all of it has come
+    there = recordings > 0 && (time === null || (await goThere(viewer))) && loading === 0;
+  }
+  if (moment !== null) await send(viewer, `${moment}.rrd`); // the recording has brought its own layout
+}
+
+async function goThere(viewer) {
+  try {
+    await pauseAt(viewer, time);
+    return true;
+  } catch {
+    return false;
+  }
+}
+
+function watch(viewer) {
+  if (viewer.has_panicked()) {
+    document.getElementById("viewer").remove();
+    document.body.append(progress);
+    say(`The viewer has failed: ${viewer.panic_message()}. Reload the page to try again.`);
+    return;
+  }
+  setTimeout(watch, 1000, viewer);
+}
+
+async function main() {
+  if (location.protocol === "file:") {
+    say("A browser does not run the viewer from a file. In this folder: python3 -m http.server --bind 127.0.0.1, then open http://127.0.0.1:8000/");
+    return;
+  }
+  if (typeof DecompressionStream === "undefined") {
+    say("This browser is too old for the viewer: it needs Chrome 91, Firefox 113 or Safari 16.4, or a later one.");
+    return;
+  }
+  const code = await unpacked(await download("re_viewer.wasm.gz"));
+  say("Starting the viewer …");
+  await wasm_bindgen({ module_or_path: code });
+  const viewer = new wasm_bindgen.WebHandle({ url: [], hide_welcome_screen: true, enable_history: false, persist: false });
+  await viewer.start(document.getElementById("viewer"));
+  say("");
+  watch(viewer);
+  await load(viewer);
+  document.body.dataset.state = "loaded";
+}
+
+window.addEventListener("hashchange", () => location.reload());
+
+main().catch((error) => {
+  console.error(error);
+  say(`The viewer cannot be shown: ${error.message ?? error}`);
+});

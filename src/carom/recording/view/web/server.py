@@ -1,0 +1,109 @@
+"""Hosts the viewer and one recording for browsers of this machine, and for nobody else."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import secrets
+import shutil
+import socketserver
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.view.viewer import HOST
+from carom.recording.view.web import site
+
+_NAMES = (HOST, "localhost")  # by which a browser may ask; another name is that of a page that was rebound to 127.0.0.1
+_TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
+
+
+@contextlib.contextmanager
+def hosted(recording: Recording, at: float | None = None, port: int = 0) -> Iterator[str]:
+    """Host a recording while the context lasts; give the link that opens it, paused at a simulated time (s).
+
+    The server listens on 127.0.0.1 only. The link has a secret in its path, for other people may be logged in here.
+    Port 0 takes a free one. RecordingError if the port is in use.
+    """
+    with tempfile.TemporaryDirectory(prefix="carom-") as folder, _listening(port) as server:
+        site.write_viewer(recording, Path(folder))
+        page = site.PAGE if at is None else site.write_moment(recording, at, Path(folder), "moment")
+        secret = secrets.token_urlsafe(16)
+        files = {path.name: path for path in Path(folder).iterdir()} | {site.RECORDING: recording.path.resolve()}
+        server.files = {f"/{secret}/{name}": path for name, path in files.items()}
+        thread = threading.Thread(target=server.serve_forever, name="carom-web", daemon=True)
+        thread.start()
+        try:
+            yield f"http://{HOST}:{server.server_port}/{secret}/{page}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    """Serves files by their paths."""
+
+    daemon_threads = True
+    files: Mapping[str, Path] = {}
+
+    def server_bind(self) -> None:
+        """Bind; HTTPServer would look up the name of the host, which takes seconds where there is no name server."""
+        socketserver.TCPServer.server_bind(self)
+        self.server_name, self.server_port = HOST, int(self.server_address[1])
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing: a browser that leaves in the middle of a file is no fault."""
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: _Server
+
+    def do_GET(self) -> None:
+        """Send a file."""
+        self._answer(with_body=True)
+
+    def do_HEAD(self) -> None:
+        """Send what comes before a file."""
+        self._answer(with_body=False)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing."""
+
+    def _answer(self, with_body: bool) -> None:
+        if urlsplit(f"//{self.headers.get('Host', '')}").hostname not in _NAMES:
+            self.send_error(HTTPStatus.FORBIDDEN)
+            return
+        path = self.server.files.get(urlsplit(self.path).path)
+        try:
+            file = path.open("rb") if path else None
+        except OSError:
+            file = None
+        if path is None or file is None:
+            self.send_error(HTTPStatus.NOT_FOUND)
+            return
+        with file:
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", _TYPES.get(path.suffix, "application/octet-stream"))
+            self.send_header("Content-Length", str(path.stat().st_size))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+            self.end_headers()
+            if with_body:
+                shutil.copyfileobj(file, self.wfile)
+
+
+def _listening(port: int) -> _Server:
+    try:
+        return _Server((HOST, port), _Handler)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise RecordingError(f"port {port} is in use; name another with --port, or leave it out") from None
+        raise RecordingError(f"cannot listen on port {port}: {error.strerror}") from None

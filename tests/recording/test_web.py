@@ -1,0 +1,109 @@
+"""A recording in a browser of this machine."""
+
+from __future__ import annotations
+
+import gzip
+import http.client
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import psutil
+import pytest
+
+from browser import LOADED, chromium, pixels_of
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.view.web import site
+from carom.recording.view.web.server import hosted
+
+
+@pytest.fixture(scope="module")
+def link(recorded: Path) -> Iterator[str]:
+    with hosted(Recording.open(recorded), 2.0) as address:
+        yield address
+
+
+def answer(link: str, name: str, host: str = "127.0.0.1") -> tuple[int, bytes]:
+    """Ask the server for a file beside the page; return the status and the body."""
+    parts = urlsplit(link)
+    connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=60)
+    try:
+        connection.request("GET", parts.path.rpartition("/")[0] + "/" + name, headers={"Host": host})
+        response = connection.getresponse()
+        return response.status, response.read()
+    finally:
+        connection.close()
+
+
+def listening() -> set[tuple[str, int]]:
+    """Return where this process and its children listen."""
+    me = psutil.Process()
+    sockets = [socket for process in (me, *me.children(recursive=True)) for socket in process.net_connections("inet")]
+    return {(socket.laddr.ip, socket.laddr.port) for socket in sockets if socket.status == psutil.CONN_LISTEN}
+
+
+def test_a_hosted_recording_is_listened_for_on_loopback_only(recorded: Path) -> None:
+    before = listening()
+    with hosted(Recording.open(recorded)) as link:
+        assert listening() - before == {("127.0.0.1", urlsplit(link).port)}
+    assert listening() - before == set()
+
+
+def test_the_page_comes_with_the_recording_its_layout_and_all_of_the_viewer(link: str, recorded: Path) -> None:
+    assert answer(link, site.RECORDING) == (200, recorded.read_bytes())
+    assert answer(link, "moment.rbl")[1].startswith(b"RRF") and answer(link, "moment.rrd")[1].startswith(b"RRF")
+    assert gzip.decompress(answer(link, "re_viewer.wasm.gz")[1]).startswith(b"\0asm")
+    assert b"<title>A merry-go-round</title>" in answer(link, site.PAGE)[1]
+    for name in site.FILES:
+        assert answer(link, name)[0] == 200
+
+
+def test_the_link_pauses_at_the_moment_in_nanoseconds(link: str) -> None:
+    assert urlsplit(link).fragment == "at=2000000000&show=moment"
+
+
+@pytest.mark.parametrize(
+    "name", ["", "no-such-file", "../recording.rrd", "../../../../etc/passwd", "%2e%2e/viewer.html"]
+)
+def test_only_the_files_of_the_page_are_served(link: str, name: str) -> None:
+    assert answer(link, name)[0] == 404
+
+
+def test_nothing_is_served_without_the_secret_of_the_link(link: str) -> None:
+    secret = urlsplit(link).path.split("/")[1]
+    assert len(secret) >= 20
+    assert answer(link.replace(secret, "x" * len(secret)), site.PAGE)[0] == 404
+
+
+def test_a_page_of_another_name_that_leads_here_is_refused(link: str) -> None:
+    assert answer(link, site.PAGE, "evil.example")[0] == 403
+    assert answer(link, site.PAGE, "localhost:8000")[0] == 200
+
+
+def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
+    taken = urlsplit(link).port or 0
+    with pytest.raises(RecordingError, match=f"port {taken} is in use"), hosted(Recording.open(recorded), port=taken):
+        pass
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:
+    with chromium() as (page, errors):
+        page.goto(link)
+        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+        page.wait_for_timeout(3000)
+        first, second = pixels_of(page), pixels_of(page)
+        page.goto(link.replace("at=2000000000", "at=3000000000"))
+        page.wait_for_selector("body:not([data-state])", state="attached", timeout=LOADED)
+        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+        page.wait_for_timeout(3000)
+        later = pixels_of(page)
+    assert not errors
+    height, width, _ = first.shape
+    bodies = (slice(int(0.15 * height), int(0.5 * height)), slice(0, int(0.55 * width)))
+    assert np.median(first[bodies].sum(axis=2)) < 100, "the ground is dark"
+    assert np.mean(np.ptp(first[bodies], axis=2) > 60) > 0.05, "bodies in the colours of their groups"
+    assert np.array_equal(first[bodies], second[bodies]), "paused"
+    assert np.mean(np.any(first[bodies] != later[bodies], axis=2)) > 0.05, "another moment"
