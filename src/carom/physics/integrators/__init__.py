@@ -1,0 +1,1 @@
+"""Integrators: how the motion between contacts is computed. `carom.scene.integrators` lists them."""
