@@ -109,7 +109,7 @@ def document(rng: random.Random) -> Document:
         "smoothing": lambda: rng.choice((1.0, 0.2, 1e-90)),
         "velocity_limit": lambda: rng.choice(("every-body", "fastest-body")),
         "fixed_dt": lambda: number(usual=(1e-3, 1e-2, 0.1)),
-        "integrator": lambda: rng.choice(("auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4")),
+        "integrator": lambda: rng.choice(("auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4", "gauss-radau15")),
     }
     gravity = {
         "constant": lambda: rng.choice((0.0, 0.0, 1.0, number())),

@@ -99,7 +99,9 @@ def test_the_integration_error_of_a_collapse_falls_with_the_square_of_the_step()
     assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("integrator", "order"), [(name, each.order) for name, each in INTEGRATORS.items()])
+@pytest.mark.parametrize(
+    ("integrator", "order"), [(name, each.order) for name, each in INTEGRATORS.items() if each.substeps]
+)
 def test_each_integrator_has_its_order(integrator: str, order: int) -> None:
     errors = []
     for steps in (400, 800):

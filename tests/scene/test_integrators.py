@@ -12,7 +12,7 @@ from carom.scene.integrators import INTEGRATORS
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-@pytest.mark.parametrize("name", INTEGRATORS)
+@pytest.mark.parametrize("name", [name for name, each in INTEGRATORS.items() if not each.controls_error])
 def test_kicks_and_drifts_of_a_step_each_add_up_to_the_step(name: str) -> None:
     substeps = INTEGRATORS[name].substeps
     assert sum(step.drift for step in substeps) == pytest.approx(1.0, abs=1e-15)
@@ -20,7 +20,10 @@ def test_kicks_and_drifts_of_a_step_each_add_up_to_the_step(name: str) -> None:
 
 
 def test_contacts_can_rest_only_where_the_last_forces_are_those_of_the_final_positions() -> None:
-    assert [name for name, each in INTEGRATORS.items() if not each.holds_contacts] == ["leapfrog-dkd"]
+    assert [name for name, each in INTEGRATORS.items() if not each.holds_contacts] == [
+        "leapfrog-dkd",
+        "gauss-radau15",
+    ]
 
 
 def test_only_a_single_forward_drift_has_room_for_impacts_on_the_way() -> None:
@@ -30,5 +33,5 @@ def test_only_a_single_forward_drift_has_room_for_impacts_on_the_way() -> None:
 
 def test_the_table_of_the_docs_is_that_of_the_code() -> None:
     text = (DOCS / "physics.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `([\w-]+)` \| [^|]*\(.*?\|\s*(\d) \| (\d) \|", text, re.MULTILINE)
+    rows = re.findall(r"^\| `([\w-]+)` \| [^|]*[^|]*\|\s*(\d+) \| (\d) \|", text, re.MULTILINE)
     assert rows == [(each.name, str(each.order), str(each.force_sums)) for each in INTEGRATORS.values()]

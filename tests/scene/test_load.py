@@ -86,7 +86,7 @@ MISTAKES = {
     "density and mass": ("[[body]]\nmass = 1\ndensity = 1\n", ["body.0", "leave one out"]),
     "a word that is none of the choices": (
         "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
-        [":2:", "integrator", "'auto', 'euler', 'leapfrog', 'leapfrog-dkd' or 'yoshida4'"],
+        [":2:", "integrator", "'auto', 'euler', 'leapfrog', 'leapfrog-dkd', 'yoshida4' or 'gauss-radau15'"],
     ),
     "a plane that faces nowhere": (
         ONE_BODY + "[[plane]]\nnormal = [0, 0, 0]\n",

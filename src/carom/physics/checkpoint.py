@@ -14,6 +14,7 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.pace import PaceTally
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 
 FloatArray = NDArray[np.float64]
 
@@ -47,6 +48,7 @@ class Checkpoint:
     energy: Energy  # J
     contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books
+    integrator: IntegratorCheckpoint | None = None  # None where each step begins anew
 
     @property
     def fingerprint(self) -> int:

@@ -13,6 +13,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.event import Event
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -116,6 +117,7 @@ class Frame:
     books: Books
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
     angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it
+    integrator: IntegratorCheckpoint | None = None  # what its next step begins with; None where each begins anew
     slot: int | None = None  # where its arrays lie in a `FrameStore`, if they do
     impacts: Rows | None = None  # (k,) `CONTACT_ROW`, those since the frame before, in order of time; None: not asked
     impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
@@ -136,4 +138,5 @@ class Frame:
             energy=self.energy,
             contacts=self.memory,
             books=self.books,
+            integrator=self.integrator,
         )

@@ -2,23 +2,64 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 
 Schedule = Callable[[int, float, float], bool]  # step, the time before it and after it in s → whether a frame is due
 
 MULTIPLE_TOLERANCE = 1e-9  # of a time, within which it counts as a multiple of the frames' interval
 
 
+@dataclass(frozen=True, slots=True)
+class Every:
+    """A frame at the first step at or after each multiple of an interval in s; 0 is every step."""
+
+    interval: float
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Tell whether a step passes a multiple."""
+        return self.interval == 0.0 or _multiples(time, self.interval) > _multiples(before, self.interval)
+
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, no frame is due before."""
+        if self.interval == 0.0:
+            return 1, time
+        following = (_multiples(time, self.interval) + 1.0) * self.interval
+        return math.inf, following * (1.0 - 2.0 * MULTIPLE_TOLERANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class At:
+    """A frame after each of these steps."""
+
+    steps: tuple[int, ...]  # in order
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Tell whether it is one of them."""
+        place = bisect_left(self.steps, step)
+        return place < len(self.steps) and self.steps[place] == step
+
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, no frame is due before."""
+        place = bisect_right(self.steps, step)
+        return self.steps[place] - step if place < len(self.steps) else math.inf, math.inf
+
+
 def every(interval: float) -> Schedule:
     """Return a frame at the first step at or after each multiple of an interval in s; 0 is every step."""
-    if interval == 0.0:
-        return lambda step, before, time: True
-    return lambda step, before, time: _multiples(time, interval) > _multiples(before, interval)
+    return Every(interval)
 
 
-def at(steps: Container[int]) -> Schedule:
+def at(steps: Iterable[int]) -> Schedule:
     """Return a frame after each of these steps."""
-    return lambda step, before, time: step in steps
+    return At(tuple(sorted(steps)))
+
+
+def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
+    """Return after how many steps, and up to which time in s, a schedule is asked next: a stranger sees every step."""
+    return schedule.quiet(step, time) if isinstance(schedule, Every | At) else (1, time)
 
 
 def _multiples(time: float, interval: float) -> float:

@@ -28,13 +28,14 @@ from carom.physics.event import Event
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Force, Potentials, accelerate, forces_of
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.integrator import drift, kick, wrap
+from carom.physics.integrators.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.names import Names
 from carom.physics.parallel.thread_team import Team, cores
 from carom.physics.pull_time import PullTime
 from carom.physics.reference_api import BodyProxy
 from carom.physics.rotation import rotate
-from carom.physics.schedule import Schedule, at, every
+from carom.physics.schedule import Schedule, at, every, quiet
 from carom.physics.status import StepStatus
 from carom.physics.time_step import Timestep
 from carom.plan.auto import frame_interval, integrator
@@ -112,8 +113,9 @@ class Space:
         self.ends_with_forces = integrator(scene).ends_with_forces
         self._contact = self._make_contact()
         self._timestep = self._make_timestep(step_limits(scene))
+        self._radau = self._make_error_controlled()
         self._asked: Timestep | None = None  # what the scene asks for, where longer steps are taken
-        if stride > 1.0:
+        if stride > 1.0 and self._radau is None:
             self._asked, self._timestep = self._timestep, self._make_timestep(wider_limits(scene, stride))
         self.foreseen: dict[str, float] = {}  # steps that the scene would have taken so far, by what sets them
         self._called = Names(self.names, self.planes.name)
@@ -124,7 +126,8 @@ class Space:
         self._activity = Activity(len(self.state), scene.anchored or bool(self._uniform.any()))
         self._stopping = False
         potentials = self._warm_up()
-        self._pace = PaceMonitor(scene.time.duration, self.first_dt) if scene.time.fixed_dt is None else None
+        limited = scene.time.fixed_dt is None and self._radau is None
+        self._pace = PaceMonitor(scene.time.duration, self.first_dt) if limited else None
         self._take_stock(potentials, checked=True)
         self._publish()
         self.profile.clear()
@@ -148,6 +151,13 @@ class Space:
     def first_dt(self) -> float:
         """The step in seconds that the limits allow in the present state."""
         return self.scene.time.fixed_dt or self._timestep.target(self.state, self._borne())[0]
+
+    def between(self, time: float) -> tuple[FloatArray, FloatArray] | None:
+        """Return positions and velocities, (n, 3) m and m/s, at a time within the last step, in s.
+
+        None where the integrator has no solution between the steps.
+        """
+        return self._radau.at(self.time - time) if self._radau else None
 
     @property
     def ledger(self) -> Ledger:
@@ -177,7 +187,7 @@ class Space:
         PhysicsError
             If the state is no longer finite.
         """
-        self._advance(np.inf, checked=iteration % self.scene.record.check_every == 0, schedule=at(()))
+        self._advance(np.inf, checked=iteration % self.scene.record.check_every == 0, schedule=at(()), most=1)
 
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
@@ -226,6 +236,8 @@ class Space:
         self.step, self.time = checkpoint.step, checkpoint.time
         self.dt, self.dt_limit = 0.0, "start"
         self._timestep.previous = checkpoint.previous_dt
+        if self._radau:
+            self._radau.restore(checkpoint.integrator, checkpoint.previous_dt)
         if self._contact:
             self._contact.recall(checkpoint.contacts)
             self._contact.warned = set(books.limits)
@@ -317,6 +329,7 @@ class Space:
             previous_dt=self._timestep.previous,
             memory=self._contact.memory if self._contact else None,
             books=self._books(),
+            integrator=self._radau.checkpoint if self._radau else None,
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
             slot=slot,
@@ -366,10 +379,48 @@ class Space:
             self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, self._team
         )
 
-    def _advance(self, end: float, checked: bool, schedule: Schedule) -> bool:
-        """Do one step; tell whether a frame is due after it, by the schedule or because it was the last."""
-        due = self._step(end, checked, schedule)
+    def _make_error_controlled(self) -> GaussRadau15 | None:
+        if not integrator(self.scene).controls_error:
+            return None
+        state, rule, gravity = self.state, self.scene.time, self.scene.gravity
+        pull = gravity.constant * state.mass if self.requirements.gravity.modelled else np.zeros(len(state))
+        steps = (rule.max_dt, rule.fixed_dt)
+        return GaussRadau15(state.position, state.velocity, pull, self._fixed, self._uniform, gravity.softening, *steps)
+
+    def _advance(self, end: float, checked: bool, schedule: Schedule, most: int | None = None) -> bool:
+        """Do a step, or up to ``most``; tell whether a frame is due, by the schedule or because it was the last.
+
+        An integrator that controls its error does many steps in one call, up to the next check or frame.
+        """
+        if self._radau:
+            due = self._steps(self._radau, end, checked, schedule, most or self.scene.record.check_every)
+        else:
+            due = self._step(end, checked, schedule)
         self._publish()
+        return due
+
+    def _steps(self, radau: GaussRadau15, end: float, checked: bool, schedule: Schedule, most: int) -> bool:
+        """Do steps whose length follows from their error, up to the next check or frame."""
+        self.profile.start()
+        every, turns = self.scene.record.check_every, self.requirements.orientation.modelled
+        silent, until = quiet(schedule, self.step, self.time)
+        most = 1 if turns else int(min(most, silent, every - self.step % every))
+        taken, before, self.time, self.dt, self.dt_limit = radau.advance(self.time, end, until, most)
+        self.step += taken
+        self._timestep.previous = radau.next_dt
+        if not self.time > before:
+            raise PhysicsError(self._stuck(before))
+        refuse_infinities(self.state, self.names, self.step, self.time)
+        if turns:
+            rotate(self.state.orientation, self.state.angular_velocity, self.dt, self._team)
+        self.foreseen[self.dt_limit] = self.foreseen.get(self.dt_limit, 0.0) + taken
+        self.profile.mark("integrate")
+        due = schedule(self.step, before, self.time) or self.dt_limit == "end"
+        checked = checked or due or self.step % every == 0
+        potentials = self._accelerate(potential=checked)
+        self._activity.see(0, 0.0)
+        if checked:
+            self._take_stock(potentials, checked)
         return due
 
     def _step(self, end: float, checked: bool, schedule: Schedule) -> bool:
@@ -562,21 +613,30 @@ class Space:
         saved = [array.copy() for array in changing]
         self._accelerate(potential=False)
         tiny = WARM_UP_DT * self.first_dt
-        for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
-            self._integrate(tiny, with_potential=False)
-            if self._contact:
-                self._contact.resolve(tiny, self._last_kick, self.profile)
+        if self._radau:
+            self._radau.begin(tiny)
+            self._radau.advance(0.0, tiny, np.inf, 1)
+        else:
+            self._warm_up_steps(tiny)
         for array, value in zip(changing, saved, strict=True):
             array[:] = value
         self._exchanged.clear()
         potentials = self._accelerate(potential=True)
         if self.requirements.adaptive_step.modelled:
             self._timestep.previous = self._timestep.target(state)[0]
+        if self._radau:
+            self._radau.begin(self.first_dt)
         if self._contact:
             self._contact.forget()
             self._see_contacts(self._contact, Extremes())  # none: loads the kernels
             self._contact.begin(self.first_dt)
         return potentials
+
+    def _warm_up_steps(self, dt: float) -> None:
+        for _ in range(WARM_UP_STEPS if self.requirements.warm_up.modelled else 1):  # one loads the kernels
+            self._integrate(dt, with_potential=False)
+            if self._contact:
+                self._contact.resolve(dt, self._last_kick, self.profile)
 
     def _log(self, event: Event) -> None:
         self._events.append(event)
@@ -585,6 +645,7 @@ class Space:
 
     def _stuck(self, time: float) -> str:
         remedy = {
+            "error": "bodies fall into each other's centres: set gravity.softening",
             "pull": "bodies fall into each other's centres: set gravity.softening, or let them touch, contact.enabled",
             "acceleration": "raise time.target_dx, or set time.fixed_dt",
             "held": "raise time.target_dx, or set time.fixed_dt",

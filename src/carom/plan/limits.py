@@ -30,6 +30,7 @@ def refuse_impossible(scene: Scene) -> None:
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
     _refuse_damping(scene)
+    _refuse_what_no_error_controls(scene)
     needed, there = memory_estimate(scene), _memory()
     if needed > there:
         raise SceneError(
@@ -53,6 +54,8 @@ def _refuse_times_of_impact(scene: Scene) -> None:
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
     """Refuse drift-kick-drift where bodies may rest on each other: they are held against the forces at the end."""
     chosen = integrator(scene)
+    if chosen.controls_error:
+        return
     if not chosen.holds_contacts and require(scene).resting.modelled:
         raise SceneError(
             f'time.integrator = "{chosen.name}" where bodies may press on each other: its forces are those of the '
@@ -68,6 +71,26 @@ def _refuse_damping(scene: Scene) -> None:
             f'time.integrator = "{chosen.name}" with [{force.name}]: the {force.name} needs one drift between two '
             'equal kicks; use "leapfrog" or "auto"'
         )
+
+
+def _refuse_what_no_error_controls(scene: Scene) -> None:
+    """Refuse contacts, trees and limits of the step where the integrator's own error sets the step."""
+    chosen, needs = integrator(scene), require(scene)
+    if not chosen.controls_error:
+        return
+    name = f'time.integrator = "{chosen.name}"'
+    if needs.contact.modelled:
+        raise SceneError(
+            f"{name} where bodies may touch: it does not resolve contacts; set contact.enabled = false, "
+            'or take "leapfrog" or "yoshida4"'
+        )
+    if scene.domain.boundary == "periodic":
+        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"')
+    if gravity_method(scene) == "tree":
+        raise SceneError(f'{name} with gravity.method = "tree", whose error it cannot control; set "direct"')
+    for key in ("target_dx", "cfl", "pull_fraction"):
+        if getattr(scene.time, key) != "auto":
+            raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
 
 
 def _refuse_narrow_box(scene: Scene) -> None:

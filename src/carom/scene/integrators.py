@@ -8,6 +8,8 @@ Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step
 halves exchanged: on a Kepler orbit its energy swings by a quarter as much, but its forces are those of the middle of
 the step. Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
 (Yoshida 1990, Phys. Lett. A 150, 262).
+
+Gauss–Radau integration has no such row: its own error sets the step (`carom.physics.integrators.gauss_radau15`).
 """
 
 from __future__ import annotations
@@ -33,17 +35,22 @@ class Integrator:
     name: str  # the value of time.integrator
     title: str  # for people
     order: int  # of the error over a fixed time in dt
-    substeps: tuple[Substep, ...]
+    substeps: tuple[Substep, ...]  # none where its own error sets the step
+
+    @property
+    def controls_error(self) -> bool:
+        """Whether the step follows from an estimate of its error, and not from the limits of the scene."""
+        return not self.substeps
 
     @property
     def ends_with_forces(self) -> bool:
         """Whether a kick uses the forces at the end of a step: its own last one, or the first of the next step."""
-        return self.substeps[-1].after != 0.0 or self.substeps[0].before != 0.0
+        return self.controls_error or self.substeps[-1].after != 0.0 or self.substeps[0].before != 0.0
 
     @property
     def holds_contacts(self) -> bool:
         """Whether contacts may rest: they are held against the forces at the end of the step."""
-        return self.ends_with_forces
+        return self.ends_with_forces and not self.controls_error
 
     @property
     def steps_back(self) -> bool:
@@ -62,10 +69,13 @@ class Integrator:
 
     @property
     def force_sums(self) -> int:
-        """How often forces are summed in a step."""
+        """How often forces are summed in a step: at least, where iterations follow the error."""
+        if self.controls_error:
+            return RADAU_NODES
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1
 
 
+RADAU_NODES = 8
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1
 
@@ -81,6 +91,7 @@ INTEGRATORS = {
             (Substep(0.0, 0.5, 1.0), Substep(0.0, 0.5, 0.0)),
         ),
         Integrator("yoshida4", "Yoshida's", 4, tuple(Substep(0.5 * w, w, 0.5 * w) for w in (_W1, _W0, _W1))),
+        Integrator("gauss-radau15", "Gauss–Radau with a step by its own error (without contacts)", 15, ()),
     )
 }
 

@@ -24,7 +24,7 @@ from carom.experiment.work_precision.error_measures import NAMES, Errors, Scale,
 from carom.experiment.work_precision.event_driven_reference import TIGHTEST, solve, why_not
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.plan.auto import cfl, gravity_method, pull_fraction, target_dx
+from carom.plan.auto import cfl, gravity_method, integrator, pull_fraction, target_dx
 from carom.plan.features import require
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -102,6 +102,8 @@ def make_reference(
 def refined(scene: Scene, factor: float) -> list[str]:
     """Return the overrides that make a scene's steps that many times smaller, whatever rule sets them."""
     rule = scene.time
+    if integrator(scene).controls_error and rule.fixed_dt is None:
+        return [f"time.max_dt={rule.max_dt / factor!r}"]
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={rule.fixed_dt / factor!r}"]
     limits = {

@@ -127,12 +127,19 @@ def default_points(scene: Scene) -> list[Point]:
         own = Point()
         orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]
         euler = [point for point in orders if point.value("time.integrator") == "euler"]
-        return [own, *euler, *(p.times(k) for p in orders if p not in euler for k in STEPS if p.times(k) != own)]
+        stepped = [point for point in orders if point not in euler and not _controls_error(scene, point)]
+        exact = [point for point in orders if point != own and _controls_error(scene, point)]
+        return [own, *euler, *(p.times(k) for p in stepped for k in STEPS if p.times(k) != own), *exact]
     steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
     points = [Point(step) for step in steps]
     points += [Point().having(key, value) for key, values in other.items() if key != TIMING for value in values]
     otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
     return points + [Point(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+
+
+def _controls_error(scene: Scene, point: Point) -> bool:
+    """Tell whether no multiple of the step makes a difference at a point."""
+    return INTEGRATORS[point.value("time.integrator") or integrator(scene).name].controls_error
 
 
 def default_settings(scene: Scene) -> list[Setting]:

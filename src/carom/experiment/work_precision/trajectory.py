@@ -182,6 +182,9 @@ class _Watch:
         n, graph = len(frame.position), frame.contacts
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
+        if self._space.between(frame.time) is not None:
+            self._sample_solution(frame)
+            return
         begin, x, v, a = self._before
         dt = frame.time - begin
         struck = np.zeros((self._ends, 1), dtype=np.bool_)
@@ -205,6 +208,14 @@ class _Watch:
                 moved, velocity = way, frame.velocity
             self.position.append(x + moved)
             self.velocity.append(velocity)
+
+    def _sample_solution(self, frame: Frame) -> None:
+        """Take the samples from the integrator's own solution within its last step."""
+        while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
+            solution = self._space.between(float(self._times[len(self.position)]))
+            assert solution is not None
+            self.position.append(solution[0])
+            self.velocity.append(solution[1])
 
 
 class _Flight:

@@ -25,7 +25,6 @@ Sums, products, quotients and square roots only: the same bits on any processor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from fractions import Fraction
 from math import comb, prod
 from typing import Any, NamedTuple
@@ -33,6 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.parallel.jit import inner, long_kernel
 
 FloatArray = NDArray[np.float64]
@@ -43,20 +43,20 @@ NODES = tuple(
     Fraction(node)
     for node in (
         "0",
-        "0.05626256053692214646565219103231",
-        "0.18024069173689236498757994280918",
-        "0.35262471711316963737390777017124",
-        "0.54715362633055538300144855765234",
-        "0.73421017741521053152321060830661",
-        "0.88532094683909576809035976293248",
-        "0.97752061356128750189117450042915",
+        "0.0562625605369221464656521910323111758",
+        "0.180240691736892364987579942809181785",
+        "0.352624717113169637373907770171241203",
+        "0.547153626330555383001448557652348855",
+        "0.734210177215410531523210608306610003",
+        "0.885320946839095768090359762932485373",
+        "0.97752061356128750189117450042915494",
     )
 )
 TERMS = 7  # of the polynomial, b₀ to b₆
 WIDTH = 8  # of a row: one more than terms, 0, so that a row is a cache line
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step that should have been shorter than the last by more is taken again; none grows by more
-CONVERGED = 1e-16  # of the largest acceleration: what the polynomial may lack at the last node; half a last bit
+CONVERGED = 1e-16  # of the largest acceleration: what the polynomial may lack at a node; half a last bit
 MAX_ITERATIONS = 12  # rounding keeps some from converging
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 LIMITS = ("error", "cap", "fixed", "end")  # what set a step
@@ -123,17 +123,6 @@ PROGRESS = np.dtype(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class IntegratorCheckpoint:
-    """What the next step begins with besides positions and velocities."""
-
-    last_dt: float  # s
-    position_rest: FloatArray  # (n, 3) m
-    velocity_rest: FloatArray  # (n, 3) m/s
-    coefficients: FloatArray  # (3 n, 8) m/s²
-    correction: FloatArray  # (3 n, 8) m/s²
-
-
 class GaussRadau15:
     """Integrates bodies that pull each other, many steps a call.
 
@@ -171,7 +160,7 @@ class GaussRadau15:
         moves[fixed] = 0.0
         vectors = [np.zeros((n, 3)) for _ in range(6)]
         rows = [np.zeros((3 * n, WIDTH)) for _ in range(4)]
-        self._motion = Motion(position, velocity, *vectors, *rows, pull, moves, field)
+        self._motion = Motion(position, velocity, *vectors, *rows, pull, moves, field)  # type: ignore[call-arg]
         self._softening_squared = softening * softening
         self._max_dt = max_dt if fixed_dt is None else fixed_dt
         self._adapts = fixed_dt is None
@@ -222,6 +211,19 @@ class GaussRadau15:
         taken = int(last["steps"]), float(last["before"]), float(last["time"])
         return *taken, float(last["last_dt"]), LIMITS[last["limit"]]
 
+    def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities, (n, 3) m and m/s, so many seconds before the end of the last step."""
+        motion, dt = self._motion, float(self._progress["last_dt"][0])
+        h = (dt - earlier) / dt
+        a = motion.start + motion.field * motion.moves[:, np.newaxis]
+        b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
+        k = np.arange(TERMS)
+        turned = dt * ((1.0 - h) * a + b @ ((1.0 - h ** (k + 2)) / (k + 2)))
+        v = motion.velocity - turned
+        begin = motion.velocity - dt * (a + b @ (1.0 / (k + 2)))
+        bent = 0.5 * (1.0 - h * h) * a + b @ ((1.0 - h ** (k + 3)) / ((k + 2) * (k + 3)))
+        return motion.position - (earlier * begin + dt * dt * bent), v
+
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of what the next step begins with."""
@@ -229,14 +231,16 @@ class GaussRadau15:
         kept = (motion.position_rest, motion.velocity_rest, motion.accepted, motion.correction)
         return IntegratorCheckpoint(float(self._progress["last_dt"][0]), *(array.copy() for array in kept))
 
-    def restore(self, checkpoint: IntegratorCheckpoint, next_dt: float) -> None:
-        """Go on from a checkpoint, with a step of so many seconds."""
+    def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
+        """Go on from a checkpoint, with a step of so many seconds; without one, begin anew."""
         motion = self._motion
         self.begin(next_dt)
+        if checkpoint is None:
+            return
         self._progress["last_dt"] = checkpoint.last_dt
         motion.position_rest[:] = checkpoint.position_rest
         motion.velocity_rest[:] = checkpoint.velocity_rest
-        motion.accepted[:] = checkpoint.coefficients
+        motion.accepted[:] = checkpoint.accepted
         motion.correction[:] = checkpoint.correction
 
 
@@ -270,6 +274,8 @@ def advance(
         run.time = end if run.limit == END else run.time + dt
         run.last_dt, run.next_dt = dt, min(wanted, LARGEST_CHANGE * dt)
         run.steps += 1
+        if not run.time > run.before:
+            break  # too short a step to move the clock, or no number
 
 
 @inner
@@ -283,7 +289,7 @@ def _attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
         if error < CONVERGED:
             break
         if iteration > 0 and (error >= before or error * (error / before) < CONVERGED):
-            break  # rounding is all that is left, or would be after one more, which changes b₆ at the rate of this one
+            break  # rounding is all that is left, or would be after one more, which gains as much as this one
         before = error
     return _next_step(motion, dt)
 
@@ -308,9 +314,9 @@ def _predict(motion: Motion, ratio: float) -> None:
 
 @inner
 def _iterate(motion: Motion, eps2: float, dt: float) -> float:
-    """Go through the nodes once; return the largest change of b₆ over the largest acceleration."""
+    """Go through the nodes once; return the most that the polynomial lacked there, over the largest acceleration."""
     start, pull, expected, b = motion.start, motion.pull, motion.expected, motion.b
-    change, largest = 0.0, 0.0
+    most, largest = 0.0, 0.0
     for s in range(1, len(NODE)):
         _evaluate(motion, s, dt)
         accelerate(motion.at, motion.pull_of, motion.moves, eps2, pull)
@@ -321,9 +327,9 @@ def _iterate(motion: Motion, eps2: float, dt: float) -> float:
                 delta = missing * TO_DIFFERENCE[s]
                 for j in range(WIDTH):
                     b[c, j] += POWERS[s - 1, j] * delta
-                if s == TERMS:
-                    change, largest = max(change, abs(missing)), max(largest, abs(pull[i, k]))
-    return change / largest if largest > 0.0 else 0.0
+                most = max(most, abs(missing))
+                largest = max(largest, abs(pull[i, k]))
+    return most / largest if largest > 0.0 else 0.0
 
 
 @inner
@@ -360,7 +366,7 @@ def _next_step(motion: Motion, dt: float) -> float:
             a, jerk, snap = a + a1 * a1, jerk + j1 * j1, snap + s1 * s1
         if jerk > 0.0:
             shortest = min(shortest, 2.0 * a / (jerk + np.sqrt(a * snap)))
-    return STEP_FRACTION * dt * np.sqrt(shortest)
+    return float(STEP_FRACTION * dt * np.sqrt(shortest))
 
 
 @inner

@@ -17,6 +17,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
@@ -35,6 +36,8 @@ _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
+_INTEGRATOR = "integrator_"
+_INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers of a body
 _FULL = 7  # contacts per body in a dense packing, near ones included
 
 
@@ -42,7 +45,8 @@ def size(frame: Frame) -> int:
     """Bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
-    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further)
+    integrator = 0 if frame.integrator is None else 8 * (1 + len(frame.position) * sum(_INTEGRATOR_ARRAYS.values()))
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + integrator
 
 
 def largest_size(header: Header) -> int:
@@ -90,6 +94,11 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
     for name in (*_LEDGER, *dict(first.ledger.forces)):
         columns[f"ledger_{name}"] = _each([c.energy.ledger.entry(name) for c in checkpoints])
     columns["books"] = [_books(c.books) for c in checkpoints], [1] * len(checkpoints)
+    carried = [c.integrator for c in checkpoints if c.integrator is not None]
+    if carried:
+        columns[_INTEGRATOR + "last_dt"] = _each([memory.last_dt for memory in carried])
+        for name in _INTEGRATOR_ARRAYS:
+            columns[_INTEGRATOR + name] = _flat([getattr(memory, name) for memory in carried])
     memories = [c.contacts for c in checkpoints if c.contacts is not None]
     return columns | _encode_contacts(memories) if memories else columns
 
@@ -167,6 +176,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             ),
             contacts=row.contacts() if "contact_pairs" in stored else None,
             books=_books_of(row.text("books")),
+            integrator=row.integrator() if _INTEGRATOR + "last_dt" in stored else None,
         )
         if _DIGEST in stored:
             digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
@@ -201,6 +211,19 @@ class _Row:
         if np.any(np.abs(values) > _LARGEST):
             raise ValueError(f"{name} has numbers that cannot be squared")
         return values
+
+    def integrator(self) -> IntegratorCheckpoint:
+        found = {
+            name: self._finite(_INTEGRATOR + name, numbers * self._bodies)
+            for name, numbers in _INTEGRATOR_ARRAYS.items()
+        }
+        return IntegratorCheckpoint(
+            self.number(_INTEGRATOR + "last_dt"),
+            found["position_rest"].reshape(-1, 3),
+            found["velocity_rest"].reshape(-1, 3),
+            found["accepted"].reshape(-1, 8),
+            found["correction"].reshape(-1, 8),
+        )
 
     def contacts(self) -> ContactCheckpoint:
         pairs = self._pairs("contact_pairs")

@@ -31,6 +31,7 @@ DT_LIMITS = {
     "held": WHITE,
     "velocity": ORANGE,
     "pull": VERMILION,
+    "error": VERMILION,
     "cap": SKY,
     "growth": YELLOW,
     "fixed": BLUE,

@@ -29,7 +29,7 @@ from carom.physics.contact.continuous.trajectories import (
 )
 from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.diagnostics.ledger import terms_of
-from carom.physics.integrator import MIN_BODIES_PER_TASK, drift
+from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
