@@ -1,6 +1,51 @@
+from itertools import combinations
+
 import numpy as np
+import pytest
+from numpy.typing import NDArray
 
 from carom.recording.schema import palette
+
+# How severe dichromats see linear RGB: Machado, Oliveira & Fernandes 2009, table 1, severity 1.0.
+VISION = {
+    "normal": np.eye(3),
+    "protanopia": np.array(
+        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
+    ),
+    "deuteranopia": np.array(
+        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
+    ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
+}
+TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
+FloatArray = NDArray[np.float64]
+
+
+def linear(colour: int) -> FloatArray:
+    """Linear RGB of 0xRRGGBBAA."""
+    srgb = np.array([colour >> shift & 0xFF for shift in (24, 16, 8)]) / 255
+    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4))
+
+
+def contrast(a: int, b: int) -> float:
+    """The contrast ratio of WCAG 2."""
+    dark, light = sorted(float(TO_XYZ[1] @ linear(colour)) for colour in (a, b))
+    return (light + 0.05) / (dark + 0.05)
+
+
+def lab(rgb: FloatArray) -> FloatArray:
+    """CIELAB of linear RGB, white point D65."""
+    xyz = TO_XYZ @ rgb / np.array([0.9505, 1.0, 1.089])
+    f = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+
+def difference(a: int, b: int, vision: str) -> float:
+    """ΔE (CIE76) of two colours, seen with a kind of vision."""
+    seen = [lab(np.clip(VISION[vision] @ linear(colour), 0.0, 1.0)) for colour in (a, b)]
+    return float(np.linalg.norm(seen[0] - seen[1]))
 
 
 def test_a_body_that_touches_nobody_is_grey() -> None:
@@ -14,3 +59,23 @@ def test_a_few_bodies_have_a_hue_each_and_many_share_that_of_their_group() -> No
     blue, red = (many >> np.uint32(8)) & 0xFF, many >> np.uint32(24)
     assert np.all(blue[:50] > red[:50])
     assert np.all(blue[50:] < red[50:])
+
+
+@pytest.mark.parametrize("theme", palette.PLOT_GROUNDS)
+@pytest.mark.parametrize("name", palette.LINES)
+def test_curves_stand_out_from_the_ground_of_a_plot(name: str, theme: str) -> None:
+    # 3 to 1 is what WCAG 2.1 asks of graphical objects, criterion 1.4.11
+    assert contrast(palette.LINES[name], palette.PLOT_GROUNDS[theme]) >= 3.0
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_curves_differ_for_colour_blind_readers(vision: str) -> None:
+    for (one, a), (other, b) in combinations(palette.LINES.items(), 2):
+        # 2.3 is just noticeable side by side; curves are thin and apart. Blue and green of Okabe and Ito have 17.
+        assert difference(a, b, vision) >= 18.0, f"{one} and {other}"
+
+
+def test_the_measures_of_colour_are_right() -> None:
+    assert contrast(0x000000FF, 0xFFFFFFFF) == pytest.approx(21.0)
+    assert contrast(0x777777FF, 0xFFFFFFFF) == pytest.approx(4.48, abs=0.005)  # WebAIM's contrast checker
+    assert lab(linear(0xFF0000FF)) == pytest.approx([53.2, 80.1, 67.2], abs=0.1)  # of sRGB red

@@ -85,8 +85,8 @@ def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
 @pytest.mark.slow
 def test_the_plots_show_their_series(picture: Pixels) -> None:
     view = plots(picture)
-    for colour in (palette.SKY, palette.ORANGE, palette.PURPLE, palette.VERMILION, palette.YELLOW, palette.WHITE):
-        assert of_colour(view, colour) > 50
+    for name in ("blue", "red", "purple", "grey"):
+        assert of_colour(view, palette.LINES[name]) > 50, name
 
 
 @pytest.mark.slow
@@ -120,8 +120,8 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
     for stage in (palette.YELLOW, palette.SKY):
         assert of_colour(graph, stage) > 30, "contacts, by stage"
-    for colour in (palette.SKY, palette.ORANGE, palette.PURPLE, palette.VERMILION, palette.WHITE):
-        assert of_colour(plots(pixels), colour) > 50, "series"
+    for name in ("blue", "red", "purple", "grey"):
+        assert of_colour(plots(pixels), palette.LINES[name]) > 50, name
 
 
 def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carom.recording.read.recording import Recording
+from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, recorded
 from carom.recording.write.recorder import Recorder
 from merry import Merry
@@ -31,6 +32,17 @@ def test_every_plot_shows_at_least_one_series_and_every_plotted_series_has_its_p
     plots = [plot for column in PLOTS for plot in column]
     assert {series.plot for series in SERIES} - {None} == set(plots)
     assert len(set(plots)) == len(plots) and len({series.path for series in SERIES}) == len(SERIES)
+
+
+def test_every_plot_has_one_unit() -> None:
+    assert [(series.path, series.unit) for series in SERIES if series.plot and series.unit != series.plot.unit] == []
+
+
+def test_the_curves_of_a_plot_have_different_colours() -> None:
+    for plot in (plot for column in PLOTS for plot in column):
+        colours = [series.colour for series in SERIES if series.plot == plot]
+        assert len(set(colours)) == len(colours), plot.name
+        assert set(colours) <= set(LINES.values()), "others are not legible in both themes"
 
 
 def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:

@@ -25,5 +25,5 @@ def test_numbers_of_numpy_and_tuples_are_written_as_numbers_and_lists() -> None:
 
 
 def test_what_no_scene_has_is_refused() -> None:
-    with pytest.raises(TypeError, match="NoneType is of no type"):
+    with pytest.raises(TypeError, match="values of type NoneType"):
         toml_text({"time": {"duration": None}})

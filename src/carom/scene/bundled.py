@@ -28,5 +28,5 @@ def _folder() -> Path:
 
 
 def starter() -> str:
-    """Return the text of the commented scene that a person may start from."""
+    """Return the text of the commented scene that `carom new` writes."""
     return (Path(__file__).parent / "starter.toml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""A command of carom's for a person to type."""
+"""Commands to show in messages."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import shlex
 
 
 def command(*words: object) -> str:
-    """Write a command with its words quoted where a shell needs it, such as ``carom view 'my run.rrd'``."""
+    """Write a carom command, quoted as a shell needs it, such as ``carom view 'my run.rrd'``."""
     return shlex.join(["carom", *map(str, words)])

@@ -1,7 +1,7 @@
-"""The one exception that a person's mistake in a scene raises."""
+"""The exception for mistakes in a scene."""
 
 from __future__ import annotations
 
 
 class SceneError(ValueError):
-    """A scene that cannot be simulated as written; the message names the place, the fault and what would be right."""
+    """A scene cannot be simulated as written; the message names the place, the mistake and what would be right."""

@@ -1,8 +1,8 @@
-"""The forces: one table, which decides when each is modelled and names what it records.
+"""The table of forces. It decides when each force is modelled, and names its recorded energies.
 
-To add one: a section of the scene (`schema`), a row here, and ``carom/physics/forces/NAME.py`` that offers ``make``
-(see `carom.physics.forces.force`). The parts of the model, `carom explain`, the energy terms and ledger entries of a
-recording, and the reports follow from the row.
+To add a force, write a section of the scene (`schema`), a row here, and ``carom/physics/forces/NAME.py`` with a
+function ``make`` (see `carom.physics.forces.force`). The parts of the model, `carom explain`, the energy terms and
+ledger entries of a recording, and the reports follow from the row.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ForceKind:
-    """A force: when it is modelled, and the energy that it is booked under."""
+    """A force: when it is modelled, and the name of its energy."""
 
-    name: str  # of the part of the model, and, with underscores, of the module that computes it
+    name: str  # of the part of the model; with underscores, of the module that computes the force
     decide: Callable[[Scene], tuple[bool, str]]  # whether it is modelled, and why
     potential: str = ""  # its term of the energy, if it has a potential
-    loss: str = ""  # its entry in the ledger, if it has none
-    legend: str = ""  # of that series
+    loss: str = ""  # its entry in the ledger, if it has no potential
+    legend: str = ""  # of the series of its energy
     meaning: str = ""  # of that series, for docs/recording.md
-    colour: str = ""  # of that series, by its name in the palette
-    flag: str = ""  # in a recording's properties; `has_` and its short name unless given
+    colour: str = ""  # of that series, by its name in the palette of curves
+    flag: str = ""  # in the properties of a recording; by default `has_` and the short name
     pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
     differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
-    part: str = ""  # without which that series is not recorded; the force itself unless given
+    part: str = ""  # without which that series is not recorded; by default the force itself
     contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
 
     @property
     def short_name(self) -> str:
-        """The last word of its name, for the profile and for flags."""
+        """The last word of the name, for the profile and for flags."""
         return self.name.rpartition("-")[2]
 
     @property
     def present(self) -> str:
-        """The flag of a recording whose scene has the force."""
+        """The flag in the recordings of scenes with this force."""
         return self.flag or f"has_{self.short_name}"
 
     @property
     def recorded_with(self) -> str:
-        """The part of the model without which its series is not recorded."""
+        """The part of the model without which the series of its energy is not recorded."""
         return self.part or self.name
 
 
@@ -107,9 +107,9 @@ DRAG = ForceKind(
     loss="drag",
     legend="drag",
     meaning="taken out by the drag of the medium since the start; negative if a moving medium put more in",
-    colour="blue",
+    colour="purple",
     pushes=_medium_moves,
     damps=True,
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
 )
-FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are added up
+FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are summed

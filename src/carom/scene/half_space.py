@@ -1,4 +1,4 @@
-"""Static half-spaces: the scene's planes, and the walls of its box as six of them."""
+"""Static half-spaces: the planes of a scene, and the six walls of its box."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class HalfSpaces:
         return len(self.offset)
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
-        """Return how deep spheres reach into each half-space, (n, p) m; negative where they do not."""
+        """Return how deep spheres reach into each half-space, (n, p) m; negative if they do not."""
         return np.asarray(radius[:, None] - (position @ self.normal.T - self.offset))
 
 
@@ -63,6 +63,6 @@ def half_spaces(scene: Scene) -> HalfSpaces:
 
 
 def _unit(direction: tuple[float, float, float]) -> FloatArray:
-    """Scale to length 1; by the largest component first, so that no square overflows."""
+    """Scale to length 1; dividing by the largest component first avoids overflow."""
     scaled = np.array(direction) / np.max(np.abs(direction))
     return np.asarray(scaled / np.sqrt(scaled @ scaled))

@@ -1,4 +1,4 @@
-"""What a person may have meant by a key that a scene does not have."""
+"""Suggestions for keys that a scene does not have."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from carom.scene.schema import Material, Scene
 
 LONGEST = 80  # characters of a key that are compared
 MOST = 4  # places that are named
-ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # of the characters, in the same section and in others
-SHORTEST = 3  # characters that the beginning of a key may have
+ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # similarity that is enough in the same section, and in others
+SHORTEST = 3  # characters of an abbreviated key
 OTHER_WORDS = {
     "sphere": "body",
     "spheres": "body",
@@ -39,7 +39,7 @@ OTHER_WORDS = {
 
 
 def hint(path: KeyPath) -> str:
-    """Say what is nearest to a key that does not exist, or which keys there are; begins with a semicolon."""
+    """Name the keys most similar to an unknown key, or all keys of its section; begins with a semicolon."""
     model = _model_of(path[:-1])
     if model is None:
         return ""
@@ -60,7 +60,7 @@ def hint(path: KeyPath) -> str:
 
 
 def _near(key: str, known: list[str], alike: float) -> str | None:
-    """Find the known key that is most like one, or the only one that it is the beginning of."""
+    """Find the most similar known key, or the only known key that begins with this one."""
     found = difflib.get_close_matches(key, known, n=1, cutoff=alike)
     longer = [name for name in known if len(key) >= SHORTEST and name.startswith(key)]
     return found[0] if found else longer[0] if len(longer) == 1 else None
@@ -72,7 +72,7 @@ def _meant(keys: list[str]) -> str:
 
 
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
-    """Return the dotted paths by key of all keys of a model and those below it; 0 stands for any of several."""
+    """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index."""
     places: dict[str, list[str]] = {}
     for key, field in model.model_fields.items():
         places.setdefault(key, []).append(f"{above}{key}")

@@ -1,12 +1,12 @@
-"""The integrators: one table, from which the scene's key, the checks, the step and the comparisons take what they need.
+"""The table of integrators, used by the scene's key, the checks, the step and the comparisons.
 
-A step is a row of substeps, each a kick with the old forces, a drift and a kick with the new forces, for parts of dt:
+A step is a sequence of substeps: a kick with the old forces, a drift and a kick with the new ones, for parts of dt:
 
     v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
 
-Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift is the same with the
-halves exchanged: on a Kepler orbit its energy swings by a quarter as much, but its forces are those of the middle of
-the step. Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
+Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges the two:
+on a Kepler orbit its energy oscillates a quarter as much, but its forces are those of the middle of the step.
+Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
 (Yoshida 1990, Phys. Lett. A 150, 262).
 
 Gauss–Radau integration has no such row: its own error sets the step (`carom.physics.integrators.gauss_radau15`).
@@ -30,10 +30,10 @@ class Substep(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Integrator:
-    """How the motion between contacts is integrated."""
+    """An integrator of the motion between contacts."""
 
     name: str  # the value of time.integrator
-    title: str  # for people
+    title: str  # in descriptions
     order: int  # of the error over a fixed time in dt
     substeps: tuple[Substep, ...]  # none where its own error sets the step
 
@@ -49,7 +49,7 @@ class Integrator:
 
     @property
     def holds_contacts(self) -> bool:
-        """Whether contacts may rest: they are held against the forces at the end of the step."""
+        """Whether contacts may rest: holding them needs the forces at the end of the step."""
         return self.ends_with_forces and not self.controls_error
 
     @property
@@ -59,17 +59,17 @@ class Integrator:
 
     @property
     def drifts_once(self) -> bool:
-        """Whether a step is one drift forward: impacts then have a place on the way."""
+        """Whether a step is a single drift: impacts can then happen during it."""
         return len(self.substeps) == 1
 
     @property
     def damps(self) -> bool:
-        """Whether a step has room for drag: one drift between two equal kicks (docs/physics.md, 6)."""
+        """Whether drag is supported: it needs one drift between two equal kicks (docs/physics.md, 6)."""
         return self.drifts_once and self.substeps[0].before == self.substeps[0].after
 
     @property
     def force_sums(self) -> int:
-        """How often forces are summed in a step: at least, where iterations follow the error."""
+        """How many times forces are summed in a step: at least, where iterations follow the error."""
         if self.controls_error:
             return RADAU_NODES
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1

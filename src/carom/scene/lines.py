@@ -1,8 +1,8 @@
-"""Which line of a TOML text a key stands on.
+"""Line numbers of the keys in a TOML text.
 
-No TOML library that we know keeps the line of a key, so this reads the text once more, line by line. It is only
-used to point a person at a place: where a key is written in a way that it does not follow (a multi-line inline
-table, say), the line of the section stands in.
+No TOML library that we know keeps the line of a key, so this module reads the text again, line by line. The result only
+serves messages. Where a key is written in a form that is not followed, such as a multi-line inline table, the line of
+its section is returned.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*
 
 
 def line_of(text: str, path: KeyPath) -> int | None:
-    """Return the 1-based line of the longest written prefix of ``path``, or None."""
+    """Return the 1-based line of the longest prefix of ``path`` that the text contains, or None."""
     best: tuple[int, int] = (0, 0)
     section: KeyPath = ()
     seen: Counter[KeyPath] = Counter()

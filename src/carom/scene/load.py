@@ -26,12 +26,12 @@ from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, othe
 from carom.scene.schema import ABOUT_THE_END, Scene, Time
 from carom.scene.toml_text import toml_text
 
-LARGEST_FILE = 64_000_000  # bytes; 400 000 bodies that are written one by one, and half a minute to read
+LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
-_LARGEST_BODY = 1000  # characters of one that is written with all its keys, a long name and comments
-_COMMENTED = 200_000  # characters; up to there overrides keep the comments, which takes a second
+_LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
+_COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
 MOST_MESSAGES = 8
-RECORDED = b"RRF2"  # how a recording begins
+RECORDED = b"RRF2"  # first bytes of a recording
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 _INDEX = re.compile(r"[0-9]{1,9}")
 
@@ -70,14 +70,14 @@ def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
 
 
 def scene_from_text(text: str, source: str, overrides: list[str] | None = None) -> Scene:
-    """Build a scene from TOML that came from somewhere else than a file, such as a recording.
+    """Build a scene from TOML text, such as that in a recording.
 
     Parameters
     ----------
     text
-        At most `longest_text` of its bodies. The comments of a long one are lost where overrides are given.
+        At most as long as `longest_text` allows. Overrides drop the comments of a long text.
     source
-        What messages call it.
+        Its name in messages.
     overrides
         As for `load_scene`.
 
@@ -105,7 +105,7 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
 
 
 def longest_text(bodies: int) -> int:
-    """Return how many characters a scene of so many bodies may have: whatever runs, and so is recorded, is read."""
+    """Return the largest number of characters in a scene, so that every scene that runs can be read back."""
     return min(LARGEST_FILE, _LARGEST_BESIDES_BODIES + _LARGEST_BODY * bodies)
 
 
@@ -141,7 +141,7 @@ def _written(data: dict[str, Any]) -> str:
 
 
 class _Places:
-    """Where each key was written: a line of a file, or an override."""
+    """The place where each key was written: a line of a file, or an override."""
 
     def __init__(self, file: str, text: str, overrides: dict[KeyPath, str]) -> None:
         self.file = file
@@ -168,7 +168,7 @@ def _find(source: str | Path) -> Path:
 def _found(source: str | Path) -> Path:
     path = Path(source)
     if path.is_dir():
-        raise SceneError(f"{path}: a folder, not a scene; name the .toml file in it")
+        raise SceneError(f"{path}: a folder, not a scene; give a .toml file in it")
     if path.exists():
         return path
     bundled = bundled_scenes() | extreme_scenes()
@@ -194,7 +194,7 @@ def _read(path: Path) -> str:
 
 
 def _what_to_do_with(recording: Path) -> str:
-    done = {"view": "shows it", "inspect": "says how it went", "replay": "runs it again", "resume": "goes on with it"}
+    done = {"view": "shows it", "inspect": "says how it went", "replay": "runs it again", "resume": "continues it"}
     return ", ".join(f"`{command(name, recording)}` {what}" for name, what in done.items())
 
 
@@ -235,7 +235,7 @@ def _keys(override: str) -> KeyPath:
 
 
 def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
-    """Write down for which duration a scene promises something of its end, where another one is set."""
+    """Store the duration that the promises about the end refer to, if an override changes the duration."""
     expect, duration = before.get("expect"), _duration(before)
     if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
         return
@@ -245,7 +245,7 @@ def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: C
 
 
 def _duration(document: Any) -> float | None:
-    """Return the duration as it is written; None where that is no number."""
+    """Return the duration as written; None if it is not a number."""
     time = document.get("time", {})
     duration = time.get("duration", Time().duration) if isinstance(time, dict) else None
     return duration if isinstance(duration, int | float) else None
@@ -278,7 +278,7 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
 
 
 def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
-    """One line a person can act on: place, key, what is wrong, what would be right."""
+    """Return one line with the place, the key, what is wrong and what would be right."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), detail["input"]
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
@@ -291,12 +291,12 @@ def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
 
 
 def _is_union_member(key: str | int) -> bool:
-    """Pydantic puts the member of a union that it tried into the path; a person did not write it."""
+    """Tell whether a key names a member of a union, which Pydantic adds to the path and nobody wrote."""
     return isinstance(key, str) and ("[" in key or key.startswith("constrained") or key in ("float", "nan", "literal"))
 
 
 def _written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the key as a person wrote it: a radius given as a number has no `min`, a vector no `2`."""
+    """Return the path as it was written: a radius given as a number has no `min`, a vector no `2`."""
     path: KeyPath = tuple(key for key in detail["loc"] if not _is_union_member(key))
     node = data
     for depth, key in enumerate(path):
@@ -335,13 +335,13 @@ def _wrong(detail: Any) -> str:
         case "too_short" | "too_long" | "tuple_type" | "missing":
             return "must be three numbers [x, y, z]"
         case "model_type" | "model_attributes_type" | "dict_type":
-            return "must be a section with keys of its own"
+            return "must be a section with keys"
         case _:
             return str(detail["msg"])
 
 
 def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
-    """Follow a key path through the models: the model that holds the last key, and the field itself."""
+    """Follow a path of keys through the models; return the model of the last key, and its field."""
     model: type[BaseModel] | None = Scene
     field = None
     for key in path:

@@ -1,4 +1,4 @@
-"""What a misspelt name may mean."""
+"""Suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Say which known name is the nearest, and which there are."""
+    """Name the most similar known name, and list all."""
     known = list(known)
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     there = f"here are {', '.join(known)}"

@@ -1,4 +1,4 @@
-"""Which spheres overlap: a broad phase by k-d trees, then the exact test, vectorised.
+"""Search for overlapping spheres: a broad phase by k-d trees, then the exact test, vectorised.
 
 A k-d tree queried at twice the largest radius returns n² candidates as soon as one body is huge. Bodies are
 therefore sorted into size classes, each spanning a factor of two in radius, with a tree for each class; a pair of
@@ -37,12 +37,12 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
     Returns
     -------
     pairs
-        (m, 2) indices with i < j, sorted by (i, j): they do not depend on how the search went.
+        (m, 2) indices with i < j, sorted by (i, j), so independent of the order of the search.
 
     Raises
     ------
     SceneError
-        If there are more than `MOST_CANDIDATES` pairs to look at.
+        If there are more than `MOST_CANDIDATES` pairs to test.
     """
     candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
     candidates.sort(axis=1)
@@ -62,7 +62,7 @@ def squared_distance(a: FloatArray, b: FloatArray, box: FloatArray | None) -> Fl
 
 
 def wrapped(position: FloatArray, box: FloatArray | None) -> FloatArray:
-    """Return positions in [0, box), as a periodic k-d tree wants them."""
+    """Return positions in [0, box), as a periodic k-d tree needs them."""
     if box is None:
         return position
     inside = np.mod(position, box)
@@ -99,7 +99,7 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
 
 
 def _refuse_crowds(trees: list[cKDTree], reach: list[float]) -> None:
-    """Count the candidates before they are listed."""
+    """Refuse too many candidates; counts them without listing them."""
     count = 0
     for k, other in itertools.combinations_with_replacement(range(len(trees)), 2):
         near = int(trees[k].count_neighbors(trees[other], (reach[k] + reach[other]) * QUERY_MARGIN))

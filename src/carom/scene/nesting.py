@@ -1,4 +1,4 @@
-"""How deeply a scene may be nested. Parsers, validation and messages recurse, or take time quadratic in the depth."""
+"""Limit on the nesting of a scene: parsing, validation and messages recurse, or take time quadratic in the depth."""
 
 from __future__ import annotations
 

@@ -41,5 +41,5 @@ class Part:
 
 
 def unknown(name: str) -> str:
-    """Say that there is no part of that name, and which is nearest."""
+    """Say that there is no part of that name, and suggest the nearest."""
     return f'no part "{name}"; {suggestion(name, PARTS)}'

@@ -1,7 +1,7 @@
-"""Where the bodies start: explicit ones as written, groups at random without overlaps.
+"""Initial states of the bodies: explicit ones as written, groups at random without overlaps.
 
-Groups are placed by generate and filter: 1.2 n candidates, a broad phase by k-d trees, the exact test, and every
-candidate that collides replaced by a new one, until n are clean.
+Groups are placed by generating 1.2 n candidates and filtering them: a broad phase by k-d trees, then the exact test.
+Candidates that collide are replaced by new ones until n are accepted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from carom.scene.schema import LARGEST, Body, Group, Region, Scene
 FloatArray = NDArray[np.float64]
 
 CANDIDATES_PER_BODY = 1.2
-MOST_ROUNDS = 400  # of generate and filter, for one size class
+MOST_ROUNDS = 400  # of generating and filtering, for one size class
 MOST_DRAWN = 50_000_000  # candidates, for one size class
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 DEFAULT_PACKING = 0.1  # of a group without a region
@@ -79,7 +79,7 @@ def place(scene: Scene) -> Start:
 
 
 def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
-    """Return positions within a periodic box: what is written outside it is an image of what is in it."""
+    """Return the images of positions inside a periodic box."""
     turns = np.where(np.abs(position) > 0.5 * box, np.floor(position / box + 0.5), 0.0)
     return np.asarray(position - box * turns)
 
@@ -109,11 +109,11 @@ def _explicit(bodies: tuple[Body, ...]) -> Start:
 
 
 def _refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") -> None:
-    """Refuse bodies that are smaller than the distance between two numbers where they are; both in m."""
+    """Refuse bodies smaller than the spacing of floating-point numbers at their positions; lengths in m."""
     step = float(np.spacing(reach))
     if step > radius:
         raise SceneError(
-            f"{key}: {reach:.3g} m from the origin positions are {step:.3g} m apart, and the radius is {radius:.3g} m; "
+            f"{key}: {reach:.3g} m from the origin, positions are {step:.3g} m apart, and the radius is {radius:.3g} m; "
             f"place it nearer to the origin or enlarge the radius{remedy}"
         )
 
@@ -131,7 +131,7 @@ def _refuse_full_box(scene: Scene) -> None:
 
 
 def _refuse_overflow(start: Start) -> None:
-    """Refuse bodies whose mass, moment of inertia or motion is no number that can be computed with."""
+    """Refuse bodies whose mass, moment of inertia or motion overflows or underflows."""
     with np.errstate(over="ignore", divide="ignore"):
         wrong = {
             "mass": ~(np.isfinite(start.mass) & np.isfinite(1.0 / start.mass)),
@@ -146,7 +146,7 @@ def _refuse_overflow(start: Start) -> None:
 
 
 def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
-    """Touching is allowed, up to the rounding of the positions as written; overlapping is not."""
+    """Refuse overlapping bodies; touching is allowed, up to the rounding of the positions."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return
@@ -176,7 +176,7 @@ def _refuse_immersion(start: Start, solids: HalfSpaces) -> None:
 
 
 def _rounding(start: Start, length: FloatArray) -> FloatArray:
-    """Return what lengths as written may be wrong by, in m."""
+    """Return the possible rounding errors of lengths, in m."""
     return np.asarray(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()))
 
 
@@ -272,7 +272,7 @@ def _positions(
     box: FloatArray | None,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Place spheres of given radii, the largest size class first: small ones then find their gaps."""
+    """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
     _refuse_too_large(index, region, radius)
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / _region_volume(region)
     position = np.empty((len(radius), 3))
@@ -303,9 +303,9 @@ def _place_class(
 ) -> FloatArray:
     """Generate and filter one size class.
 
-    The pool keeps the order of arrival: of two candidates that collide the newer one goes, so a clean candidate
-    stays clean and each round can only gain. Each round tops the pool up to 1.2 n; ``owner`` is the body whose
-    radius a candidate has, and only the first clean one of each body is kept.
+    The pool keeps the order of arrival, and of two candidates that collide the newer one is removed. An accepted
+    candidate therefore stays, and no round loses one. Each round tops the pool up to 1.2 n. ``owner`` is the body whose
+    radius a candidate has; only the first accepted candidate of each body is kept.
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
@@ -338,7 +338,7 @@ def _place_class(
 
 
 def _draw(region: Region, radius: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Draw centres uniformly such that the whole sphere lies in the region."""
+    """Draw centres uniformly so that every sphere lies inside the region."""
     n = len(radius)
     if region.radius is not None:
         direction = rng.standard_normal((n, 3))

@@ -1,7 +1,7 @@
 """Cube roots, powers and exponentials with the same bits on any processor.
 
-NumPy's ``cbrt``, ``power`` and ``exp`` have other last bits where the processor has AVX-512. These use sums, products,
-quotients and changes of the exponent only, each of which IEEE 754 defines to the last bit.
+The last bits of NumPy's ``cbrt``, ``power`` and ``exp`` differ on processors with AVX-512. These functions use only
+sums, products, quotients and changes of the exponent, which IEEE 754 defines to the last bit.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ EXP = (
 
 
 def cube_root(x: FloatArray) -> FloatArray:
-    """Return ∛x of numbers that are not negative."""
+    """Return ∛x for x ≥ 0."""
     mantissa, exponent = np.frexp(x)
     third, left = exponent // 3, exponent % 3
     a = np.ldexp(mantissa, left)  # x = a 8^third, ½ ≤ a < 4
@@ -44,12 +44,12 @@ def cube_root(x: FloatArray) -> FloatArray:
 
 
 def power(base: FloatArray, exponent: FloatArray | float) -> FloatArray:
-    """Return bᵖ of numbers above 0, to some parts in 10¹⁵."""
+    """Return bᵖ for b > 0, to some parts in 10¹⁵."""
     return exponential(exponent * _log(base))
 
 
 def exponential(x: FloatArray) -> FloatArray:
-    """Return eˣ of numbers whose exponential is one."""
+    """Return eˣ, where it neither overflows nor underflows."""
     k = np.rint(x / (LN2_HIGH + LN2_LOW))
     high, low = x - k * LN2_HIGH, k * LN2_LOW
     r = high - low

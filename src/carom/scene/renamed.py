@@ -1,4 +1,4 @@
-"""Keys of a scene that have a new name; the old one is still read."""
+"""Renamed keys of a scene; the old names are still read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class OldNameWarning(FutureWarning):
 
 
 def other_name(path: KeyPath) -> KeyPath | None:
-    """Return the old name of a key, or the new one of an old name; None for one that was never renamed."""
+    """Return the other name of a renamed key, old for new and new for old; None for any other key."""
     return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
 
 
@@ -30,5 +30,5 @@ def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
 
 
 def advice(old: KeyPath) -> str:
-    """Say what an old name is called now."""
+    """Name the new name of an old one."""
     return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"

@@ -1,7 +1,7 @@
-"""The scene: everything a run depends on, as validated data. Units stand in each description.
+"""The scene: everything that a run depends on, as validated data. Each description states the unit.
 
-The names are the ones that a person writes in the TOML file. Every section and key is optional but a body or a
-group; unknown keys are refused.
+Sections and keys have the names that they have in the TOML file. All are optional, except that a scene needs a body or
+a group. Unknown keys are refused.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from carom.scene.integrators import AUTO, INTEGRATORS, described
 from carom.scene.parts import PARTS, unknown
 from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
-LARGEST = 1e100  # so that cubes and most products are numbers
+LARGEST = 1e100  # cubes and most products of such numbers are finite
 SMALLEST = 1e-100
 STEEPEST = 300  # decades that a power of radii may span
 
 
 def _refuse_extremes(value: float) -> float:
-    """Refuse what is so large or so small that powers of it are no numbers; 0 is one."""
+    """Refuse numbers whose powers overflow or underflow; 0 is allowed."""
     if value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
         raise ValueError(f"{value:g} is not between {SMALLEST:g} and {LARGEST:g} in size; choose other units")
     return value
@@ -44,7 +44,7 @@ _AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
-Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # without a unit: there are no others to choose
+Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # has no unit that could be changed
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
 if TYPE_CHECKING:
@@ -56,72 +56,76 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 
 
 class Section(BaseModel):
-    """A table of the scene file: immutable, and without keys that nobody knows."""
+    """A table of the scene file: immutable; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=False)
 
 
 class Time(Section):
-    """[time]: how long, and how the step is chosen."""
+    """[time]: the duration, and how the step is chosen."""
 
     duration: Positive = Field(10.0, description="s, simulated time; more than 0")
     max_dt: Positive = Field(1.0, description="s, largest step; more than 0")
     target_dx: Positive | Literal["auto"] = Field(
         "auto",
-        description="m, farthest that the largest acceleration may move a body in a step; "
-        '"auto" is a part of the smallest radius, the smaller the fewer bodies there are, and no limit where nothing '
-        "can touch",
+        description="m, largest distance that an acceleration may move a body from rest in a step; "
+        '"auto" is a fraction of the smallest radius, smaller for fewer bodies, and no limit where nothing can touch',
     )
     cfl: Positive | Literal["auto"] = Field(
         "auto",
-        description="fraction of its own radius that a body may cross in a step, more than 0; "
-        '"auto" is 0.5, and 1 where impacts are resolved at their own moments and nothing presses contacts together; '
+        description="largest distance that a body may move in a step, as a fraction of its own radius; more than 0; "
+        '"auto" is 0.5, 1 where impacts are resolved at their own times and nothing presses contacts together, and '
         "no limit where nothing can touch",
     )
     pull_fraction: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
         "auto",
         description="step as a fraction of the shortest time in which a pull changes the motion of a pair, "
-        'r/√(v² + G(m_i + m_j)/r), more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
-        "touch (0.02 of more than 100 bodies, from their accelerations), and no limit elsewhere or with a target_dx",
+        'r/√(v² + G(m_i + m_j)/r); more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
+        "touch (with more than 100 bodies 0.02, from the largest acceleration), and no limit elsewhere or with a "
+        "target_dx",
     )
     smoothing: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
         "auto",
-        description="weight of the new dt in the moving average, above 0; 1 is no smoothing; "
-        '"auto" is 0.2, and 1 where the pull alone limits the step',
+        description="weight of the new step in the moving average; more than 0; 1 is no smoothing; "
+        '"auto" is 0.2, and 1 where only pull_fraction limits the step',
     )
     velocity_limit: Literal["every-body", "fastest-body"] = Field(
-        "every-body", description="the bodies whose radius and speed limit the step: all, or the fastest body alone"
+        "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
     )
-    fixed_dt: Positive | None = Field(None, description="s, a constant step in place of the adaptive one")
+    fixed_dt: Positive | None = Field(None, description="s, constant step in place of the adaptive one")
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Yoshida's where up to 100 bodies pull each other and cannot touch, "
-        "else leapfrog",
+        "otherwise leapfrog",
     )
 
 
 class Gravity(Section):
-    """[gravity]: what pulls."""
+    """[gravity]: the gravity of the bodies on each other, and a uniform field."""
 
-    constant: NonNegative = Field(6.6743e-11, description="m³ kg⁻¹ s⁻², 0 is no gravity; not negative")
+    constant: NonNegative = Field(
+        6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 is no gravity; not negative"
+    )
     method: Literal["auto", "direct", "tree", "none"] = Field(
-        "auto", description="how the pull is summed; auto takes a tree for many bodies"
+        "auto", description="how gravity is summed; auto takes a tree for 5000 bodies or more"
     )
     opening_angle: Positive = Field(
-        0.5, le=1, description="rad, tree only: what looks smaller pulls as a whole; more than 0, at most 1"
+        0.5,
+        le=1,
+        description="rad, tree only: boxes with a smaller angular radius pull as a whole; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
-        True, description="tree only: false takes what is far for a point, cheaper and less accurate"
+        True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
     )
     softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
     uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
 
 
 class Drag(Section):
-    """[drag]: a medium that slows bodies down, a = -(v - u)/τ (Stokes)."""
+    """[drag]: Stokes' drag in a medium, a = -(v - u)/τ."""
 
     relaxation_time: Positive = Field(
-        description="s, τ: in it the velocity relative to the medium falls to 1/e; more than 0"
+        description="s, τ, in which the velocity relative to the medium falls to 1/e; more than 0"
     )
     medium_velocity: Vector = Field(ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium")
 
@@ -137,7 +141,7 @@ class Drag(Section):
 
 
 class Material(NamedTuple):
-    """The coefficients of the contact law: those of [contact] between bodies, those of a [[plane]] at that plane."""
+    """Coefficients of the contact law: from [contact] between bodies, from [[plane]] at that plane."""
 
     restitution: float
     static_friction: float
@@ -145,15 +149,15 @@ class Material(NamedTuple):
 
 
 class Contact(Section):
-    """[contact]: what happens where spheres touch."""
+    """[contact]: how contacts are modelled."""
 
     enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
     restitution: _AnyReal = Field(
-        0.5, ge=0, le=1, description="fraction of the approach speed kept, from 0 (no bounce) to 1 (elastic)"
+        0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
     )
-    static_friction: Friction = Field(0.6, description="Coulomb coefficient while the contact sticks; not negative")
+    static_friction: Friction = Field(0.6, description="Coulomb coefficient of a sticking contact; not negative")
     kinetic_friction: Friction = Field(
-        0.4, description="Coulomb coefficient while the contact slides, from 0 to static_friction"
+        0.4, description="Coulomb coefficient of a sliding contact, from 0 to static_friction"
     )
     solver: Literal["lasting", "staged"] = Field(
         "lasting",
@@ -161,22 +165,23 @@ class Contact(Section):
         "in every step (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(
-        "contacts", description="what is coloured to find contacts that can be solved in parallel: contacts or bodies"
+        "contacts", description="graph colouring that finds contacts to solve in parallel: of contacts or of bodies"
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
-        "split", description="how overlaps are undone: by moving positions (split), or by a velocity bias (baumgarte)"
+        "split",
+        description="how overlaps are corrected: bodies are moved (split), a velocity bias (baumgarte), or not (none)",
     )
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
-        description="when an impact is resolved: up to a step late, or at its own moment, whatever the speed; auto is "
-        "the latter unless the bodies' own gravity presses contacts together",
+        description="when impacts are resolved: at the end of their step, or at their own times within it; auto is "
+        "time-of-impact unless the bodies' own gravity presses contacts together",
     )
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="broad phase: a hierarchical grid, or a k-d tree with the same result, 2 to 8 times slower"
     )
     sweeps: Literal["auto"] | Annotated[Count, Field(le=10_000)] = Field(
         "auto",
-        description="passes over the contacts in a step: as many as they need (`auto`), or at most this many",
+        description="solver iterations in a step: as many as the contacts need (auto), or at most this many",
     )
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"
@@ -185,7 +190,7 @@ class Contact(Section):
     @model_validator(mode="before")
     @classmethod
     def _follow_the_given_friction(cls, data: Any) -> Any:
-        """Let the coefficient that is not given follow the one that is, where its default would contradict it."""
+        """Adapt the default of one coefficient if it contradicts the other, which is given."""
         if not isinstance(data, dict):
             return data
         static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
@@ -200,7 +205,7 @@ class Contact(Section):
         if self.kinetic_friction > self.static_friction:
             raise ValueError(
                 f"kinetic_friction = {self.kinetic_friction:g} is above static_friction = {self.static_friction:g}; "
-                "a sliding contact cannot hold more than a sticking one, so kinetic_friction must be the smaller"
+                "a sliding contact cannot resist more than a sticking one, so kinetic_friction must be the smaller"
             )
         return self
 
@@ -213,7 +218,9 @@ class Contact(Section):
 class Domain(Section):
     """[domain]: the space around the bodies."""
 
-    boundary: Literal["open", "periodic", "walls"] = Field("open", description="what is at the edge")
+    boundary: Literal["open", "periodic", "walls"] = Field(
+        "open", description="open space, a periodic box, or a box with walls"
+    )
     size: tuple[Positive, Positive, Positive] | None = Field(
         None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
     )
@@ -231,7 +238,7 @@ def _one_as_several(value: Any) -> Any:
 
 
 class Model(Section):
-    """[model]: what is modelled though the scene does not require it."""
+    """[model]: parts to model even though the scene does not require them."""
 
     force: Annotated[tuple[Annotated[str, Field(strict=True)], ...], BeforeValidator(_one_as_several)] = Field(
         (), description="parts to switch on, by the names that `carom explain` prints; one, or a list"
@@ -247,7 +254,7 @@ class Model(Section):
 
 
 class Record(Section):
-    """[record]: how often something is written down. It never changes the physics."""
+    """[record]: how often frames are recorded and the energy is checked. It never changes the physics."""
 
     every: Literal["auto", "step"] | Positive = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
@@ -255,10 +262,10 @@ class Record(Section):
     check_every: Count = Field(
         100,
         validation_alias=AliasChoices("check_every", "log_freq"),
-        description="steps between energy checks, besides those of frames; 1 or more",
+        description="steps between energy checks, in addition to those at frames; 1 or more",
     )
     energy_tolerance: Positive = Field(
-        1e-3, description="rise of the energy, over the energy scale, that logs a warning"
+        1e-3, description="rise of the energy, relative to the energy scale, that causes a warning"
     )
 
     @model_validator(mode="before")
@@ -276,7 +283,7 @@ class Record(Section):
 
 
 def _constant_as_range(value: Any) -> Any:
-    """Read a single number as a range of no width."""
+    """Read a single number as a range of zero width."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return {"min": value, "max": value}
     return value
@@ -296,15 +303,15 @@ class RadiusRange(Section):
             raise ValueError(f"min = {self.min:g} is above max = {self.max:g}; exchange them")
         if abs(self.exponent + 1.0) * math.log10(self.max / self.min) > STEEPEST:
             raise ValueError(
-                f"exponent = {self.exponent:g} is too steep for radii so different; lower it or their ratio"
+                f"exponent = {self.exponent:g} is too steep for such different radii; lower it or their ratio"
             )
         return self
 
 
 class Region(Section):
-    """Where the bodies of a group are placed; whole spheres lie inside it."""
+    """Where the bodies of a group are placed; every sphere lies entirely inside."""
 
-    shape: Literal["ball", "box"] = Field("ball", description="ball or box")
+    shape: Literal["ball", "box"] = Field("ball", description="shape of the region")
     radius: Positive | None = Field(None, description="m, of a ball; more than 0")
     size: tuple[Positive, Positive, Positive] | None = Field(None, description="m, [x, y, z] of a box")
     centre: Vector = Field(ORIGIN, description="m, [x, y, z]")
@@ -332,12 +339,12 @@ class Spin(Section):
 
 
 class Matter(Section):
-    """What a sphere is made of: a density or a mass, not both."""
+    """Matter of a sphere: a density or a mass, not both."""
 
     density: Positive | None = Field(None, description="kg/m³, 1000 unless mass is given; more than 0")
-    mass: Positive | None = Field(None, description="kg of each body, in place of density; more than 0 and finite")
+    mass: Positive | None = Field(None, description="kg, of each body, in place of a density; more than 0")
     inertia_factor: Positive = Field(
-        0.4, le=2 / 3, description="moment of inertia over m r²: 2/5 for a full sphere, 2/3 for a shell"
+        0.4, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
     )
 
     @model_validator(mode="after")
@@ -348,17 +355,21 @@ class Matter(Section):
 
 
 class Group(Matter):
-    """[[group]]: many bodies at random, never overlapping."""
+    """[[group]]: many bodies at random positions, without overlaps."""
 
     name: str = Field("", description="shown in the recording")
     count: Count = Field(100, description="number of bodies; 1 or more")
     radius: Annotated[RadiusRange, BeforeValidator(_constant_as_range)] = Field(
         RadiusRange(min=1.0, max=1.0), description="m, one number or { min, max, distribution }"
     )
-    region: Region | None = Field(None, description="where; a ball one tenth full unless given")
+    region: Region | None = Field(
+        None, description="where the bodies are placed; by default a ball that is one tenth full"
+    )
     velocity: Velocity = Field(Velocity(), description="{ mean, dispersion } in m/s")
     spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
-    bulk_rotation: Vector = Field(ORIGIN, description="rad/s, the group turning as one about its centre")
+    bulk_rotation: Vector = Field(
+        ORIGIN, description="rad/s, [x, y, z], rigid rotation of the whole group about its centre"
+    )
 
 
 class Body(Matter):
@@ -370,11 +381,11 @@ class Body(Matter):
     angular_velocity: Vector = Field(ORIGIN, description="rad/s, [x, y, z]")
     radius: Positive = Field(1.0, description="m; more than 0")
     fixed: Annotated[bool, Field(strict=True)] = Field(
-        False, description="true: held where it is, whatever pulls or hits it; it neither moves nor turns"
+        False, description="true: the body neither moves nor turns, whatever acts on it"
     )
 
     @model_validator(mode="after")
-    def _what_is_fixed_does_not_move(self) -> Self:
+    def _a_fixed_body_does_not_move(self) -> Self:
         if self.fixed and (any(self.velocity) or any(self.angular_velocity)):
             raise ValueError(
                 "fixed = true with a velocity or an angular_velocity; leave them out, or set fixed = false"
@@ -383,25 +394,25 @@ class Body(Matter):
 
 
 class Plane(Section):
-    """[[plane]]: a static half-space, solid on the side that its normal leaves."""
+    """[[plane]]: a static half-space; the normal points out of the solid."""
 
     name: str = Field("", description="shown in warnings")
     point: Vector = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
     normal: tuple[_AnyReal, _AnyReal, _AnyReal] = Field(
-        (0.0, 0.0, 1.0), description="direction out of the solid; of any length but 0"
+        (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid; any length but 0"
     )
-    restitution: _AnyReal | None = Field(
-        None, ge=0, le=1, description="as in [contact], whose value holds unless given"
-    )
-    static_friction: Friction | None = Field(None, description="as in [contact], whose value holds unless given")
+    restitution: _AnyReal | None = Field(None, ge=0, le=1, description="as in [contact], whose value is the default")
+    static_friction: Friction | None = Field(None, description="as in [contact], whose value is the default")
     kinetic_friction: Friction | None = Field(
-        None, description="as in [contact], whose value holds unless given; at most the static one"
+        None, description="as in [contact], whose value is the default; at most static_friction"
     )
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
         if not any(self.normal):
-            raise ValueError("normal = [0, 0, 0] is no direction; give the way out of the solid, such as [0, 0, 1]")
+            raise ValueError(
+                "normal = [0, 0, 0] is no direction; give the direction out of the solid, such as [0, 0, 1]"
+            )
         return self
 
     @model_validator(mode="after")
@@ -409,13 +420,12 @@ class Plane(Section):
         static, kinetic = self.static_friction, self.kinetic_friction
         if static is not None and kinetic is not None and kinetic > static:
             raise ValueError(
-                f"kinetic_friction = {kinetic:g} is above static_friction = {static:g}; kinetic_friction must be the "
-                "smaller"
+                f"kinetic_friction = {kinetic:g} is above static_friction = {static:g}; it must be the smaller"
             )
         return self
 
     def material(self, contact: Contact) -> Material:
-        """Return the coefficients at the plane; a friction not given follows the one that is."""
+        """Return the coefficients at the plane; a missing coefficient of friction adapts to the one that is given."""
         static, kinetic = self.static_friction, self.kinetic_friction
         if static is None:
             static = contact.static_friction if kinetic is None else max(kinetic, contact.static_friction)
@@ -425,15 +435,15 @@ class Plane(Section):
         return Material(restitution, static, kinetic)
 
 
-ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that only a run of the promised duration can keep or break
+ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a run of the promised duration
 
 
 class Expect(Section):
-    """[expect]: promises checked at the end; a run that misses one exits 1 and says so."""
+    """[expect]: promises that are checked at the end; a run that misses one says so and exits with 1."""
 
     energy_error: NonNegative | None = Field(
         None,
-        description="largest |integration error| over the energy scale, or what impulses of contacts put in if more",
+        description="largest |integration error| over the energy scale, or energy put in by contacts if that is more",
     )
     energy_gain: NonNegative | None = Field(
         None, description="largest rise of the total energy above its lowest so far, over the energy scale, at frames"
@@ -446,7 +456,7 @@ class Expect(Section):
     final_kinetic: NonNegative | None = Field(
         None, description="kinetic energy at the end, of motion and spin, over the energy scale"
     )
-    impacts: Count | None = Field(None, description="fewest contacts that close faster than at rest; 1 or more")
+    impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
     duration: Positive | None = Field(
         None,
         description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",
@@ -457,7 +467,7 @@ class Expect(Section):
 
 
 def _values_by_key(given: Any) -> Any:
-    """Read what varies: lists as they are, text as `--vary` takes it."""
+    """Read the varied values: lists as they are, text in the syntax of `--vary`."""
     if not isinstance(given, dict):
         return given
     found: dict[str, Values] = {}
@@ -473,14 +483,17 @@ def _values_by_key(given: Any) -> Any:
 
 
 class Sweep(Section):
-    """[sweep]: what `carom sweep` varies, and what `carom run` leaves alone."""
+    """[sweep]: what `carom sweep` varies; `carom run` ignores it."""
 
     vary: Annotated[dict[str, Values], BeforeValidator(_values_by_key)] = Field(
-        {}, description='values by key, a list or text such as "0.1:0.9:5" or "1e-3:1:4log"'
+        {}, description='values by key: a list, or text such as "0.1:0.9:5" or "1e-3:1:4log"'
     )
-    seeds: Count | None = Field(None, description="runs of each with seeds from the scene's own on; 1 or more")
+    seeds: Count | None = Field(
+        None, description="runs of each combination, with seeds counted up from the scene's own; 1 or more"
+    )
     zip: Annotated[bool, Field(strict=True)] = Field(
-        False, description="true: the values of all keys go side by side; false: each with each"
+        False,
+        description="true: combine the first values of all keys, then the second, …; false: combine each with each",
     )
 
 
@@ -494,22 +507,22 @@ class Scene(Section):
     1.0
     """
 
-    title: str = Field("Untitled scene", description="one line, shown everywhere")
+    title: str = Field("Untitled scene", description="one line; shown everywhere")
     description: str = Field("", description="what to look for, shown in the recording")
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
-        0, description="of the random start; 0 or more, below 2**63"
+        0, description="seed of the random start; 0 or more, below 2**63"
     )
-    time: Time = Field(Time(), description="how long, and how the step is chosen")
-    gravity: Gravity = Field(Gravity(), description="what pulls")
-    drag: Drag | None = Field(None, description="a medium that slows bodies down; none unless given")
-    contact: Contact = Field(Contact(), description="what happens where spheres touch")
+    time: Time = Field(Time(), description="the duration, and how the step is chosen")
+    gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
+    drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
+    contact: Contact = Field(Contact(), description="how contacts are modelled")
     domain: Domain = Field(Domain(), description="the space around the bodies")
-    model: Model = Field(Model(), description="what is modelled though the scene does not require it")
-    record: Record = Field(Record(), description="how often something is written down")
-    group: tuple[Group, ...] = Field((), description="many bodies at random")
+    model: Model = Field(Model(), description="parts to model even though the scene does not require them")
+    record: Record = Field(Record(), description="how often frames are recorded and the energy is checked")
+    group: tuple[Group, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
     plane: tuple[Plane, ...] = Field((), description="static half-spaces")
-    expect: Expect = Field(Expect(), description="promises checked at the end")
+    expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
 
     _toml: str = PrivateAttr("")
@@ -526,7 +539,7 @@ class Scene(Section):
 
     @property
     def anchored(self) -> bool:
-        """Whether something does not move: planes, walls or fixed bodies, which take momentum out of the scene."""
+        """Whether there are planes, walls or fixed bodies, which take up momentum."""
         return bool(self.plane) or self.domain.boundary == "walls" or any(body.fixed for body in self.body)
 
     @classmethod
@@ -553,8 +566,8 @@ class Scene(Section):
     def _periodic_space_has_no_uniform_field(self) -> Self:
         if self.domain.boundary == "periodic" and any(self.gravity.uniform):
             raise ValueError(
-                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and a '
-                "potential that repeats does not exist; set gravity.uniform = [0, 0, 0]"
+                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and '
+                "the potential of the field is not periodic; set gravity.uniform = [0, 0, 0]"
             )
         return self
 
@@ -562,8 +575,8 @@ class Scene(Section):
     def _periodic_space_has_no_planes(self) -> Self:
         if self.domain.boundary == "periodic" and self.plane:
             raise ValueError(
-                'domain.boundary = "periodic" with a [[plane]]: a plane has no place in a space that repeats; use '
-                'boundary = "walls" or "open", or leave the plane out'
+                'domain.boundary = "periodic" with a [[plane]]: a periodic space cannot contain planes; use '
+                'boundary = "walls" or "open", or remove the plane'
             )
         return self
 

@@ -1,4 +1,4 @@
-"""What varies from run to run of a sweep: the values of each key, and how they are combined."""
+"""The values that a sweep varies, and their combinations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DIGITS = 12  # of a value in a range: 0.3 and not 0.30000000000000004
 
 
 def values_of(text: str) -> Values:
-    """Read the values that a person wrote for a key.
+    """Read the values of a key from text.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def values_of(text: str) -> Values:
 
 
 def texts_of(text: str) -> list[str]:
-    """Read the same values, each as a person writes it.
+    """Read the same values, each as text.
 
     Raises
     ------
@@ -53,12 +53,12 @@ def texts_of(text: str) -> list[str]:
 
 
 def alike(values: Any) -> Values:
-    """Return the values as a tuple in which whole numbers beside others are floats, none twice.
+    """Return the values as a tuple; whole numbers among floats become floats, and none may occur twice.
 
     Raises
     ------
     ValueError
-        If there are none, or one is there twice.
+        If there are none, or one occurs twice.
     """
     found = tuple(values)
     if not found:
@@ -72,12 +72,12 @@ def alike(values: Any) -> Values:
         known = len(seen)
         seen.add(_hashable(value))
         if len(seen) == known:
-            raise ValueError(f"{value} is there twice; a run is made once")
+            raise ValueError(f"{value} is given twice; give it once")
     return found
 
 
 def _hashable(value: Any) -> Any:
-    """Return what is equal where values are equal: lists and tables do not go into a set."""
+    """Return a hashable equivalent of a value, since lists and tables cannot be in a set."""
     if isinstance(value, list):
         return tuple(map(_hashable, value))
     if isinstance(value, Mapping):
@@ -86,18 +86,18 @@ def _hashable(value: Any) -> Any:
 
 
 def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any]]:
-    """Return the parameters of every run: each value of each key with each of the others, or side by side.
+    """Return the parameters of every run: all combinations of the values, or the lists side by side.
 
     Raises
     ------
     ValueError
-        If lists to go side by side differ in length, or there are too many runs.
+        If lists that are combined side by side differ in length, or there are too many runs.
     """
     if zipped:
         lengths = {key: len(values) for key, values in axes.items()}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-            raise ValueError(f"values go side by side, so there must be as many of each: {counts}")
+            raise ValueError(f"zipped keys need equally many values: {counts}")
         rows: Any = zip(*axes.values(), strict=True) if axes else [()]
     else:
         if math.prod(len(values) for values in axes.values()) > MOST_RUNS:
@@ -107,7 +107,7 @@ def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any
 
 
 def flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
-    """Write nested tables under dotted keys: in TOML, an unquoted ``contact.restitution`` is a table of its own."""
+    """Write nested tables under dotted keys, since TOML reads an unquoted ``contact.restitution`` as a table."""
     found: dict[str, Any] = {}
     for key, value in nested.items():
         if isinstance(value, Mapping):
@@ -134,7 +134,7 @@ def _range(text: str, first: str, last: str, count: str, log: str | None) -> Val
         raise ValueError(_TOO_MANY)
     low, high, steps = float(first), float(last), int(count) - 1
     if not math.isfinite(high - low):
-        raise ValueError(f'"{text}": the ends of a range must be finite numbers, and so must their distance')
+        raise ValueError(f'"{text}": the ends of a range, and their difference, must be finite numbers')
     if steps < 1:
         raise ValueError(f'"{text}": a range has two values or more; expected {_EXAMPLES}')
     if log and not (low > 0.0 and high > 0.0):
@@ -151,7 +151,7 @@ def _range(text: str, first: str, last: str, count: str, log: str | None) -> Val
 
 
 def _are_whole(*numbers: str) -> bool:
-    """Tell whether numbers were written without a point: a count must stay one."""
+    """Tell whether numbers were written without a point, so that a count stays whole."""
     return all(number.lstrip("+-").isdigit() for number in numbers)
 
 

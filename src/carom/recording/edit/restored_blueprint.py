@@ -9,6 +9,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit, corners_of
+from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
 
 _LOOKS = 50  # frames by which the camera is placed
@@ -30,4 +31,4 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
         fit.look(last)
     if fit is None:
         fit = CameraFit(header.radius, np.zeros((len(header.radius), 3)), corners)
-    return blueprint(header, fit)
+    return blueprint(header, fit, recorded_curves(recording))

@@ -11,7 +11,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, NamedTuple
 
 from carom.recording.schema.header import Header
-from carom.recording.schema.palette import GREEN, NAMED, ORANGE, PURPLE, SKY, VERMILION, WHITE, YELLOW
+from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY
 from carom.scene.forces import FORCES, ForceKind
 
@@ -20,13 +20,30 @@ if TYPE_CHECKING:
     from carom.physics.diagnostics.energy import Energy
     from carom.physics.frame import Frame
 
+BLUE, RED, GREEN, PURPLE, GREY = (LINES[name] for name in ("blue", "red", "green", "purple", "grey"))
+THIN, THICK = 1.75, 3.5  # widths of curves in points of the screen: a thinner one is blended with the ground
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A plot: all its series have one unit."""
+
+    title: str
+    unit: str
+
+    @property
+    def name(self) -> str:
+        """What stands above the plot."""
+        return self.title if self.unit == "1" else f"{self.title} ({self.unit})"
+
+
 PLOTS = (  # from left to right; the plots of a column are tabs
-    ("Energy (J)",),
-    ("Integration error, ledger (J)", "Relative error"),
-    ("Contacts", "Impacts (1/s)", "Colours, sweeps"),
-    ("dt (s)", "Overlap / smaller radius"),
+    (Plot("Energy", "J"),),
+    (Plot("Energy taken out", "J"), Plot("Relative error", "1")),
+    (Plot("Contacts", "1"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
+    (Plot("Overlap / radius", "1"), Plot("dt", "s")),
 )
-(_ENERGY,), (_ERROR, _RELATIVE), (_CONTACTS, _IMPACTS, _SOLVER), (_DT, _OVERLAP) = PLOTS
+(_ENERGY,), (_TAKEN, _ERROR), (_CONTACTS, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 
 
 class Sample(NamedTuple):
@@ -60,11 +77,13 @@ class Series:
     unit: str
     legend: str  # in the plot
     colour: int  # 0xRRGGBBAA
-    plot: str | None  # one of `PLOTS`; None: it is recorded, but not plotted
+    plot: Plot | None  # one of `PLOTS`; None: it is recorded, but not plotted
     value: Callable[[Sample], float]
     meaning: str  # for docs/recording.md
     part: str | None = None  # the part of the model (`carom explain`) without which it is not recorded; None: always
     past: Past = Past.NONE
+    width: float = THIN
+    flat_is_dull: bool = False  # its plot is left out if it is constant; every series' is if it is 0 throughout
 
 
 def _impact_rate(sample: Sample) -> float:
@@ -87,7 +106,7 @@ def _potential(kind: ForceKind) -> Series:
         f"{ENERGY}/{term}",
         "J",
         kind.legend,
-        NAMED[kind.colour],
+        LINES[kind.colour],
         _ENERGY,
         lambda s: s.energy.term(term),
         kind.meaning,
@@ -101,9 +120,9 @@ def _loss(kind: ForceKind) -> Series:
     return Series(
         f"{ENERGY}/ledger/{entry}",
         "J",
-        f"{kind.legend}: taken out",
-        NAMED[kind.colour],
-        _ERROR,
+        kind.legend,
+        LINES[kind.colour],
+        _TAKEN,
         lambda s: s.energy.ledger.entry(entry),
         kind.meaning,
         kind.recorded_with,
@@ -113,36 +132,36 @@ def _loss(kind: ForceKind) -> Series:
 # A table, two lines a series: what it is and how it is drawn; its value, meaning, part of the model and past.
 # fmt: off
 SERIES = (
-    Series("energy/translational", "J", "translational", SKY, _ENERGY,
+    Series("energy/translational", "J", "translational", BLUE, _ENERGY,
            lambda s: s.energy.translational, "Σ ½ m v²"),
-    Series("energy/rotational", "J", "rotational", ORANGE, _ENERGY,
+    Series("energy/rotational", "J", "rotational", RED, _ENERGY,
            lambda s: s.energy.rotational, "Σ ½ I ω²", "spin"),
     *(_potential(kind) for kind in FORCES if kind.potential),
-    Series("energy/total", "J", "total", WHITE, _ENERGY,
-           lambda s: s.energy.total, "sum of the energies above"),
-    Series("energy/ledger/restitution", "J", "restitution: taken out", SKY, _ERROR,
+    Series("energy/total", "J", "total", GREY, _ENERGY,
+           lambda s: s.energy.total, "sum of the energies above", width=THICK),
+    Series("energy/ledger/restitution", "J", "restitution", BLUE, _TAKEN,
            lambda s: s.energy.ledger.restitution, "taken out by normal impulses since the start", "contact"),
-    Series("energy/ledger/friction", "J", "friction: taken out", ORANGE, _ERROR,
+    Series("energy/ledger/friction", "J", "friction", RED, _TAKEN,
            lambda s: s.energy.ledger.friction, "taken out by tangential impulses since the start", "friction"),
-    Series("energy/ledger/stabilisation", "J", "stabilisation: put in", VERMILION, _ERROR,
+    Series("energy/ledger/stabilisation", "J", "stabilisation (put in)", GREEN, _TAKEN,
            lambda s: s.energy.ledger.stabilisation, "put in by undoing overlaps since the start", "stabilisation"),
     *(_loss(kind) for kind in FORCES if kind.loss),
-    Series("energy/integration_error", "J", "integration error", YELLOW, _ERROR,
+    Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
-    Series("energy/relative_error", "1", "integration error / energy scale", YELLOW, _RELATIVE,
+    Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
            lambda s: s.energy.relative(s.energy.integration_error), "integration error over the energy scale",
            past=Past.RUN),
-    Series("step/dt", "s", "dt (s)", SKY, _DT,
-           lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP),
-    Series("step/contacts", "1", "contacts", VERMILION, _CONTACTS,
+    Series("step/dt", "s", "dt", BLUE, _DT,
+           lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP, flat_is_dull=True),
+    Series("step/contacts", "1", "contacts", BLUE, _CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
-    Series("step/impact_rate", "1/s", "impacts (1/s)", ORANGE, _IMPACTS,
+    Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
            _impact_rate, "impacts since the frame before over the time between", "contact", Past.INTERVAL),
-    Series("step/colours", "1", "colours (stages)", YELLOW, _SOLVER,
+    Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
            _colours, "colours of the contacts in the step", "contact", Past.STEP),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
            lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP),
-    Series("step/overlap", "m", "deepest overlap (m)", PURPLE, None,
+    Series("step/overlap", "m", "deepest overlap", PURPLE, None,
            lambda s: s.overlap, "deepest overlap of a contact", "contact", Past.STEP),
     Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
            lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact", Past.STEP),

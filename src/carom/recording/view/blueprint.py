@@ -14,7 +14,7 @@ from carom.recording.view.bodies_view import bodies_view
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.graph_view import graph_view, has_graph
-from carom.recording.view.plot_views import plot_views, whole_time
+from carom.recording.view.plot_views import Curves, energy_view, plot_views, whole_time
 
 WINDOW = Canvas()
 ALL = "all"
@@ -23,7 +23,9 @@ VIEWS = ("bodies", "graph", "energy")
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 
 
-def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW, only: str = ALL) -> rrb.Blueprint:
+def blueprint(
+    header: Header, camera: CameraFit, curves: Curves | None = None, canvas: Canvas = WINDOW, only: str = ALL
+) -> rrb.Blueprint:
     """Lay out a recording of this scene, with the camera where it fits.
 
     Parameters
@@ -32,6 +34,8 @@ def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW, only: 
         What there is to show.
     camera
         Fitted to the bodies.
+    curves
+        The series as they are recorded; None while the run goes on.
     canvas
         The window that the layout is for.
     only
@@ -42,7 +46,7 @@ def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW, only: 
     RecordingError
         If there is nothing that the view could show.
     """
-    root = _all(header, camera, canvas) if only == ALL else _single(header, camera, canvas, only)
+    root = _all(header, camera, curves, canvas) if only == ALL else _single(header, camera, curves, canvas, only)
     panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
         root,
@@ -56,7 +60,7 @@ def blueprint(header: Header, camera: CameraFit, canvas: Canvas = WINDOW, only: 
     )
 
 
-def _all(header: Header, camera: CameraFit, canvas: Canvas) -> rrb.Container:
+def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas) -> rrb.Container:
     shares = [3.0, 2.0] if has_graph(header) else [1.0]
     down = _ROWS[0] / sum(_ROWS)
     areas = [canvas.area(share / sum(shares), down) for share in shares]
@@ -65,13 +69,13 @@ def _all(header: Header, camera: CameraFit, canvas: Canvas) -> rrb.Container:
         views.append(graph_view(header, camera, areas[1]))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
-        rrb.Horizontal(*plot_views(header)),
+        rrb.Horizontal(*plot_views(header, curves, canvas.area(1.0, _ROWS[1] / sum(_ROWS)))),
         rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
         row_shares=list(_ROWS),
     )
 
 
-def _single(header: Header, camera: CameraFit, canvas: Canvas, only: str) -> rrb.View | rrb.Container:
+def _single(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, only: str) -> rrb.View:
     match only:
         case "bodies":
             return bodies_view(header, camera, canvas.area())
@@ -82,7 +86,7 @@ def _single(header: Header, camera: CameraFit, canvas: Canvas, only: str) -> rrb
                 "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
             )
         case _:
-            return plot_views(header)[0]
+            return energy_view(header, curves, canvas.area())
 
 
 def _texts() -> rrb.Container:

@@ -21,7 +21,9 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.camera import CameraFit, View
+from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.statics import curve_style
 
 FloatArray = NDArray[np.float64]
 
@@ -30,8 +32,8 @@ PROPERTY = "diff"
 _A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
 _TEXT = "diff"
 _SERIES = {
-    "rms": ("difference/rms", "log₁₀ of rms distance (m)", palette.VERMILION),
-    "energy": ("difference/energy", "log₁₀ of energy difference (J)", palette.YELLOW),
+    "rms": ("difference/rms", "log₁₀ of rms distance (m)", palette.LINES["red"]),
+    "energy": ("difference/energy", "log₁₀ of energy difference (J)", palette.LINES["blue"]),
 }
 _LARGEST = 100_000_000  # bytes of positions: of longer recordings every k-th frame is shown
 _BATCH = 4_000_000  # bytes
@@ -80,7 +82,7 @@ def write_overlay(
         writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, a.bodies.name, FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, colour in _SERIES.values():
-            writer.log(path, rr.SeriesLines(names=name, colors=colour))
+            writer.log(path, curve_style(name, colour))
         writer.send_property(
             "carom", {"title": f"{a.title}: two runs", "time_scale": clock.scale, "bodies": len(radius)}
         )
@@ -151,13 +153,11 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
 def _layout(view: View) -> rrb.Blueprint:
     eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
     background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
-    whole = rrb.TimeAxis(
-        view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
-    )
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
     plots = [
-        rrb.TimeSeriesView(name=title, origin="/", contents=[path], plot_legend=legend, axis_x=whole)
-        for title, (path, _, _) in zip(("Distance", "Energy"), _SERIES.values(), strict=True)
+        rrb.TimeSeriesView(
+            name=title, origin="/", contents=[path], plot_legend=rrb.PlotLegend(visible=False), axis_x=whole_time()
+        )
+        for path, title, _ in _SERIES.values()
     ]
     return rrb.Blueprint(
         rrb.Horizontal(

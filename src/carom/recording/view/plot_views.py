@@ -1,26 +1,71 @@
-"""The plots of the recorded series."""
+"""The plots of the recorded series: what says nothing is left out, and no legend covers a curve."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 
 import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import PLOTS, recorded
+from carom.recording.schema.series import PLOTS, Plot, Series, recorded
+from carom.recording.view.canvas import Area
+from carom.recording.view.curve import Curve
+from carom.recording.view.legend import place_legend
+
+Curves = Mapping[str, Curve]  # by the paths of the series
+
+_NUMBERS = (60.0, 18.0)  # points, of those beside a plot and below it
 
 
-def plot_views(header: Header) -> list[rrb.View | rrb.Container]:
-    """Make a column of tabs of the plots that stand together; plots without a series are left out."""
-    paths: dict[str | None, list[str]] = {}
-    for series in recorded(header):
-        paths.setdefault(series.plot, []).append(series.path)
-    columns = [[_plot(name, paths[name]) for name in column if name in paths] for column in PLOTS]
-    return [tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs) for tabs in columns if tabs]
+def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.View | rrb.Container]:
+    """Lay out the plots of a recording as columns of tabs.
+
+    Parameters
+    ----------
+    header
+        Of the recording; a series that its scene does not require is not there.
+    curves
+        The outlines of the series, once they are recorded. A plot whose curves all stay at 0 is then left out.
+    row
+        The area of all columns together.
+    """
+    columns = [[plot for plot in column if shown_series(header, plot, curves)] for column in PLOTS]
+    columns = [column for column in columns if column]
+    area = Area(row.width / max(1, len(columns)), row.height)
+    tabs = [[_plot(plot, shown_series(header, plot, curves), curves, area) for plot in column] for column in columns]
+    return [column[0] if len(column) == 1 else rrb.Tabs(*column) for column in tabs]
 
 
-def _plot(name: str, contents: list[str]) -> rrb.TimeSeriesView:
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
-    return rrb.TimeSeriesView(name=name, origin="/", contents=contents, plot_legend=legend, axis_x=whole_time())
+def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
+    """Lay out the plot of the energies alone, in an area of this size."""
+    plot = PLOTS[0][0]
+    return _plot(plot, shown_series(header, plot, curves), curves, area)
+
+
+def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
+    """Return the series of a plot that have something to show."""
+    series = [series for series in recorded(header) if series.plot == plot]
+    return series if curves is None else [each for each in series if _speaks(each, curves)]
+
+
+def _speaks(series: Series, curves: Curves) -> bool:
+    curve = curves.get(series.path)
+    return curve is not None and not curve.is_zero and not (series.flat_is_dull and curve.is_flat)
+
+
+def _plot(plot: Plot, series: Sequence[Series], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+    known = [curves[each.path] for each in series] if curves is not None else []
+    between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
+    place = place_legend([each.legend for each in series], known, between_axes)
+    return rrb.TimeSeriesView(
+        name=plot.name,
+        origin="/",
+        contents=[each.path for each in series],
+        plot_legend=rrb.PlotLegend(place.corner, visible=len(series) > 1),
+        axis_x=whole_time(),
+        axis_y=rrb.ScalarAxis(range=place.range),
+    )
 
 
 def whole_time() -> rrb.TimeAxis:

@@ -12,6 +12,7 @@ from carom.recording.schema.timelines import STEP
 from carom.recording.view.blueprint import ALL, WINDOW, blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
+from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.supplement import Supplement
 
@@ -36,7 +37,9 @@ def presentation(recording: Recording, moment: float, canvas: Canvas = WINDOW, o
     header = header_of_recording(recording)
     position = RecordedPositions(recording).drawn(step_at(recording, moment)) - recording.origin
     camera = CameraFit(header.radius, position, corners_of(header, recording.origin))
-    return Supplement(blueprint(header, camera, canvas, only), Clock(float(recording.info["time_scale"])))
+    return Supplement(
+        blueprint(header, camera, recorded_curves(recording), canvas, only), Clock(float(recording.info["time_scale"]))
+    )
 
 
 def step_at(recording: Recording, moment: float) -> int:

@@ -17,8 +17,10 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
 from carom.recording.schema.timelines import SIM_TIME
-from carom.recording.view.plot_views import whole_time
+from carom.recording.view.blueprint import WINDOW
+from carom.recording.view.legend import time_beside_legend
 from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.statics import curve_style
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +63,8 @@ def write_trajectories(
     clock = Clock.fitting(float(time[-1]), float(time[0]))
     origin = trajectories[0].position[0].mean(axis=0)
     layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
-    colours = [palette.GREY, *(palette.BODIES[k % len(palette.BODIES)] for k in range(len(trajectories) - 1))]
+    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
+    colours = [palette.LINES["grey"], *(hues[k % len(hues)] for k in range(len(trajectories) - 1))]
     names = [f"{number:02d}-{_entity(trajectory.name)}" for number, trajectory in enumerate(trajectories)]
     with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -77,7 +80,10 @@ def write_trajectories(
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
-        writer.send_layout(_layout())
+        legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
+        writer.send_layout(
+            _layout(time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width))
+        )
         writer.flush()
 
 
@@ -101,13 +107,13 @@ def _send(
     if n <= PATHS_UP_TO:
         writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
     if len(trajectory.distance):
-        writer.log(f"distance/{name}", rr.SeriesLines(colors=colour, names=trajectory.name))
+        writer.log(f"distance/{name}", curve_style(trajectory.name, colour))
         decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
         shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
-def _layout() -> rrb.Blueprint:
+def _layout(time: rrb.TimeAxis) -> rrb.Blueprint:
     background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
     return rrb.Blueprint(
         rrb.Vertical(
@@ -117,8 +123,8 @@ def _layout() -> rrb.Blueprint:
             rrb.TimeSeriesView(
                 name="log10 of the distance from the reference, over the size",
                 origin="/distance",
-                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom),
-                axis_x=whole_time(),
+                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+                axis_x=time,
             ),
             row_shares=[3, 2],
         ),

@@ -38,6 +38,7 @@ from carom.recording.schema.paths import (
 )
 from carom.recording.schema.series import Sample, recorded
 from carom.recording.view import arrows
+from carom.recording.view.curve import Curve
 from carom.recording.write import encoding_kernels as encoding
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
@@ -82,7 +83,7 @@ class BatchEncoder:
     """Turns batches of frames into rows, entity by entity.
 
     It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references and
-    the last frame.
+    the last frame. ``curves`` are the outlines of the series encoded so far.
     """
 
     def __init__(
@@ -98,6 +99,7 @@ class BatchEncoder:
         self.arrow_references = dict(arrow_references or {})
         self._last_state = dict(last_state or {})
         self._recorded = tuple(recorded(header))
+        self.curves = {series.path: Curve() for series in self._recorded}
         self._before: Frame | Checkpoint | None = before
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
@@ -231,8 +233,10 @@ class BatchEncoder:
     def _series(self, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
         samples = [Sample(*row) for row in zip(batch, before, *deepest.T.tolist(), strict=True)]
+        time = np.array([frame.time for frame in batch])
         for series in self._recorded:
             values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
+            self.curves[series.path].see(time, values)
             yield _rows(series.path, batch, rr.Scalars.columns(scalars=values), _bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:

@@ -22,6 +22,7 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit, corners_of
+from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
@@ -34,7 +35,6 @@ _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # what a killed run may lose
 _QUEUE_BYTES = 32_000_000
-_FRAMED_ANEW = 1.15  # a blueprint costs 80 kB: a second one is sent only if the camera's distance grew by more
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
@@ -72,7 +72,7 @@ class Recorder:
         self._encoder: BatchEncoder | None = None
         self._references: dict[str, float] = {}  # as last sent
         self._camera_fit: CameraFit | None = None
-        self._framed = 0.0  # m, the camera's distance in the blueprint
+        self._laid_out = False
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
@@ -159,6 +159,7 @@ class Recorder:
             self._encoder = BatchEncoder(
                 self.header, origin, continued.arrow_references, continued.last_state, continued.checkpoint
             )
+            self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
             origin = np.average(position, axis=0, weights=self.header.mass)
             self._encoder = BatchEncoder(self.header, origin)
@@ -174,20 +175,15 @@ class Recorder:
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""
         assert self._camera_fit is not None, "it begins with the first batch"
-        if self._framed == 0.0 and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
-            self._send_blueprint(self._camera_fit)
+        if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
+            self._stream.send_blueprint(blueprint(self.header, self._camera_fit))
+            self._laid_out = True
         self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
-        """Send a layout that shows the whole recording, if it differs visibly from the first."""
-        if self._camera_fit is not None:
-            view = self._camera_fit.view()
-            if view.follows or view.distance > _FRAMED_ANEW * self._framed:
-                self._send_blueprint(self._camera_fit)
-
-    def _send_blueprint(self, camera: CameraFit) -> None:
-        self._stream.send_blueprint(blueprint(self.header, camera))
-        self._framed = camera.view().distance
+        """Send a layout that shows the whole recording, and of the plots those that have something to show."""
+        if self._camera_fit is not None and self._encoder is not None:
+            self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))
 
     def _fail(self, error: RecordingError) -> None:
         """Close the file with what there is, and then report the error to the physics."""

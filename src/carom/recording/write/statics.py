@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from rerun.components import FillMode
+from rerun.components import AggregationPolicy, FillMode
 
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import recorded
+from carom.recording.schema.series import THIN, recorded
 from carom.recording.view.scene_text import scene_document
 from carom.recording.write import encoder as entities
 
@@ -142,7 +142,12 @@ def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
 
 def _series(header: Header) -> Iterable[Static]:
     for series in recorded(header):
-        yield series.path, rr.SeriesLines(names=series.legend, colors=series.colour)
+        yield series.path, curve_style(series.legend, series.colour, series.width)
+
+
+def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
+    """Style a curve. Where many frames share a pixel it shows the lowest and the highest, so that no peak is lost."""
+    return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:

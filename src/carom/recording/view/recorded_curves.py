@@ -1,0 +1,27 @@
+"""The outlines of the series that a recording has, for a layout that is made after the run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import ENERGY, STEP
+from carom.recording.schema.series import SERIES
+from carom.recording.schema.timelines import STEP as STEPS
+from carom.recording.view.curve import Curve
+
+
+def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:
+    """Return the outlines of all plotted series that are there, by their paths; up to a step if one is given."""
+    curves: dict[str, Curve] = {}
+    for series in SERIES:
+        root, _, name = series.path.partition("/")
+        read = {ENERGY: recording.energy, STEP: recording.steps}[root]
+        name = name.rpartition("/")[2]
+        if series.plot is None:
+            continue
+        table = read(name)
+        if name in table.column_names:
+            kept = slice(None) if until is None else table[STEPS].to_numpy() <= until
+            curves[series.path] = Curve.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
+    return curves
