@@ -113,8 +113,8 @@ def _refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") 
     step = float(np.spacing(reach))
     if step > radius:
         raise SceneError(
-            f"{key}: {reach:.3g} m from the origin, positions are {step:.3g} m apart, and the radius is {radius:.3g} m; "
-            f"place it nearer to the origin or enlarge the radius{remedy}"
+            f"{key}: {reach:.3g} m from the origin, positions are {step:.3g} m apart, and the radius is "
+            f"{radius:.3g} m; place it nearer to the origin or enlarge the radius{remedy}"
         )
 
 
