@@ -20,7 +20,7 @@ import json
 import sys
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ HERE = Path(__file__).parent
 STORED = HERE / "fingerprints.json"
 SCENES = HERE / "scenes"  # made for these tests: they reach contacts within the steps that are run
 
+SpaceMaker = Callable[[Scene, int], Space]  # of a scene and a number of threads
 Case = dict[str, Any]  # steps, hashes by part, and counts of what the run came across
 
 AS_WRITTEN = "as written"
@@ -129,9 +130,9 @@ def _overrides(text: str) -> list[tuple[str, str, str]]:
     return [(*name.split(".", 1), value) for name, _, value in words]  # type: ignore[misc]
 
 
-def measured(name: str, overrides: str, steps: int, threads: int) -> Case:
+def measured(name: str, overrides: str, steps: int, threads: int, make: SpaceMaker = Space) -> Case:
     """Run a case; return its hashes and counts."""
-    space = Space(load(name, overrides), threads)
+    space = make(load(name, overrides), threads)
     hashes = {part: xxhash.xxh64() for part in ("energy", "ledger", "time", "contacts", "turning", "state")}
     case: Case = {"steps": 0, "touching": 0, "in_flight": 0, "held": 0, "sweeps": 0}
     for frame in itertools.islice(space.run(schedule=every(0.0)), steps + 1):
@@ -175,10 +176,10 @@ def stored() -> dict[str, dict[str, Case]]:
     return found
 
 
-def moved(name: str, overrides: str, case: Case, threads: int) -> str:
+def moved(name: str, overrides: str, case: Case, threads: int, make: SpaceMaker = Space) -> str:
     """Run a stored case again; say which parts moved, or nothing."""
     try:
-        now = measured(name, overrides, case["steps"], threads)
+        now = measured(name, overrides, case["steps"], threads, make)
     except SceneError as error:
         return f"{name}, {overrides}: now refused: {error}"
     parts = [f"{part} {case.get(part)} -> {now.get(part)}" for part in now | case if now.get(part) != case.get(part)]

@@ -65,6 +65,7 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
         "max_overlap": (_value(extremes.overlap), extremes.overlap),
         "final_kinetic": (extremes.kinetic.value, extremes.kinetic),
         "impacts": (extremes.impacts, None),
+        "contact_audit": (_or_infinite(extremes.contact_audit), extremes.contact_audit),
     }
     gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
     notes = {"energy_error": "put in by impulses of contacts"} if gained else {}

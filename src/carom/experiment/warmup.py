@@ -24,6 +24,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
         "contact": {"allow_overlap": True, "sweeps": 1},
         "time": {"duration": 0.2, "max_dt": 0.02},
+        "expect": {"contact_audit": 1e-12},
         "record": {"every": "step", "check_every": 2},
     },
     "points that pull each other": {
@@ -50,6 +51,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 1.0},
         "contact": {"timing": "time-of-impact"},
         "time": {"duration": 0.2, "max_dt": 0.02},
+        "expect": {"contact_audit": 1e-12},
     },
     "a pile in a wind, and what falls on it": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],

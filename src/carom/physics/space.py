@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import Activity
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.diagnostics.energy import Energy
-from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.diagnostics.extremes import NOTHING, Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
+from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
 from carom.physics.diagnostics.profile import Profile
@@ -47,6 +49,7 @@ from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
 
 WARM_UP_STEPS = 3
 WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
@@ -68,6 +71,9 @@ class Space:
     stride
         Up to so many times the steps that the scene asks for, as far as the method bears: for a coarse look ahead,
         which counts in `foreseen` the steps that the scene would take.
+    record_contacts
+        Whether frames carry what the contacts did, in `Frame.impacts` and `Frame.contact_rows`. The bits do not depend
+        on it.
 
     Raises
     ------
@@ -76,7 +82,12 @@ class Space:
     """
 
     def __init__(
-        self, scene: Scene, threads: int | None = None, start: Start | None = None, stride: float = 1.0
+        self,
+        scene: Scene,
+        threads: int | None = None,
+        start: Start | None = None,
+        stride: float = 1.0,
+        record_contacts: bool = False,
     ) -> None:
         refuse_impossible(scene)
         self.scene = scene
@@ -98,7 +109,7 @@ class Space:
         self.step = 0
         self.dt = 0.0  # s
         self.dt_limit = "start"
-        self.extremes = Extremes()
+        self.extremes = self._beginning(Extremes())
         self.profile = Profile()
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
         self._fixed = np.flatnonzero(start.fixed)
@@ -111,7 +122,10 @@ class Space:
         self._last_kick = 0.0  # s, of the step
         self._substeps = integrator(scene).substeps
         self.ends_with_forces = integrator(scene).ends_with_forces
-        self._contact = self._make_contact()
+        self._records_contacts = record_contacts
+        audited = scene.expect.contact_audit is not None
+        self._contact = self._make_contact(record_contacts or audited)
+        self._impulse_audit = ImpulseAudit(self.state) if audited else None
         self._timestep = self._make_timestep(step_limits(scene))
         self._radau = self._make_error_controlled()
         self._asked: Timestep | None = None  # what the scene asks for, where longer steps are taken
@@ -244,7 +258,7 @@ class Space:
         if self._pace:
             self._pace.tally = books.pace
         self._audit.reopen(books, checkpoint.energy.ledger)
-        self.extremes = replace(books.moments)
+        self.extremes = self._beginning(books.moments)
         self._activity.reopen(books.phase, books.activity)
         self._events = []
         self._take_stock(self._potentials(), checked=False)
@@ -303,6 +317,7 @@ class Space:
         self._activity.judge(self._audit.energy)
         state, needs, momentum = self.state, self.requirements, self._audit.momentum
         events, self._events = tuple(self._events), []
+        impacts, left_out, contact_rows = self._recorded_contacts()
         slot = None if store is None else store.keep(state)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
@@ -333,7 +348,18 @@ class Space:
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
             slot=slot,
+            impacts=impacts,
+            impacts_left_out=left_out,
+            contact_rows=contact_rows,
         )
+
+    def _recorded_contacts(self) -> tuple[Rows | None, int, Rows | None]:
+        """Return the impacts since the last frame, how many more there were, and the contacts of the last step."""
+        if not self._records_contacts:
+            return None, 0, None
+        if self._contact is None or self._contact.tap is None:
+            return np.empty(0, CONTACT_ROW), 0, np.empty(0, CONTACT_ROW)
+        return *self._contact.tap.take_impacts(), self._contact.rows()
 
     def _books(self) -> Books:
         return Books(
@@ -346,6 +372,11 @@ class Space:
             limits=tuple(sorted(self._contact.warned)) if self._contact else (),
             pace=self._pace.tally if self._pace else PaceTally(),
         )
+
+    def _beginning(self, extremes: Extremes) -> Extremes:
+        """Return a copy of the extremes so far that has an entry for all that this run looks at."""
+        known, audited = extremes.contact_audit, self.scene.expect.contact_audit is not None
+        return replace(extremes, contact_audit=NOTHING if audited and known is None else known)
 
     def _publish(self) -> None:
         """Replace the status that other threads read: they see that of the step before, or this one."""
@@ -372,12 +403,11 @@ class Space:
         """Return what lasting contacts bear of each acceleration, (n + p,) m/s²; empty where no step depends on it."""
         return self._contact.borne if self._contact and self._timestep.spares_held else NOTHING_BORNE
 
-    def _make_contact(self) -> ContactPipeline | None:
+    def _make_contact(self, records: bool) -> ContactPipeline | None:
         if not self.requirements.contact.modelled:
             return None
-        return ContactPipeline(
-            self.scene.contact, self.state, self.planes, self.requirements, self._box, self._falling, self._team
-        )
+        contact, needs = self.scene.contact, self.requirements
+        return ContactPipeline(contact, self.state, self.planes, needs, self._box, self._falling, self._team, records)
 
     def _make_error_controlled(self) -> GaussRadau15 | None:
         if not integrator(self.scene).controls_error:
@@ -438,6 +468,10 @@ class Space:
         if checked and contact:
             self._audit.suspect(self.step, contact.seen.graph, contact.contributions)
         self.step += 1
+        if contact and contact.tap:
+            contact.tap.begin(self.step, before, self.time)
+        if self._impulse_audit:
+            self._impulse_audit.begin(self.ledger)
         self.profile.mark("timestep")
         potentials = self._integrate(self.dt, with_potential=checked)
         self._book_exchanges()
@@ -447,6 +481,8 @@ class Space:
                 self._audit.suspect(self.step, contact.seen.graph, contact.contributions)
         else:
             self._activity.see(0, 0.0)
+        if self._impulse_audit:
+            self._audit_impulses(self._impulse_audit)
         if checked:
             self._take_stock(potentials, checked)
         if self._pace and self.step % self.scene.record.check_every == 0:
@@ -475,10 +511,10 @@ class Space:
             if self._damping:
                 damped = self._damping.step(dt)
                 first_kick, share, self._last_kick = damped.held_kick, damped.share, damped.last_kick
-                self._exchanged.append(self._damping.begin(damped))
+                self._exchange(self._damping.begin, damped)
                 self.profile.mark(self._damping.kind.short_name)
             elif pulls and substep.before:
-                kick(state.velocity, state.acceleration, substep.before * dt, self._team)
+                self._kick(substep.before * dt)
             if index == 0 and self._contact:
                 self.profile.mark("integrate")
                 self._hold(self._contact, first_kick, dt, share, damped)
@@ -504,12 +540,26 @@ class Space:
                     potentials = self._potentials()
                     self.profile.mark("gravity")
                 if self._damping and damped:
-                    self._exchanged.append(self._damping.end(damped))
+                    self._exchange(self._damping.end, damped)
                     self.profile.mark(self._damping.kind.short_name)
                 elif substep.after:
-                    kick(state.velocity, state.acceleration, substep.after * dt, self._team)
+                    self._kick(substep.after * dt)
             self.profile.mark("integrate")
         return potentials
+
+    def _kick(self, dt: float) -> None:
+        """Kick for a time in s."""
+        state = self.state
+        kick(state.velocity, state.acceleration, dt, self._team)
+        if self._impulse_audit:
+            self._impulse_audit.see_kick(state.acceleration, dt)
+
+    def _exchange(self, act: Callable[[DampedStep], Exchange], damped: DampedStep) -> None:
+        """Let drag act on the velocities before or after the drift."""
+        before = self.state.velocity.copy() if self._impulse_audit else None
+        self._exchanged.append(act(damped))
+        if self._impulse_audit and before is not None:
+            self._impulse_audit.see_change(before)
 
     def _hold(self, contact: ContactPipeline, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
         """Hold contacts after the first kick, against what accelerates the bodies; times in s."""
@@ -582,6 +632,12 @@ class Space:
         """Book the contacts of the step."""
         self._audit.book(contact.statistics.work)
         extremes.see_contacts(self.step, self.time, contact.statistics)
+
+    def _audit_impulses(self, audit: ImpulseAudit) -> None:
+        """Compare what contacts and forces gave in this step with what the bodies have."""
+        contact = self._contact
+        impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
+        self.extremes.see_impulse_audit(self.step, self.time, audit.finish(impulses, work, self.ledger))
 
     def _book_exchanges(self) -> None:
         """Book what a medium took and brought in this step."""

@@ -457,6 +457,10 @@ class Expect(Section):
         None, description="kinetic energy at the end, of motion and spin, over the energy scale"
     )
     impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
+    contact_audit: NonNegative | None = Field(
+        None,
+        description="largest change of a speed or of the ledger in a step that impulses and forces do not explain",
+    )
     duration: Positive | None = Field(
         None,
         description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",

@@ -57,6 +57,11 @@ SEARCH = record(  # of the conjugate gradients
     size=2 * CACHE_LINE,
 )
 
+RECORDED = record(  # what nothing needs but a record of the contacts
+    "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses that `solver.impacts` gave
+    " correction_x correction_y correction_z"  # N s, Σ of what `solver.position_correction` changed of momenta
+)
+
 PIECE_FINDINGS = record(  # what a phase found in a piece of contacts
     "residual"  # m/s, the largest speed that is still to be changed; of position corrections 1 if one mattered
     " residual_norm largest_push largest_pull"  # of conjugate gradients: r·z; N s, the largest impulses of either sign
@@ -117,6 +122,7 @@ class ConstraintSystem(NamedTuple):
     held: Flags  # (m,) whether each contact is to be held; impacts and open gaps are left alone
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
+    recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s
     spin: FloatArray  # (n + p, 3) rad/s; no rows where impulses turn nothing

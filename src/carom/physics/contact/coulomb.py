@@ -14,6 +14,8 @@ import numpy as np
 
 from carom.physics.parallel.jit import inline
 
+REACHED = 1e-9  # of μ_k λ_n; sums over iterations and kicks miss it by rounding, about 1e-15 each
+
 
 @inline
 def restitution(material: Any, approach: float, rest_speed: float) -> float:
@@ -50,3 +52,13 @@ def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> boo
     """Tell whether a tangential impulse is inside the friction cone."""
     most: float = material.static_friction * normal
     return tx * tx + ty * ty + tz * tz < most * most
+
+
+@inline
+def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+    """Tell whether |λ_t| = μ_k λ_n; what sticks may lie between μ_k λ_n and μ_s λ_n, too."""
+    tangential: float = np.sqrt(tx * tx + ty * ty + tz * tz)
+    kinetic: float = material.kinetic_friction * normal
+    static: float = material.static_friction * normal
+    holds = (1.0 + REACHED) * kinetic < tangential <= (1.0 + REACHED) * static
+    return tangential >= (1.0 - REACHED) * kinetic and not holds

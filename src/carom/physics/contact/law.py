@@ -92,6 +92,9 @@ class ContactLaw(Protocol):
     def sticks(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
         """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
 
+    def slides(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+        """Tell whether a contact that exerted these totals slid, for those who read them afterwards."""
+
 
 LAW: ContactLaw = coulomb
 

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
+from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.islands import largest_coordinate, largest_square
@@ -41,6 +44,7 @@ from carom.scene.schema import Contact
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 ROUNDING = 4  # units in the last place of the farthest coordinate; a smaller gap is none
 MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # of a task, about 10 µs of work
@@ -65,6 +69,8 @@ class ContactPipeline:
         (3,) m/s², the uniform field as far as it pulls all alike: zero if something is fixed.
     team
         Threads that work.
+    records
+        Whether `tap` gathers what each contact does.
     """
 
     def __init__(
@@ -76,6 +82,7 @@ class ContactPipeline:
         box: FloatArray,
         field: FloatArray,
         team: Team,
+        records: bool = False,
     ) -> None:
         self._contact = contact
         self._bodies = bodies
@@ -97,15 +104,17 @@ class ContactPipeline:
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # limits reached and told so far
-        self._solver = ContactSolver(bodies, planes, materials, box, requirements.friction.modelled, team)
+        friction = requirements.friction.modelled
+        self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records)
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
         self._order = self._colour()
         self._event_drift = None
         if requirements.impact_time.modelled:
-            drift = (requirements.friction.modelled, self._has_statics, requirements.resting.modelled)
+            drift = (friction, self._has_statics, requirements.resting.modelled)
             self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._search, team)
+        self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._compile()
 
     def forget(self) -> None:
@@ -118,6 +127,8 @@ class ContactPipeline:
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # what others see of them, once somebody has looked
+        if self.tap:
+            self.tap.forget()
 
     @property
     def memory(self) -> ContactCheckpoint | None:
@@ -176,8 +187,12 @@ class ContactPipeline:
         if self._guard:
             self._guard.remember()
         if self._is_at_rest():
+            if self.tap:  # whose step begins; what stands there is of the step before, and was booked then
+                self._solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.held = self._solver.audited
+            if self.tap:
+                self.tap.see_hold(self._pairs, self._solver)
 
     def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way.
@@ -186,6 +201,8 @@ class ContactPipeline:
         """
         assert self._event_drift is not None, "the scene asks for times of impact"
         self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
+        if self.tap:
+            self.tap.see_drift(self.impacts)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, order them, and push those at rest apart."""
@@ -231,6 +248,22 @@ class ContactPipeline:
         bodies = self._bodies
         turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
         self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
+
+    def rows(self) -> Records:
+        """Return what the contacts of the last step did, (m,) `CONTACT_ROW`, where they are recorded."""
+        assert self.tap is not None, "contacts are recorded"
+        return self.tap.rows(self._pairs, self._solver)
+
+    def impulses(self) -> Iterator[Impulses]:
+        """Yield the impulses of the last step in the order in which they were given, where contacts are recorded."""
+        assert self.tap is not None, "contacts are recorded"
+        return self.tap.impulses(self._solver)
+
+    def work(self) -> FloatArray:
+        """Return all that the last step booked for contacts and for bodies stopped at planes, (k, 3) J."""
+        assert self.tap is not None, "contacts are recorded"
+        work = self.tap.work(self._solver)
+        return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
     def limits_reached(self) -> list[str]:
         """Say, the first time each, which limit of the method this step met."""
@@ -303,6 +336,8 @@ class ContactPipeline:
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
         self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
+        if self.tap:
+            self.tap.see_impacts(self._pairs, solver)
         profile.mark("response")
         if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate, kick)
@@ -365,6 +400,8 @@ class ContactPipeline:
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
         if self._needs.torque.modelled:
             self.turn(1.0)
+        if self.tap:
+            self.rows()
         self.forget()
 
 

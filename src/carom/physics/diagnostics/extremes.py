@@ -50,6 +50,7 @@ class Extremes:
     energy_scale: float = 0.0  # J, of the last step
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings given so far
+    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None where nobody asked
 
     @property
     def energy_fault(self) -> Extreme | None:
@@ -105,6 +106,12 @@ class Extremes:
         if energy.relative(given) > self.contact_gain.value:
             self.contact_gain = Extreme(energy.relative(given), step, time)
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
+
+    def see_impulse_audit(self, step: int, time: float, found: tuple[float, tuple[int, ...]]) -> None:
+        """Take note of the error of a step's impulses, and of the body that has it."""
+        error, bodies = found
+        if self.contact_audit is None or not error <= self.contact_audit.value:
+            self.contact_audit = Extreme(error, step, time, bodies)
 
     def see_warning(self, kind: str) -> None:
         """Take note that a warning was given."""

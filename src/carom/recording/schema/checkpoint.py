@@ -34,6 +34,7 @@ _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
 _LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
+_IF_ASKED = ("contact_audit",)  # extremes that only some runs look at
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
 _INTEGRATOR = "integrator_"
@@ -104,10 +105,10 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _books(books: Books) -> str:
-    """Return the books as JSON; energies of forces that the scene has not got leave no byte."""
+    """Return the books as JSON; what a run does not model or look at leaves no byte."""
 
     def entries(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        kept = (item for item in items if item[1] or item[0] not in _BY_NAME)
+        kept = (item for item in items if item[1] or item[0] not in (*_BY_NAME, *_IF_ASKED))
         return {key: dict(value) if key in _BY_NAME else value for key, value in kept}
 
     return json.dumps(asdict(books, dict_factory=entries))

@@ -53,6 +53,7 @@ class Impacts:
     rest_speed: FloatArray  # (k,) m/s, up to which each would have been at rest
     ledger: FloatArray  # (k, 3) J
     after: FloatArray  # (k, 2, 3) m/s, velocities of both right after it
+    log: Records  # (k,) `IMPACT`, what all this was read from
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -69,6 +70,7 @@ class Impacts:
             rest_speed=log["rest_speed"],
             ledger=terms_of(log),
             after=after.reshape(-1, 2, 3),
+            log=log,
         )
 
 

@@ -50,6 +50,15 @@ IMPACT = np.dtype(
         ("vjx", np.float64),
         ("vjy", np.float64),
         ("vjz", np.float64),
+        ("normal_impulse", np.float64),  # N s
+        ("friction_x", np.float64),  # N s, the tangential impulse that acts on j
+        ("friction_y", np.float64),
+        ("friction_z", np.float64),
+        ("arm_i", np.float64),  # m, from each centre to the contact point
+        ("arm_j", np.float64),
+        ("x", np.float64),  # m, the contact point
+        ("y", np.float64),
+        ("z", np.float64),
     ]
 )
 
@@ -222,6 +231,9 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     entry.approach, entry.rest_speed = max(0.0, -vn), rest_speed
     entry.restitution_loss = normal_loss(Jn, vn, Kn)
     entry.friction_loss = entry.stabilisation_gain = 0.0
+    entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
+    entry.friction_x = entry.friction_y = entry.friction_z = 0.0
+    entry.x, entry.y, entry.z = T.x[i, 0] + ri * nx, T.x[i, 1] + ri * ny, T.x[i, 2] + ri * nz
     if len(omega) > 0:
         wx = ri * omega[i, 0] + rj * omega[j, 0]
         wy = ri * omega[i, 1] + rj * omega[j, 1]
@@ -235,6 +247,7 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
                 entry.friction_loss = tangential_loss(Jt, slip, Kt)
                 fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
                 Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
+                entry.friction_x, entry.friction_y, entry.friction_z = fx, fy, fz
                 tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part turns nothing
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:

@@ -69,7 +69,7 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
 
 
 # The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n point in opposite
-# directions, like the impulses, so that r × J is ρ n × λ_t for both. A body that does not move is not written to:
+# directions, like the impulses, so that r × J is ρ λ_t × n for both. A body that does not move is not written to:
 # contacts of a colour may share it, and threads would pass its cache line around.
 
 

@@ -17,6 +17,7 @@ from carom.physics.contact.constraints import (
     CONTACT_STATE,
     ISLAND,
     PIECE_FINDINGS,
+    RECORDED,
     SEARCH,
     SETTINGS,
     ConstraintSystem,
@@ -60,10 +61,19 @@ class ContactSolver:
         Whether impulses turn bodies.
     team
         Who works.
+    records
+        Whether the impulses of impacts are kept, in `recorded`.
     """
 
     def __init__(
-        self, bodies: Bodies, planes: HalfSpaces, materials: Records, box: FloatArray, friction: bool, team: Team
+        self,
+        bodies: Bodies,
+        planes: HalfSpaces,
+        materials: Records,
+        box: FloatArray,
+        friction: bool,
+        team: Team,
+        records: bool = False,
     ) -> None:
         count = len(bodies.ends.velocity)
         self._bodies = bodies
@@ -76,6 +86,8 @@ class ContactSolver:
         self._held = Room(np.bool_)
         self._states = Room(CONTACT_STATE)
         self._search = Room(SEARCH)
+        self._recorded = Room(RECORDED)
+        self._records = records
         self._normals = Room(columns=3)
         self._islands = Islands(count, team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
@@ -111,6 +123,7 @@ class ContactSolver:
             held=self._held.take(m),
             states=self._states.take(m),
             search=self._search.take(m),
+            recorded=self._recorded.take(m if self._records else 0),
             position=bodies.position,
             velocity=ends.velocity,
             spin=self._spin,
@@ -129,6 +142,7 @@ class ContactSolver:
             sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=self._settings,
         )
+        self._system.recorded.view(np.float64)[:] = 0.0
         self.found_normals = self._normals.take(m)
         self._team.divide(m, MIN_PER_TASK, _lay, *self._geometry(), rounding, self.found_normals)
 
@@ -136,6 +150,16 @@ class ContactSolver:
     def contacts(self) -> Records:
         """(m,) `CONTACT`, by place like what follows."""
         return self._system.contacts
+
+    @property
+    def states(self) -> Records:
+        """(m,) `CONTACT_STATE`."""
+        return self._system.states
+
+    @property
+    def recorded(self) -> Records:
+        """(m,) `RECORDED`; empty unless contacts are recorded."""
+        return self._system.recorded
 
     @property
     def normals(self) -> FloatArray:

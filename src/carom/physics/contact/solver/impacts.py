@@ -47,6 +47,7 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
+    records = len(system.recorded) > 0
     bias_rate = settings.bias_rate
     count = len(bodies) - (len(system.materials) - 1)
     last = len(pairs) - 1
@@ -87,6 +88,8 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
         state.restitution_loss += lost
         state.stabilisation_gain += lost - normal_loss(Jn, vn, Kn)
         Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
+        if records:
+            system.recorded[c].normal_impulse += Jn
         if spins:
             ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
             speed = np.sqrt(ux * ux + uy * uy + uz * uz)
@@ -98,6 +101,11 @@ def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> N
                 tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)
+                if records:
+                    given = system.recorded[c]
+                    given.friction_x += tx
+                    given.friction_y += ty
+                    given.friction_z += tz
         push(body_i, body_j, Jx, Jy, Jz)
     found = system.found[piece]
     found.residual = largest_change

@@ -65,6 +65,7 @@ def correct_positions(lo: int, hi: int, piece: int, system: ConstraintSystem) ->
     pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
     inverse_mass, radius = system.inverse_mass, system.radius
     n, last, again = len(x), len(pairs) - 1, 0.0
+    records = len(system.recorded) > 0
     for c in range(lo, hi):
         ahead = min(last, c + AHEAD)
         prefetch(x, pairs[ahead, 0], 0)
@@ -125,6 +126,11 @@ def correct_positions(lo: int, hi: int, piece: int, system: ConstraintSystem) ->
             v[j, 0] += mj * scale * tx
             v[j, 1] += mj * scale * ty
             v[j, 2] += mj * scale * tz
+        if records:
+            given = system.recorded[c]
+            given.correction_x += reduced * scale * tx
+            given.correction_y += reduced * scale * ty
+            given.correction_z += reduced * scale * tz
     system.found[piece].residual = again
 
 

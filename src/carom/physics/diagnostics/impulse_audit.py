@@ -1,0 +1,132 @@
+"""The audit of impulses: whether what contacts and forces gave is all that changed the velocities.
+
+In each step, for every body,
+
+    Δv = Σ J/m + Σ a h,    Δω = Σ ρ λ_t × n / I,    J = λ_n n + λ_t, which acts on j, and -J on i
+
+with the impulses that the contact tap reports and the kicks of the integrator, and for the ledger of contacts,
+Δledger = Σ over the contacts. Kicks count as a h. Drag multiplies velocities, so what it did to them is measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.contact_tap import Impulses
+from carom.physics.diagnostics.ledger import Ledger
+
+FloatArray = NDArray[np.float64]
+
+
+class ImpulseAudit:
+    """Adds up what each step gives to the bodies, and compares.
+
+    Parameters
+    ----------
+    bodies
+        The state, at the start of the run.
+    """
+
+    def __init__(self, bodies: Bodies) -> None:
+        self._bodies = bodies
+        self.begin(Ledger())
+
+    def begin(self, ledger: Ledger) -> None:
+        """Begin a step with the velocities and the ledger as they are."""
+        bodies = self._bodies
+        self._ledger = _terms(ledger)
+        self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
+        self._kicked = np.zeros_like(self._velocity)  # m/s, by forces
+        self._fastest = _largest(self._velocity)  # m/s
+
+    def see_kick(self, acceleration: FloatArray, dt: float) -> None:
+        """Add a kick, (n, 3) m/s² for dt s."""
+        self._force(acceleration * dt)
+
+    def see_change(self, before: FloatArray) -> None:
+        """Add what forces made of the velocities that were (n, 3) m/s before."""
+        self._force(self._bodies.velocity - before)
+
+    def _force(self, change: FloatArray) -> None:
+        self._kicked += change
+        self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
+
+    def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
+        """Compare; return the largest error, and the body that has it if one has.
+
+        Errors of velocities, and of spins times the radius, are parts of the largest speed that a body had in the step,
+        or that the kicks or the impulses of it gave to one: impulses of a heavy pile may cancel each other, and each
+        has its own rounding. Errors of the ledger are parts of its largest entry.
+
+        Parameters
+        ----------
+        impulses
+            Of the step.
+        work
+            (k, 3) J, the ledger of each contact.
+        ledger
+            At the end of the step.
+        """
+        bodies = self._bodies
+        given = _Given.of(impulses, bodies)
+        velocity = bodies.velocity - self._velocity - self._kicked - given.velocity
+        spin = (bodies.angular_velocity - self._spin - given.spin) * bodies.radius[: len(self._spin), np.newaxis]
+        errors = np.sqrt((velocity * velocity).sum(axis=1))
+        errors[: len(spin)] = np.maximum(errors[: len(spin)], np.sqrt((spin * spin).sum(axis=1)))
+        turning = bodies.angular_velocity * bodies.radius[: len(spin), np.newaxis]
+        fastest = max(self._fastest, _largest(bodies.velocity), _largest(turning), float(given.speed.max(initial=0.0)))
+        worst = int(errors.argmax())
+        of_bodies = float(errors[worst]) / fastest if fastest > 0.0 else 0.0
+        of_ledger = self._error_of_ledger(work, _terms(ledger))
+        if of_ledger > of_bodies:
+            return of_ledger, ()
+        return of_bodies, (worst,) if of_bodies > 0.0 else ()
+
+    def _error_of_ledger(self, work: FloatArray, now: FloatArray) -> float:
+        summed = np.abs(work).sum(axis=0)
+        scale = max(float(np.abs(now).max()), float(np.abs(self._ledger).max()), float(summed.max()))
+        error = float(np.abs(now - self._ledger - work.sum(axis=0)).max())
+        return error / scale if scale > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Given:
+    """What the impulses of a step gave to the bodies."""
+
+    velocity: FloatArray  # (n, 3) m/s
+    spin: FloatArray  # (n, 3) rad/s; (0, 3) where nothing spins
+    speed: FloatArray  # (n,) m/s, Σ |J| / m: what they would give if none opposed another
+
+    @classmethod
+    def of(cls, impulses: Iterable[Impulses], bodies: Bodies) -> _Given:
+        ends, n = bodies.ends, len(bodies)
+        velocity, spin = np.zeros_like(ends.velocity), np.zeros_like(ends.angular_velocity)
+        speed = np.zeros(len(ends.velocity))
+        for some in impulses:
+            normal, friction = some.normal, some.values[:, 1:]
+            J = some.values[:, :1] * normal + friction
+            length = np.sqrt((J * J).sum(axis=1))
+            moment = np.cross(friction, normal)
+            for end, sign in ((0, -1.0), (1, 1.0)):
+                who = some.pairs[:, end]
+                inverse_mass = ends.inverse_mass[who]
+                np.add.at(velocity, who, sign * inverse_mass[:, np.newaxis] * J)
+                np.add.at(speed, who, inverse_mass * length)
+                if some.turns and len(spin):
+                    turn = some.arms[:, end] * ends.inverse_inertia[who]
+                    np.add.at(spin, who, turn[:, np.newaxis] * moment)
+        return cls(velocity[:n], spin[: len(bodies.angular_velocity)], speed[:n])
+
+
+def _terms(ledger: Ledger) -> FloatArray:
+    return np.array([ledger.restitution, ledger.friction, ledger.stabilisation])
+
+
+def _largest(vectors: FloatArray) -> float:
+    """Return the largest length of vectors, (k, 3); 0 if there are none."""
+    return float(np.sqrt((vectors * vectors).sum(axis=1).max(initial=0.0)))
