@@ -25,7 +25,7 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
         for frame in merry.frames(150):
             recorder.put(frame)
         recorder.finish("completed")
-    assert render(folder / "run.rrd", 3.0, folder / "run.png", SIZE) == 3.0
+    assert render(folder / "run.rrd", 3.0, folder / "run.png", SIZE).time == 3.0
     return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
 
 
@@ -101,7 +101,7 @@ def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
         for frame in merry.frames(60):
             recorder.put(frame)
         recorder.finish("completed", {"moments.impact.time": 1.25})
-    assert render(tmp_path / "run.rrd", None, tmp_path / "run.png", (800, 600)) == 1.25
+    assert render(tmp_path / "run.rrd", None, tmp_path / "run.png", (800, 600)).time == 1.25
     assert Image.open(tmp_path / "run.png").size == (800, 600)
 
 

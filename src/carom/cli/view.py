@@ -12,8 +12,14 @@ import typer
 from carom.cli.options import RecordingArgument, seconds
 
 AtOption = Annotated[float | None, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time in seconds.")]
-
-
+EventOption = Annotated[
+    str | None,
+    typer.Option("--event", metavar="NAME", help="A moment of `carom inspect` or a kind of event, such as impact."),
+]
+BodiesOption = Annotated[
+    str | None,
+    typer.Option("--bodies", metavar="A,B", help="Bodies of the close-up, by number or name."),
+]
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
 
@@ -22,6 +28,7 @@ class PictureView(StrEnum):
 
     BODIES = "bodies"
     GRAPH = "graph"
+    CLOSE_UP = "close-up"
     ENERGY = "energy"
     ALL = "all"
 
@@ -36,20 +43,27 @@ class Theme(StrEnum):
 def view(
     file: RecordingArgument,
     at: AtOption = None,
+    event: EventOption = None,
+    bodies: BodiesOption = None,
     web: Annotated[bool, typer.Option("--web", help="Host it for a browser, on 127.0.0.1 only.")] = False,
     port: Annotated[
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="With --web. Default: a free one.")
     ] = 0,
 ) -> None:
-    """Open a recording in the Rerun viewer."""
+    """Open a recording in the Rerun viewer, paused at a moment; by default at its most interesting one."""
+    if port and not web:
+        raise typer.BadParameter("--port goes with --web")
+    if web and (event or bodies):
+        raise typer.BadParameter("--event and --bodies need a window; --web goes with --at")
     if web:
         _view_in_browser(file, at, port)
         return
-    if port:
-        raise typer.BadParameter("--port goes with --web")
-    from carom.recording.view.viewer import open_viewer
+    from carom.cli.compiling import announce_compilation
+    from carom.recording.view.window import open_window
 
-    open_viewer(file, at)
+    _refuse_both(at, event)
+    announce_compilation()
+    open_window(file, at, event=event, bodies=bodies, say=_say_missing)
 
 
 def _view_in_browser(file: Path, at: float | None, port: int) -> None:
@@ -86,16 +100,35 @@ def picture(
         Path | None, typer.Option("-o", "--output", metavar="PNG", help="Default: FILE with .png.")
     ] = None,
     at: AtOption = None,
+    event: EventOption = None,
+    bodies: BodiesOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="What fills the picture.")] = PictureView.ALL,
     theme: Annotated[Theme, typer.Option("--theme", help="The viewer's; the light one needs Xvfb.")] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1600x1000",
 ) -> None:
     """Render a recording to a PNG, without a screen; by default at its most interesting moment."""
+    from carom.cli.compiling import announce_compilation
     from carom.recording.view.picture import render
 
+    pixels = _pixels(size)
+    _refuse_both(at, event)
+    announce_compilation()
     path = output or file.with_suffix(".png")
-    render(file, at, path, _pixels(size), view=view.value, theme=theme.value)
-    typer.echo(f"{path} written.")
+    made = render(file, at, path, pixels, view=view.value, theme=theme.value, event=event, bodies=bodies)
+    typer.echo(f"{path} written, t = {made.time:.9g} s.")
+    _say_missing(made.missing)
+
+
+def _refuse_both(at: float | None, event: str | None) -> None:
+    from carom.recording.errors import RecordingError
+
+    if at is not None and event is not None:
+        raise RecordingError("--at and --event both name a moment; give one of them")
+
+
+def _say_missing(reason: str) -> None:
+    if reason:
+        typer.echo(f"Shown is the frame before that moment, since its step could not be run again: {reason}", err=True)
 
 
 def _pixels(size: str) -> tuple[int, int]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -75,3 +77,38 @@ class _Rows:
             if len(self._chunks) > _KEPT:
                 self._chunks.popitem(last=False)
         return self._chunks[entry.offset]
+
+
+class DrawnPaths(NamedTuple):
+    """Where some bodies are drawn in all frames."""
+
+    steps: NDArray[np.int64]  # (k,)
+    position: NDArray[np.float32]  # (k, b, 3) m from the recording's origin
+    orientation: NDArray[np.float32] | None  # (k, b, 4) xyzw; None where none are recorded
+
+
+def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
+    """Read the paths of some bodies, given by their places among those that the recording shows."""
+    steps, positions, turns = [], [], []
+    n, chosen = len(recording.shown), list(places)
+    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
+    for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+        rows = chunk.batch.num_rows
+        centres = next((name for name in paths.CENTRES if name in chunk.components), None)
+        if centres is None:
+            continue
+        steps.append(chunk.batch[STEP].to_numpy())
+        positions.append(_numbers(chunk.batch[centres]).reshape(rows, n, 3)[:, chosen])
+        turned = next((name for name in chunk.components if name.endswith(":quaternions")), None)
+        if turned is not None:
+            turns.append(_numbers(chunk.batch[turned]).reshape(rows, n, 4)[:, chosen])
+    if not steps:
+        raise RecordingError(f"{recording.path} has no positions: a piece of it is missing")
+    oriented = np.concatenate(turns) if len(turns) == len(steps) else None
+    return DrawnPaths(np.concatenate(steps), np.concatenate(positions), oriented)
+
+
+def _numbers(column: pa.Array) -> NDArray[np.float32]:
+    while pa.types.is_nested(column.type):
+        column = column.flatten()
+    return np.asarray(column.to_numpy(), dtype=np.float32)

@@ -13,18 +13,24 @@ from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.bodies_view import bodies_view
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Canvas
+from carom.recording.view.close_up import CloseUp
 from carom.recording.view.graph_view import graph_view, has_graph
 from carom.recording.view.plot_views import Curves, energy_view, plot_views, whole_time
 
 WINDOW = Canvas()
 ALL = "all"
-VIEWS = ("bodies", "graph", "energy")
+VIEWS = ("bodies", "graph", "close-up", "energy")
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 
 
 def blueprint(
-    header: Header, camera: CameraFit, curves: Curves | None = None, canvas: Canvas = WINDOW, only: str = ALL
+    header: Header,
+    camera: CameraFit,
+    curves: Curves | None = None,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    close: CloseUp | None = None,
 ) -> rrb.Blueprint:
     """Lay out a recording of this scene, with the camera where it fits.
 
@@ -40,13 +46,16 @@ def blueprint(
         The window that the layout is for.
     only
         One of `VIEWS` to fill the window with, or all of them.
+    close
+        What the close-up view shows; without it there is none.
 
     Raises
     ------
     RecordingError
         If there is nothing that the view could show.
     """
-    root = _all(header, camera, curves, canvas) if only == ALL else _single(header, camera, curves, canvas, only)
+    parts = header, camera, curves, canvas, close
+    root = _all(*parts) if only == ALL else _single(*parts, only)
     panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
         root,
@@ -60,13 +69,17 @@ def blueprint(
     )
 
 
-def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas) -> rrb.Container:
-    shares = [3.0, 2.0] if has_graph(header) else [1.0]
+def _all(
+    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, close: CloseUp | None
+) -> rrb.Container:
+    shares = [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else [])]
     down = _ROWS[0] / sum(_ROWS)
     areas = [canvas.area(share / sum(shares), down) for share in shares]
     views: list[rrb.View] = [bodies_view(header, camera, areas[0])]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1]))
+    if close:
+        views.append(close.view(header, areas[-1]))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         rrb.Horizontal(*plot_views(header, curves, canvas.area(1.0, _ROWS[1] / sum(_ROWS)))),
@@ -75,7 +88,9 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     )
 
 
-def _single(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, only: str) -> rrb.View:
+def _single(
+    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, close: CloseUp | None, only: str
+) -> rrb.View:
     match only:
         case "bodies":
             return bodies_view(header, camera, canvas.area())
@@ -85,6 +100,10 @@ def _single(header: Header, camera: CameraFit, curves: Curves | None, canvas: Ca
             raise RecordingError(
                 "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
             )
+        case "close-up" if close:
+            return close.view(header, canvas.area())
+        case "close-up":
+            raise RecordingError("no impact is known that a close-up could show; name two bodies with --bodies")
         case _:
             return energy_view(header, curves, canvas.area())
 

@@ -64,15 +64,23 @@ class CameraFit:
         (n, 3) m, the positions at the moment that the view opens with.
     corners
         (k, 3) m, what has to be seen whole, such as the corners of walls.
+    to_eye
+        (3,) unit vector towards the eye; chosen by the shape of what is seen if it is None.
     """
 
-    def __init__(self, radius: FloatArray, first: FloatArray, corners: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        radius: FloatArray,
+        first: FloatArray,
+        corners: FloatArray | None = None,
+        to_eye: FloatArray | None = None,
+    ) -> None:
         near = _near(first)
         self._radius = radius
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
-        self._to_eye = _direction(first if corners is None else corners)
-        self._axes = _screen(self._to_eye)
+        direction = _direction(first if corners is None else corners) if to_eye is None else to_eye
+        self._axes = _screen(direction)
         self._centre = _middle(first, radius)
         self._own = self._box(first)  # (2, 3) m, lower and upper ends along the axes
         self._still = self._own  # … of all moments
@@ -91,13 +99,15 @@ class CameraFit:
         self._still = _joined(self._still, box)
         self._moving = _joined(self._moving, box - self._axes @ centre)
 
-    def view(self, aspect: float = ASPECT) -> View:
+    def view(self, aspect: float = ASPECT, room: float = 0.0) -> View:
         """Return a view of the first moment and, unless bodies would look too small, of all others.
 
         Parameters
         ----------
         aspect
             Width of the picture over its height.
+        room
+            m around the bodies for what sticks out of them, such as arrows, if they do not get small by it.
         """
         follows = len(self._corners) == 0 and self._drift > np.ptp(self._own, axis=0).max() / 2
         whole = self._moving if follows else self._still - self._axes @ self._centre
@@ -107,7 +117,7 @@ class CameraFit:
             now = np.maximum(now, self._borders(self._corners, np.zeros(len(self._corners)), slopes))
         if not np.isfinite(now).all():
             return View(np.zeros(3), 4.0 * float(self._radius.max()), False, self._axes[2])
-        others = _corners_of(whole) @ self._axes + self._centre
+        others = _corners_of(whole + np.array([[-room], [room]])) @ self._axes + self._centre
         later = np.maximum(now, self._borders(others, np.zeros(8), slopes))
         distance = min(_distance(later, slopes), _LOOSE * _distance(now, slopes))
         # on the screen the target may be anywhere between those that put what must be seen at either border
@@ -168,6 +178,8 @@ def _direction(position: FloatArray) -> FloatArray:
 def _screen(to_eye: FloatArray) -> FloatArray:
     """Return the axes of the screen: to the right, up and towards the eye."""
     right = np.cross([0.0, 0.0, 1.0], to_eye)
+    if not right.any():  # straight from above or below
+        right = np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     return np.array([right, np.cross(to_eye, right), to_eye])
 

@@ -8,13 +8,13 @@ from carom.recording.schema import palette, paths
 from carom.recording.view.camera import View
 
 
-def eye(view: View) -> rrb.EyeControls3D:
-    """Place Rerun's eye."""
+def eye(view: View, follows: str | None = None) -> rrb.EyeControls3D:
+    """Place Rerun's eye; it follows an entity if one is given, or all bodies if the view says so."""
     return rrb.EyeControls3D(
         position=view.eye,
         look_target=view.target,
         eye_up=[0.0, 0.0, 1.0],
-        tracking_entity=paths.BODIES if view.follows else None,
+        tracking_entity=follows or (paths.BODIES if view.follows else None),
     )
 
 

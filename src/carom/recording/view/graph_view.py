@@ -36,9 +36,14 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
         ],
         background=background(),
         line_grid=False,
-        eye_controls=eye(camera.view(area.aspect)),
+        eye_controls=eye(camera.view(area.aspect, _arrows(header))),
         overrides=faint_bodies(header),
     )
+
+
+def _arrows(header: Header) -> float:
+    """Return how far (m) arrows of a usual length stick out of the bodies."""
+    return entities.arrow_length(header, paths.ANGULAR_ACCELERATION) / 2 if header.has_torque else 0.0
 
 
 def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:

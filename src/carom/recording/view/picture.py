@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from carom.recording.errors import RecordingError
@@ -12,13 +14,22 @@ from carom.recording.read.recording import Recording
 from carom.recording.view.blueprint import ALL
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.light_theme import light_theme
-from carom.recording.view.presentation import presentation
+from carom.recording.view.presentation import asked
+from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
 
 _ALIKE = 3  # equal pictures in a row, after which nothing is still loading
 _PAUSE = 0.7  # s between two of them
 _LIMIT = 120.0  # s
 _BORDER = (7, 71)  # points of a window about its only view, that is title, edges and the strip to move the window by
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What a picture shows."""
+
+    time: float  # s
+    missing: str  # why it shows the frame before the step that was asked for; empty where it shows the step
 
 
 def render(
@@ -29,15 +40,18 @@ def render(
     *,
     view: str = ALL,
     theme: str = "dark",
-) -> float:
-    """Render a recording at a simulated time (s) into a PNG; return that time.
+    event: str | None = None,
+    bodies: str | None = None,
+    watch: Watcher = lambda _: None,
+) -> Picture:
+    """Render a recording at a simulated time (s) into a PNG.
 
     Parameters
     ----------
     path
         The recording.
     at
-        s; without it, the most interesting moment: the hardest impact, else the most contacts.
+        s; without it, the event, else the most interesting moment: the hardest impact, else the most contacts.
     out_png
         Where to write the picture.
     size
@@ -46,6 +60,12 @@ def render(
         One view that fills the picture, or all of them.
     theme
         Of the viewer, "dark" or "light"; the 3D views are dark in both.
+    event
+        Its name; the close-up view shows its bodies.
+    bodies
+        The bodies of the close-up view, by numbers or names with a comma between them.
+    watch
+        Called while steps that have no frame are run again.
 
     Raises
     ------
@@ -53,10 +73,13 @@ def render(
         If the recording cannot be read, there is no Vulkan driver, or a view cannot show what it should.
     """
     recording = Recording.open(path)
-    moment = recording.moment(at)
+    _refuse_unwritable(Path(out_png))
     whole = view == ALL or recording.is_overlay
-    canvas = Canvas(*size, framed=whole)
-    extra = None if recording.is_overlay else presentation(recording, moment, canvas, view)
+    if recording.is_overlay:
+        moment, extra, missing = recording.moment(at), None, ""
+    else:
+        shown = asked(recording, at, event, bodies, Canvas(*size, framed=whole), view, watch=watch)
+        moment, extra, missing = shown.time, shown.supplement, shown.missing
     window = size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
     with _viewer(window, theme) as viewer:
         viewer.show(recording)
@@ -64,14 +87,24 @@ def render(
             viewer.add(extra)
         viewer.go_to(recording, moment)
         png = _settled(viewer, None if whole else viewer.only_view())
-        reports = [f"{shown.name}: {report}" for shown in viewer.client.get_state().views for report in shown.reports]
+        reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:
         raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
     try:
         Path(out_png).write_bytes(png)
     except OSError as error:
         raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
-    return moment
+    return Picture(moment, missing)
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise RecordingError before a minute of rendering is lost."""
+    if path.is_dir():
+        raise RecordingError(f"cannot write {path}: it is a folder; name a file")
+    if not path.parent.is_dir():
+        raise RecordingError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise RecordingError(f"cannot write {path}: permission denied")
 
 
 @contextmanager

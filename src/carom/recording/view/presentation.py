@@ -1,33 +1,92 @@
-"""Chooses how a recording is shown at one moment: where the camera stands, and what is laid out."""
+"""`Presentation`: how a recording is shown at one moment: the step, where the camera stands, what is laid out."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
-from carom.recording.errors import RecordingError
-from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.recording.view.blueprint import ALL, WINDOW, blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
+from carom.recording.view.close_up import close_up
+from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
+from carom.recording.view.pair import event as event_of
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
+from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement
+from carom.recording.write.encoder import BatchEncoder, Rows
+
+_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM)  # not sent again for steps that were run again
 
 
-def presentation(recording: Recording, moment: float, canvas: Canvas = WINDOW, only: str = ALL) -> Supplement:
-    """Return the layout that shows a moment (s).
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """A moment of a recording, and what the viewer is given to show it."""
+
+    time: float  # s, where the viewer pauses
+    missing: str  # why the step itself is not shown, but the frame before it; empty where it is
+    supplement: Supplement
+
+
+def asked(
+    recording: Recording,
+    at: float | None,
+    event: str | None,
+    bodies: str | None,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    *,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> Presentation:
+    """Show what a person asked for: a time (s) or an event, and two bodies; see `presentation`.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such moment, event or body.
+    """
+    moment, pair = (recording.moment(at), None) if event is None else event_of(recording, event)
+    pair = pair if bodies is None else named_pair(recording, bodies)
+    return presentation(recording, moment, canvas, only, pair=pair, dense=dense, watch=watch)
+
+
+def presentation(
+    recording: Recording,
+    moment: float,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    *,
+    pair: Pair | None = None,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> Presentation:
+    """Choose how a moment is shown.
 
     Parameters
     ----------
-    recording, moment
-        What to show.
+    recording
+        What is shown.
+    moment
+        s.
     canvas
         The window.
     only
         The one view to show, or all.
+    pair
+        The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
+    dense
+        Whether all steps up to the next recorded frame are wanted.
+    watch
+        Called while steps are run again.
 
     Raises
     ------
@@ -35,17 +94,32 @@ def presentation(recording: Recording, moment: float, canvas: Canvas = WINDOW, o
         If there is no frame, or nothing that the view could show.
     """
     header = header_of_recording(recording)
-    position = RecordedPositions(recording).drawn(step_at(recording, moment)) - recording.origin
-    camera = CameraFit(header.radius, position, corners_of(header, recording.origin))
-    return Supplement(
-        blueprint(header, camera, recorded_curves(recording), canvas, only), Clock(float(recording.info["time_scale"]))
-    )
+    step = shown_step(recording, moment, dense=dense, watch=watch)
+    camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
+    chosen = pair or _pair(recording, header, step)
+    close = None if chosen is None else close_up(recording, header, step, chosen)
+    rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
+    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, close)
+    statics = list(close.statics(header)) if close else []
+    clock = Clock(float(recording.info["time_scale"]))
+    return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
 
 
-def step_at(recording: Recording, moment: float) -> int:
-    """Return the step of the last frame up to a moment (s), else of the first frame."""
-    table = recording.fingerprints()
-    if table.num_rows == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
-    row = int(np.searchsorted(table["time"].to_numpy(), moment, side="right")) - 1
-    return int(table[STEP][max(0, row)].as_py())
+def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
+    """Choose the pair of the close-up view."""
+    hardest = hardest_pair(recording)
+    if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
+        return hardest
+    return pair_of_step(step.frame, header.bodies) or hardest
+
+
+def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Rows]:
+    """Yield the rows of the steps that were run again, unless all of them are recorded."""
+    recorded = recording.fingerprints()[STEP].to_numpy()
+    if all(np.any(recorded == frame.step) for frame in step.added):
+        return
+    before = None if step.before is None else step.before.checkpoint
+    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before)
+    for rows in encoder.rows(step.added):
+        if rows.path not in _ONCE:
+            yield rows

@@ -173,17 +173,6 @@ def start_live_viewer() -> str:
     return viewer.address
 
 
-def open_viewer(path: str | Path, at: float | None = None) -> None:
-    """Open a recording in a window, paused at a simulated time (s) if one is given; return when it is closed."""
-    recording = Recording.open(path)
-    moment = None if at is None else recording.moment(at)
-    with Viewer() as viewer:
-        viewer.show(recording)
-        if moment is not None:
-            viewer.go_to(recording, moment)
-        viewer.wait()
-
-
 def _reason(said: str) -> str:
     """Turn the log of a viewer that ended into an explanation with a remedy."""
     lowered = said.lower()

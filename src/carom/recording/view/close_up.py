@@ -1,0 +1,238 @@
+"""The close-up view: the two bodies of a contact, with its normal, impulse and spins; all other bodies fade.
+
+Its entities are sent to the viewer on top of a recording (`Supplement`). The bodies move through all frames, and the
+camera follows them. Edge and arrows are those of one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+from carom.recording.read.positions import DrawnPaths, drawn_paths
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+from carom.recording.view.camera import CameraFit
+from carom.recording.view.canvas import Area
+from carom.recording.view.eye import background, eye
+from carom.recording.view.graph_view import faint_bodies
+from carom.recording.view.pair import Pair
+from carom.recording.view.shown_step import ShownStep
+from carom.recording.view.supplement import Static
+from carom.recording.write import encoder as entities
+from carom.recording.write.encoder import Rows
+
+FloatArray = NDArray[np.float64]
+
+ROOT = "close_up"
+BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
+
+_MOST_UNLIKE = 6.0  # ratio of radii from which on the larger body is not to be seen whole
+_MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
+_ASIDE = 0.85  # how far the eye is turned away from the normal, which would point at it
+_NORMAL, _ARROW = (
+    0.9,
+    1.3,
+)  # lengths of the arrows in radii of the smaller body; the longer impulse or spin has the second
+_THICK, _THIN = 0.07, 0.04  # of arrows, in the same
+_HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """What happened between the two bodies in the step that is shown."""
+
+    point: FloatArray  # (3,) m from the recording's origin
+    normal: FloatArray  # (3,) from i to j
+    impulse: FloatArray  # (3,) N s, on j; zero where it is not known
+    edge: FloatArray  # (2, 3) m
+
+
+@dataclass(frozen=True, slots=True)
+class CloseUp:
+    """Two bodies at one step."""
+
+    names: str
+    bodies: tuple[int, ...]  # one, if it touches a plane
+    step: ShownStep
+    contact: Contact | None  # None: they do not touch in this step, or it is not known
+    spin: FloatArray | None  # (b, 3) rad/s
+    paths: DrawnPaths | None
+    times: FloatArray  # (frames,) s, of the paths
+    origin: FloatArray  # (3,) m, of the recording
+
+    def view(self, header: Header, area: Area) -> rrb.Spatial3DView:
+        """Show the two bodies as solids, and all others as thin wires."""
+        contents = [BODIES, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
+        camera = self._camera(header)
+        return rrb.Spatial3DView(
+            name=f"Close-up: {self.names}",
+            origin="/",
+            contents=contents,
+            background=background(),
+            line_grid=False,
+            eye_controls=eye(camera.view(area.aspect), follows=BODIES if self.paths is not None else None),
+            overrides=faint_bodies(header),
+        )
+
+    def statics(self, header: Header) -> Iterable[Static]:
+        """Yield sizes and colours of what the view shows."""
+        radius = header.radius[list(self.bodies)].astype(np.float32)
+        small = float(radius.min())
+        yield (
+            BODIES,
+            rr.Ellipsoids3D.from_fields(
+                half_sizes=np.repeat(radius, 3).reshape(-1, 3),
+                colors=_HIGHLIGHTS[: len(radius)],
+                fill_mode="TransparentFillMajorWireframe",
+                line_radii=rr.Radius.ui_points(1.0),
+            ),
+        )
+        yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, labels="normal")
+        yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW, show_labels=True)
+        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.GREEN, show_labels=True)
+
+    def rows(self, header: Header) -> Iterable[Rows]:
+        """Yield where the bodies are at all frames, and what happened in the step."""
+        yield from self._bodies(header)
+        if self.contact is not None:
+            small = float(header.radius[list(self.bodies)].min())
+            yield from self._arrows(self.contact, small)
+
+    def _camera(self, header: Header) -> CameraFit:
+        chosen = list(self.bodies)
+        radius, position = header.radius[chosen], self.step.position[chosen]
+        normal = None if self.contact is None else self.contact.normal
+        if len(chosen) == 2 and normal is None:
+            apart = position[1] - position[0]
+            normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
+        if radius.max() > _MOST_UNLIKE * radius.min():
+            place = int(np.argmin(radius))
+            return CameraFit(3.0 * radius[[place]], position[[place]], to_eye=_aside(normal))
+        return CameraFit(1.2 * radius, position, to_eye=_aside(normal))
+
+    def _bodies(self, header: Header) -> Iterable[Rows]:
+        step, chosen = self.step, list(self.bodies)
+        steps, times = [step.step], [step.time]
+        position, turned = step.position[None, chosen].astype(np.float32), None
+        if step.frame is not None and step.frame.orientation is not None:
+            turned = step.frame.orientation[None, chosen].astype(np.float32)
+        if self.paths is not None:
+            steps, times = self.paths.steps.tolist(), self.times.tolist()
+            position, turned = self.paths.position, self.paths.orientation
+        columns = rr.Ellipsoids3D.columns(
+            centers=position.reshape(-1, 3), quaternions=None if turned is None else turned.reshape(-1, 4)
+        )
+        yield Rows(BODIES, steps, times, columns.partition([len(chosen)] * len(steps)), position.nbytes)
+        between = [frame for frame in step.added if frame.step not in set(steps)]
+        if self.paths is not None and between:
+            yield self._bodies_between(between)
+
+    def _bodies_between(self, frames: Sequence[Frame]) -> Rows:
+        """Place the bodies at steps that were run again."""
+        chosen = list(self.bodies)
+        position = np.stack([frame.position[chosen] - self.origin for frame in frames]).astype(np.float32)
+        turned = [frame.orientation[chosen] for frame in frames if frame.orientation is not None]
+        quaternions = np.concatenate(turned).astype(np.float32) if turned else None
+        columns = rr.Ellipsoids3D.columns(centers=position.reshape(-1, 3), quaternions=quaternions)
+        steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
+        return Rows(BODIES, steps, times, columns.partition([len(chosen)] * len(steps)), position.nbytes)
+
+    def _arrows(self, contact: Contact, small: float) -> Iterable[Rows]:
+        """Draw edge, normal, impulse and spins at the step, and nothing at the next one."""
+        yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
+        normal = (_NORMAL * small * contact.normal).astype(np.float32)
+        yield self._once(NORMAL, rr.Arrows3D.columns(vectors=[normal], origins=[contact.point.astype(np.float32)]), 1)
+        size = float(np.linalg.norm(contact.impulse))
+        if size > 0.0:
+            vector = _ARROW * small / size * contact.impulse
+            signs = np.array([1.0, -1.0])[: len(self.bodies)] if len(self.bodies) == 2 else np.array([-1.0])
+            vectors = (signs[:, None] * vector).astype(np.float32)
+            origins = np.tile(contact.point, (len(signs), 1)).astype(np.float32)
+            labels = [f"{size:.3g} N s", *[""] * (len(signs) - 1)]
+            columns = rr.Arrows3D.columns(vectors=vectors, origins=origins, labels=labels)
+            yield self._once(IMPULSE, columns, len(signs))
+        if self.spin is not None:
+            yield from self._spins(self.spin, small)
+
+    def _spins(self, spin: FloatArray, small: float) -> Iterable[Rows]:
+        speed = np.linalg.norm(spin, axis=1)
+        turning = speed > 0.0
+        if turning.any():
+            vectors = _ARROW * small * spin[turning] / speed.max()
+            origins = self.step.position[list(self.bodies)][turning]
+            labels = [f"{value:.3g} rad/s" for value in speed[turning]]
+            columns = rr.Arrows3D.columns(
+                vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
+            )
+            yield self._once(SPIN, columns, len(labels))
+
+    def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Rows:
+        """Return one row at the step."""
+        return Rows(path, [self.step.step], [self.step.time], columns.partition([count]), 0)
+
+
+def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair) -> CloseUp:
+    """Gather what the close-up view shows of a pair at a step."""
+    bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
+    places = [recording.shown.index(body) for body in bodies]
+    names = " and ".join(recording.bodies.name[body] for body in bodies)
+    frame, spin = step.frame, None
+    if frame is not None and frame.angular_velocity is not None:
+        spin = frame.angular_velocity[list(bodies)]
+    contact = None if frame is None else _contact(header, step, frame, pair)
+    frames = recording.fingerprints()
+    found, times = None, np.zeros(0)
+    if 28 * len(recording.shown) * recording.frames < _MOST_BYTES:
+        found = drawn_paths(recording, places)
+        own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
+        times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
+    return CloseUp(names, tuple(places), step, contact, spin, found, times, recording.origin)
+
+
+def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Contact | None:
+    """Find the contact of a pair in a step; with a plane, the first that the body touches."""
+    graph, n = frame.contacts, header.bodies
+    i, j = graph.pairs[:, 0], graph.pairs[:, 1]
+    found = np.flatnonzero((i == pair.i) & (j >= n if pair.j is None else j == pair.j))
+    if len(found) == 0:
+        return None
+    row = int(found[0])
+    normal = graph.normals[row]
+    begin = step.position[pair.i]
+    reach = float(header.radius[pair.i]) - float(graph.overlaps[row]) / 2
+    point = begin + reach * normal
+    other = begin + (header.radius[pair.i] - graph.overlaps[row]) * normal
+    end = other if pair.j is None else other + header.radius[pair.j] * normal
+    return Contact(point, normal, _impulse(frame, pair, n), np.stack([begin, end]))
+
+
+def _impulse(frame: Frame, pair: Pair, bodies: int) -> FloatArray:
+    """Return the impulse (N s) that acts on j in the step, as the contact tap gathered it; zero where it did not."""
+    total, rows = np.zeros(3), frame.contact_rows
+    if rows is None:
+        return total
+    ends = rows["j"] >= bodies if pair.j is None else rows["j"] == pair.j
+    for row in rows[ends & (rows["i"] == pair.i)]:
+        total += row["normal_impulse"] * np.array([row["nx"], row["ny"], row["nz"]])
+        total += [row["friction_x"], row["friction_y"], row["friction_z"]]
+    return total
+
+
+def _aside(normal: FloatArray | None) -> FloatArray | None:
+    """Return a direction to look from that is nearly across the normal; None where there is no normal."""
+    if normal is None:
+        return None
+    usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
+    direction = usual - _ASIDE * (usual @ normal) * normal
+    size = float(np.linalg.norm(direction))
+    return np.asarray(direction / size if size > 0.0 else usual)

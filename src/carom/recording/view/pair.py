@@ -1,0 +1,97 @@
+"""`Pair`: the two ends of the contact that the close-up view is about, and how it is chosen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carom.physics.frame import Frame
+from carom.recording.errors import RecordingError
+from carom.recording.read.body_names import body_number
+from carom.recording.read.recording import Recording
+from carom.recording.schema.timelines import SIM_TIME, STEP
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two ends of a contact."""
+
+    i: int
+    j: int | None  # None: what it touches is no body
+
+
+def named_pair(recording: Recording, text: str) -> Pair:
+    """Read two bodies, given by numbers or names with a comma between them.
+
+    Raises
+    ------
+    RecordingError
+        If they are not two bodies of the recording.
+    """
+    given = [part.strip() for part in text.split(",")]
+    if len(given) != 2 or not all(given):
+        raise RecordingError(f"--bodies {text}: expected two bodies with a comma between them, such as 0,1")
+    first, second = (body_number(recording, part) for part in given)
+    if first == second:
+        raise RecordingError(f"--bodies {text}: is one body; give two")
+    for body in (first, second):
+        if body not in recording.shown:
+            raise RecordingError(
+                f"{recording.path} does not show body {body}: it is a clip of bodies {recording.shown}"
+            )
+    return Pair(min(first, second), max(first, second))
+
+
+def hardest_pair(recording: Recording) -> Pair | None:
+    """Return the bodies of the run's hardest impact; None where none is known."""
+    return _pair(recording, dict(recording.closing), "moments.impact.")
+
+
+def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
+    """Return the ends of a step's contact that closed fastest, else the one resolved first; None without contacts."""
+    graph = frame.contacts
+    if not len(graph):
+        return None
+    rows = frame.contact_rows
+    row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
+    i, j = (int(end) for end in graph.pairs[row])
+    return Pair(i, j if j < bodies else None)
+
+
+def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
+    """Return the time (s) and the bodies of an event: an extreme of `carom inspect`, or the first of a kind in the log.
+
+    Raises
+    ------
+    RecordingError
+        If there is none of this name.
+    """
+    closing = dict(recording.closing)
+    if f"moments.{name}.time" in closing:
+        return float(closing[f"moments.{name}.time"]), _pair(recording, closing, f"moments.{name}.")
+    table = recording.events()
+    kinds = table["kind"].to_pylist()
+    if name in kinds:
+        row = kinds.index(name)
+        frames = recording.fingerprints()
+        steps = frames[STEP].to_numpy()
+        own = np.flatnonzero(steps == table[STEP][row].as_py())
+        if len(own):
+            return float(frames["time"][int(own[0])].as_py()), None
+        scale = float(recording.info["time_scale"])
+        return float(table[SIM_TIME][row].value) * 1e-9 * scale, None
+    moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
+    known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
+    has = f"it has {', '.join(known)}" if known else "it has none"
+    raise RecordingError(f'{recording.path} has no event "{name}"; {has}')
+
+
+def _pair(recording: Recording, closing: dict[str, Any], prefix: str) -> Pair | None:
+    text = str(closing.get(f"{prefix}bodies", ""))
+    found = [int(part) for part in text.split(",") if part.strip().isdigit()]
+    shown = set(recording.shown)
+    if not found or not all(body in shown for body in found):
+        return None
+    return Pair(found[0], found[1] if len(found) > 1 else None)

@@ -1,0 +1,116 @@
+"""`ShownStep`: the step that a moment is in. If it has no frame, or for what no frame has, it is run again."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.error import PhysicsError
+from carom.physics.frame import Frame
+from carom.physics.status import StepStatus
+from carom.recording.errors import RecordingError
+from carom.recording.read.moment import frame_of, tolerance
+from carom.recording.read.positions import RecordedPositions
+from carom.recording.read.recording import Recording
+from carom.recording.read.window import Window
+from carom.recording.schema.timelines import STEP
+
+FloatArray = NDArray[np.float64]
+Watcher = Callable[[StepStatus], None]
+
+PATIENCE = 60.0  # s of running again, for a step that has no frame
+IMPATIENCE = 10.0  # s, for one that has
+_MOST_BYTES = 50_000_000  # of the frames between two recorded ones
+_BODY_BYTES = 300  # of a frame
+
+
+@dataclass(frozen=True, slots=True)
+class ShownStep:
+    """A step of a recording, as it is shown."""
+
+    step: int
+    time: float  # s, at its end
+    position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
+    frame: Frame | None = None  # the step, if it was run again
+    before: Frame | None = None  # the frame before those that are added
+    added: Sequence[Frame] = ()  # steps between recorded frames, this one among them, and the frame after them
+    missing: str = ""  # why there is no frame though the step has none in the recording
+
+
+def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: Watcher = lambda _: None) -> ShownStep:
+    """Find the step that a time (s) is in, and run it again as far as that takes no more than a minute.
+
+    Parameters
+    ----------
+    recording
+        What is shown.
+    at
+        s.
+    dense
+        Whether all steps up to the next recorded frame are wanted, not only the one.
+    watch
+        Called while it runs again.
+
+    Raises
+    ------
+    RecordingError
+        If there is no frame.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    if len(times) == 0:
+        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    row = frame_of(recording, at)
+    last = row if row is not None else max(0, int(np.searchsorted(times, at - tolerance(at))) - 1)
+    position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
+    drawn = ShownStep(int(steps[last]), float(times[last]), position)
+    if len(recording.shown) != int(recording.info["bodies"]):
+        return drawn  # a clip of some bodies shows no others
+    goal = float(times[row]) if row is not None else at - tolerance(at)
+    try:
+        found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
+    except (RecordingError, PhysicsError) as error:
+        missing = str(error)
+    else:
+        if found is not None:
+            return found
+        missing = f"running it again takes more than {PATIENCE:.0f} s"
+    return drawn if row is not None else ShownStep(drawn.step, drawn.time, position, missing=missing)
+
+
+def _run(
+    recording: Recording, goal: float, times: FloatArray, limit: float, dense: bool, watch: Watcher
+) -> ShownStep | None:
+    """Run the steps up to the one that a time (s) is in, or to the next frame; None if that takes too long."""
+    own = int(np.searchsorted(times, goal))
+    earlier = float(times[max(0, own - 1)])
+    until = float(times[own]) if dense and own < len(times) else goal
+    most = max(2, _MOST_BYTES // (_BODY_BYTES * len(recording.shown)))
+    added: list[Frame] = []
+    before, shown = None, None
+    started: float | None = None
+    window = Window(recording, goal, watch=watch)
+    for frame in window.frames(earlier):
+        started = clock.monotonic() if started is None else started
+        if clock.monotonic() - started > limit:
+            return None
+        if frame.time <= earlier and frame.time < goal:
+            before = frame
+            continue
+        if len(added) == most:  # only the last are kept
+            before = added.pop(0)
+        added.append(frame)
+        if shown is None and frame.time >= goal:
+            shown = frame
+        if shown is not None and frame.time >= until:
+            break
+    if window.differs is not None:
+        raise RecordingError(f"run again, it has other bits from step {window.differs} on")
+    if shown is None:
+        return None
+    position = np.asarray(shown.position - recording.origin)
+    return ShownStep(shown.step, shown.time, position, shown, before, added)
