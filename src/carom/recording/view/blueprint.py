@@ -12,7 +12,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.bodies_view import bodies_view
 from carom.recording.view.camera import CameraFit
-from carom.recording.view.canvas import Canvas
+from carom.recording.view.canvas import Area, Canvas
 from carom.recording.view.close_up import CloseUp
 from carom.recording.view.graph_view import graph_view, has_graph
 from carom.recording.view.plot_views import Curves, energy_view, plot_views, whole_time
@@ -69,17 +69,30 @@ def blueprint(
     )
 
 
+def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
+    """Return the area that the close-up view has in a layout."""
+    return _areas(canvas, _shares(header, True))[-1] if only == ALL else canvas.area()
+
+
+def _shares(header: Header, close: bool) -> list[float]:
+    """Return the widths of the 3D views."""
+    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else [])]
+
+
+def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
+    return [canvas.area(share / sum(shares), _ROWS[0] / sum(_ROWS)) for share in shares]
+
+
 def _all(
     header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, close: CloseUp | None
 ) -> rrb.Container:
-    shares = [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else [])]
-    down = _ROWS[0] / sum(_ROWS)
-    areas = [canvas.area(share / sum(shares), down) for share in shares]
+    shares = _shares(header, close is not None)
+    areas = _areas(canvas, shares)
     views: list[rrb.View] = [bodies_view(header, camera, areas[0])]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1]))
     if close:
-        views.append(close.view(header, areas[-1]))
+        views.append(close.view(header))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         rrb.Horizontal(*plot_views(header, curves, canvas.area(1.0, _ROWS[1] / sum(_ROWS)))),
@@ -101,7 +114,7 @@ def _single(
                 "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
             )
         case "close-up" if close:
-            return close.view(header, canvas.area())
+            return close.view(header)
         case "close-up":
             raise RecordingError("no impact is known that a close-up could show; name two bodies with --bodies")
         case _:

@@ -6,7 +6,7 @@ camera follows them. Edge and arrows are those of one step.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.camera import CameraFit
-from carom.recording.view.canvas import Area
+from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.eye import background, eye
 from carom.recording.view.graph_view import faint_bodies
 from carom.recording.view.pair import Pair
@@ -34,6 +33,7 @@ FloatArray = NDArray[np.float64]
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
+FOLLOWED = f"{ROOT}/followed"
 
 _MOST_UNLIKE = 6.0  # ratio of radii from which on the larger body is not to be seen whole
 _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
@@ -43,6 +43,8 @@ _NORMAL, _ARROW = (
     1.3,
 )  # lengths of the arrows in radii of the smaller body; the longer impulse or spin has the second
 _THICK, _THIN = 0.07, 0.04  # of arrows, in the same
+_REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
+_UNSEEN = 1e-6  # of a radius: the size of the points that the eye follows
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
 
@@ -68,18 +70,18 @@ class CloseUp:
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
     origin: FloatArray  # (3,) m, of the recording
+    eye: View
 
-    def view(self, header: Header, area: Area) -> rrb.Spatial3DView:
+    def view(self, header: Header) -> rrb.Spatial3DView:
         """Show the two bodies as solids, and all others as thin wires."""
-        contents = [BODIES, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
-        camera = self._camera(header)
+        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
         return rrb.Spatial3DView(
             name=f"Close-up: {self.names}",
             origin="/",
             contents=contents,
             background=background(),
             line_grid=False,
-            eye_controls=eye(camera.view(area.aspect), follows=BODIES if self.paths is not None else None),
+            eye_controls=eye(self.eye, follows=FOLLOWED),
             overrides=faint_bodies(header),
         )
 
@@ -96,6 +98,7 @@ class CloseUp:
                 line_radii=rr.Radius.ui_points(1.0),
             ),
         )
+        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
         yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, labels="normal")
         yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW, show_labels=True)
@@ -103,49 +106,45 @@ class CloseUp:
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield where the bodies are at all frames, and what happened in the step."""
-        yield from self._bodies(header)
+        yield from self._bodies()
         if self.contact is not None:
             small = float(header.radius[list(self.bodies)].min())
             yield from self._arrows(self.contact, small)
 
-    def _camera(self, header: Header) -> CameraFit:
-        chosen = list(self.bodies)
-        radius, position = header.radius[chosen], self.step.position[chosen]
-        normal = None if self.contact is None else self.contact.normal
-        if len(chosen) == 2 and normal is None:
-            apart = position[1] - position[0]
-            normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
-        if radius.max() > _MOST_UNLIKE * radius.min():
-            place = int(np.argmin(radius))
-            return CameraFit(3.0 * radius[[place]], position[[place]], to_eye=_aside(normal))
-        return CameraFit(1.2 * radius, position, to_eye=_aside(normal))
-
-    def _bodies(self, header: Header) -> Iterable[Rows]:
+    def _bodies(self) -> Iterable[Rows]:
+        """Place the bodies, and what the camera follows, at all frames and at the steps that were run again."""
         step, chosen = self.step, list(self.bodies)
-        steps, times = [step.step], [step.time]
-        position, turned = step.position[None, chosen].astype(np.float32), None
-        if step.frame is not None and step.frame.orientation is not None:
-            turned = step.frame.orientation[None, chosen].astype(np.float32)
-        if self.paths is not None:
-            steps, times = self.paths.steps.tolist(), self.times.tolist()
-            position, turned = self.paths.position, self.paths.orientation
-        columns = rr.Ellipsoids3D.columns(
-            centers=position.reshape(-1, 3), quaternions=None if turned is None else turned.reshape(-1, 4)
+        if self.paths is None:
+            turned = None
+            if step.frame is not None and step.frame.orientation is not None:
+                turned = step.frame.orientation[chosen].astype(np.float32)
+            yield from self._placed([step.step], [step.time], step.position[None, chosen], turned)
+            return
+        yield from self._placed(
+            self.paths.steps.tolist(), self.times.tolist(), self.paths.position, self.paths.orientation
         )
-        yield Rows(BODIES, steps, times, columns.partition([len(chosen)] * len(steps)), position.nbytes)
-        between = [frame for frame in step.added if frame.step not in set(steps)]
-        if self.paths is not None and between:
-            yield self._bodies_between(between)
+        recorded = set(self.paths.steps.tolist())
+        frames = [frame for frame in step.added if frame.step not in recorded]
+        if frames:
+            position = np.stack([frame.position[chosen] - self.origin for frame in frames])
+            turns = [frame.orientation[chosen] for frame in frames if frame.orientation is not None]
+            turned = np.concatenate(turns).astype(np.float32) if turns else None
+            steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
+            yield from self._placed(steps, times, position, turned)
 
-    def _bodies_between(self, frames: Sequence[Frame]) -> Rows:
-        """Place the bodies at steps that were run again."""
-        chosen = list(self.bodies)
-        position = np.stack([frame.position[chosen] - self.origin for frame in frames]).astype(np.float32)
-        turned = [frame.orientation[chosen] for frame in frames if frame.orientation is not None]
-        quaternions = np.concatenate(turned).astype(np.float32) if turned else None
-        columns = rr.Ellipsoids3D.columns(centers=position.reshape(-1, 3), quaternions=quaternions)
-        steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
-        return Rows(BODIES, steps, times, columns.partition([len(chosen)] * len(steps)), position.nbytes)
+    def _placed(
+        self, steps: list[int], times: list[float], position: NDArray[np.floating], turned: NDArray[np.float32] | None
+    ) -> Iterable[Rows]:
+        """Place the bodies at (frames, b, 3) m, and about them two points whose distance sets that of the camera."""
+        centres = position.reshape(-1, 3).astype(np.float32)
+        turns = None if turned is None else turned.reshape(-1, 4)
+        columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
+        yield Rows(BODIES, steps, times, columns.partition([position.shape[1]] * len(steps)), centres.nbytes)
+        here = self.step.position[list(self.bodies)].mean(axis=0)
+        middle = position.mean(axis=1) + (self.eye.target - here)
+        corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
+        ends = np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3).astype(np.float32)
+        yield Rows(FOLLOWED, steps, times, rr.Points3D.columns(positions=ends).partition([2] * len(steps)), ends.nbytes)
 
     def _arrows(self, contact: Contact, small: float) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step, and nothing at the next one."""
@@ -181,8 +180,8 @@ class CloseUp:
         return Rows(path, [self.step.step], [self.step.time], columns.partition([count]), 0)
 
 
-def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair) -> CloseUp:
-    """Gather what the close-up view shows of a pair at a step."""
+def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, aspect: float) -> CloseUp:
+    """Gather what the close-up view, of this width over height, shows of a pair at a step."""
     bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
     places = [recording.shown.index(body) for body in bodies]
     names = " and ".join(recording.bodies.name[body] for body in bodies)
@@ -196,7 +195,20 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair) 
         found = drawn_paths(recording, places)
         own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
         times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
-    return CloseUp(names, tuple(places), step, contact, spin, found, times, recording.origin)
+    eye_of_pair = _fit(header.radius[places], step.position[places], contact).view(aspect)
+    return CloseUp(names, tuple(places), step, contact, spin, found, times, recording.origin, eye_of_pair)
+
+
+def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
+    """Fit the camera to both bodies, or if one is many times larger to the other."""
+    normal = None if contact is None else contact.normal
+    if len(radius) == 2 and normal is None:
+        apart = position[1] - position[0]
+        normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
+    if radius.max() > _MOST_UNLIKE * radius.min():
+        place = [int(np.argmin(radius))]
+        return CameraFit(3.0 * radius[place], position[place], to_eye=_aside(normal))
+    return CameraFit(1.2 * radius, position, to_eye=_aside(normal))
 
 
 def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Contact | None:

@@ -83,9 +83,9 @@ def render(
     window = size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
     with _viewer(window, theme) as viewer:
         viewer.show(recording)
+        viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
-        viewer.go_to(recording, moment)
         png = _settled(viewer, None if whole else viewer.only_view())
         reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:

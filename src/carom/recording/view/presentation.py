@@ -12,7 +12,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.blueprint import ALL, WINDOW, blueprint
+from carom.recording.view.blueprint import ALL, WINDOW, blueprint, close_up_area
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
@@ -97,7 +97,8 @@ def presentation(
     step = shown_step(recording, moment, dense=dense, watch=watch)
     camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
     chosen = pair or _pair(recording, header, step)
-    close = None if chosen is None else close_up(recording, header, step, chosen)
+    aspect = close_up_area(header, canvas, only).aspect
+    close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
     layout = blueprint(header, camera, recorded_curves(recording), canvas, only, close)
     statics = list(close.statics(header)) if close else []
