@@ -51,13 +51,14 @@ def write_viewer(recording: Recording, folder: Path) -> None:
 
 def write_moment(recording: Recording, at: float, folder: Path, name: str) -> str:
     """Write what shows a time (s) as ``NAME.rbl`` and ``NAME.rrd``; return the page's address, paused there."""
-    nanoseconds = Clock(float(recording.info["time_scale"])).nanoseconds([at])[0]
+    clock = Clock(float(recording.info["time_scale"]))
     if recording.is_overlay:  # it has a layout of its own
-        return f"{PAGE}#at={nanoseconds}"
+        return f"{PAGE}#at={clock.nanoseconds([at])[0]}"
     application, recording_id = recording.store.application_id, recording.store.store_id
-    supplement = presentation(recording, at)
-    supplement.layout.save(application, folder / f"{name}.rbl")
-    supplement.save(folder / f"{name}.rrd", application, recording_id)
+    shown = presentation(recording, at)
+    nanoseconds = clock.nanoseconds([shown.time])[0]
+    shown.supplement.layout.save(application, folder / f"{name}.rbl")
+    shown.supplement.save(folder / f"{name}.rrd", application, recording_id)
     return f"{PAGE}#at={nanoseconds}&show={name}"
 
 
