@@ -1,1 +1,1 @@
-"""How it moves: arrays and kernels. No files, no printing."""
+"""The physics: arrays and kernels, without files or printing."""

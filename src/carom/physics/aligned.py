@@ -1,4 +1,4 @@
-"""Arrays that begin on a cache line, so that a row or record lies in as few lines as it can."""
+"""Arrays that begin on a cache line, so that each row or record occupies as few lines as possible."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def aligned_empty(count: int, dtype: Any = np.float64, columns: int | None = Non
 
 
 class Room:
-    """Memory that is kept from step to step: to give it back and ask for it anew costs page faults."""
+    """Memory that is kept from step to step; freeing and allocating it again would cost page faults."""
 
     def __init__(self, dtype: Any = np.float64, columns: int | None = None) -> None:
         self._dtype = dtype
@@ -36,7 +36,7 @@ class Room:
         return self._rows[:count]
 
     def holds(self, taken: NDArray[Any]) -> bool:
-        """Tell whether rows were taken from here."""
+        """Tell whether rows were taken from this memory."""
         return np.may_share_memory(self._rows, taken)
 
 
@@ -72,7 +72,7 @@ def columns(records: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.flo
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[int, int]:
-    """Return at which number of a record the fields begin, and how many numbers fit into it."""
+    """Return the position of the first field among the numbers of a record, and how many numbers a record has."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields follow each other in this order"

@@ -1,4 +1,4 @@
-"""The bodies: a structure of arrays for the kernels, and a view of one body for people."""
+"""The bodies as a structure of arrays."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """What a contact can have at its ends: the n bodies, and after them p planes, which nothing moves.
+    """The possible ends of a contact: n bodies, followed by p planes, which never move.
 
-    The arrays of the bodies are the beginnings of these.
+    The arrays of `Bodies` are views of the first n rows.
     """
 
     velocity: FloatArray  # (n + p, 3) m/s
     acceleration: FloatArray  # (n + p, 3) m/s²
     angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
-    inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for what does not move
+    inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 likewise
     radius: FloatArray  # (n + p,) m; infinite for a plane
 
@@ -34,9 +34,9 @@ class Bodies:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
-    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; (0, 4) where the scene requires none, like the three below
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; no rows if not required, like the three below
     angular_velocity: FloatArray  # (n, 3) rad/s
-    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; there where torques are
+    angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; no rows without torques
     torque: FloatArray  # (n, 3) N m, Σ r × J / dt of the last step
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
@@ -47,7 +47,7 @@ class Bodies:
     def at_start(
         cls, start: Start, *, spins: bool = False, orients: bool = False, torques: bool = False, planes: int = 0
     ) -> Bodies:
-        """Build the state of time 0; spins, orientations and torques take no memory where they are not required."""
+        """Build the state at time 0; spins, orientations and torques take no memory if they are not required."""
         n = len(start.mass)
         turning = n if spins else 0
         orientation = np.zeros((n if orients else 0, 4))

@@ -1,4 +1,4 @@
-"""Everything that the rest of a run depends on, at one moment: enough to go on from, bit for bit."""
+"""The complete state of a run at one moment, from which it continues bit for bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Books:
-    """What a run has counted so far. No step depends on it; what the run says of itself does."""
+    """Totals and extremes of a run so far. Its summary and warnings depend on them, but no step does."""
 
     energy: EnergyBaseline
     momentum: MomentumBaseline
@@ -29,8 +29,8 @@ class Books:
     moments: Extremes
     activity: float  # J, of the impacts in the last steps
     phase: str
-    limits: tuple[str, ...]  # of the method, reached and told so far
-    pace: PaceTally = field(default_factory=PaceTally)  # recordings of before there was a watch lack it
+    limits: tuple[str, ...]  # limits of the method that were reached and reported so far
+    pace: PaceTally = field(default_factory=PaceTally)  # older recordings lack it
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Checkpoint:
 
     step: int
     time: float  # s
-    previous_dt: float  # s, the smoothed step before the end of the run trimmed it
+    previous_dt: float  # s, the smoothed step, without the cut at the end of a run
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²

@@ -1,7 +1,7 @@
-"""The exception of a run that cannot go on."""
+"""The exception for a run that cannot continue."""
 
 from __future__ import annotations
 
 
 class PhysicsError(RuntimeError):
-    """The state is no longer one that can be stepped: not finite, or a step too small to move the clock."""
+    """The run cannot continue: the state is not finite, or the step is too small to change the clock."""

@@ -1,4 +1,4 @@
-"""Something worth a line in the log."""
+"""Events: lines in the log of a run."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """When it happened, how grave it is, and what it was. What looks for an event goes by its kind, not by its text."""
+    """An event with its time, level, text and kind. Code recognises events by their kind, never by their text."""
 
     step: int
     time: float  # s
     level: str  # "INFO" or "WARN"
     text: str
-    kind: str = ""  # see docs/recording.md; empty in recordings of before there were kinds
+    kind: str = ""  # see docs/recording.md; empty in older recordings

@@ -1,4 +1,4 @@
-"""What one step hands out: a copy of everything a reader of the run may want, owned by nobody else."""
+"""Frames: copies of the state after a step, for readers of the run."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ Rows = NDArray[np.void]
 
 
 class FrameStore:
-    """Room for the arrays of many frames, used round and round, so that those of a batch lie side by side.
+    """A ring buffer for the arrays of many frames, in which those of a batch lie side by side.
 
-    Memory that is used again is in the cache and costs no page faults: a frame of 1000 bodies that is kept for a while
-    cost 50 µs for its memory alone.
+    Reused memory is in the cache and costs no page faults. Allocating the memory of a frame of 1000 bodies took 50 µs.
 
     Parameters
     ----------
     slots
-        How many frames there is room for; who hands out more must know that the oldest are no longer wanted.
+        Number of frames. A caller that keeps more must be done with the oldest, which are overwritten.
     bodies
-        Whose state will be copied.
+        The bodies whose state is copied.
     """
 
     def __init__(self, slots: int, bodies: Bodies) -> None:
@@ -46,7 +45,7 @@ class FrameStore:
         self._next = 0
 
     def keep(self, bodies: Bodies) -> int:
-        """Copy the arrays into the next slot; return which it is."""
+        """Copy the arrays into the next slot; return its number."""
         slot, self._next = self._next, (self._next + 1) % self.slots
         for room, array in zip(self._rooms(), _arrays(bodies), strict=True):
             room[slot] = array
@@ -89,8 +88,8 @@ def copies(bodies: Bodies) -> tuple[FloatArray, ...]:
 class Frame:
     """The state after one step (step 0: the scene as written).
 
-    Arrays are copies: a frame may outlive the step in a queue; in a `FrameStore` until that comes round. Parts that the
-    scene does not require are None.
+    Arrays are copies, so a frame may wait in a queue; arrays in a `FrameStore` last until their slot is reused. Parts
+    that the scene does not require are None.
     """
 
     step: int
@@ -112,20 +111,20 @@ class Frame:
     phase: str  # "warm-up", "free", "colliding" or "settled"
     events: tuple[Event, ...]  # since the frame before, in order of time
     fingerprint: int  # 64 bits of the exact state
-    previous_dt: float  # s, the smoothed step before the end of the run trimmed it
-    memory: ContactCheckpoint | None  # what lasting contacts carry over; None where none can last
+    previous_dt: float  # s, the smoothed step, without the cut at the end of a run
+    memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
-    angular_momentum_error: float | None = None  # likewise; None in a periodic box, too, which does not conserve it
-    integrator: IntegratorCheckpoint | None = None  # what its next step begins with; None where each begins anew
-    slot: int | None = None  # where its arrays lie in a `FrameStore`, if they do
+    angular_momentum_error: float | None = None  # likewise; also None in a periodic box, which does not conserve it
+    integrator: IntegratorCheckpoint | None = None  # state that its next step needs; None if it needs none
+    slot: int | None = None  # of its arrays in a `FrameStore`; None if it owns them
     impacts: Rows | None = None  # (k,) `CONTACT_ROW`, those since the frame before, in order of time; None: not asked
     impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
     contact_rows: Rows | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
 
     @property
     def checkpoint(self) -> Checkpoint:
-        """What a run can go on from; it shares the arrays of the frame."""
+        """The checkpoint from which a run can continue; it shares the arrays of the frame."""
         return Checkpoint(
             step=self.step,
             time=self.time,

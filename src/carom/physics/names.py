@@ -1,4 +1,4 @@
-"""What the two ends of a contact are called."""
+"""Names of bodies and planes in messages."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """Names of the n bodies, and of the planes, whose indices follow."""
+    """Names of the n bodies and of the planes, whose indices follow those of the bodies."""
 
     bodies: list[str]
     planes: list[str]
 
     def of(self, end: int) -> str:
-        """Name an end for people: ``body 3 "boulder"``, ``body 3`` if it has no other name, or a plane by its name."""
+        """Return a name such as ``body 3 "boulder"``, ``body 3`` if the body has no name, or the name of a plane."""
         if end < len(self.bodies):
             numbered, name = f"body {end}", self.bodies[end]
             return numbered if name in ("", numbered) else f'{numbered} "{name}"'

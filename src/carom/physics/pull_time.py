@@ -1,19 +1,19 @@
-"""The time step that gravity allows where nothing can touch: a fraction of the shortest time of any pair.
+"""The time step that gravity allows where nothing can touch: a fraction of the shortest time scale of any pair.
 
-A pair at the distance r passes in r/v and falls together in √(r³/(G M)), M = m_i + m_j. Both together, with Plummer's
-R² = r² + ε²,
+A pair at the distance r passes in r/v and falls together in √(r³/(G M)), M = m_i + m_j. The two are combined, with
+Plummer's R² = r² + ε², to
 
     1/τ² = v²/R² + G M/R³,    τ'/τ = (r·v/R²) (1 + 3/2 (G M/R) / (v² + G M/R))
 
-(Pelupessy, Jänes & Portegies Zwart 2012 take the shorter of the two.) A step of η τ by the state at its beginning is
-longer on the way in than on the way out of an encounter, and the energy drifts. Half of what τ changes by in the step
-is therefore added, as they do: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is stepped
-alike in both directions of time. Of an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹, and to
-10⁻⁶ without.
+(Pelupessy, Jänes & Portegies Zwart 2012 take the shorter of the two.) A step of η τ, with τ at its beginning, would be
+longer on the way into an encounter than on the way out, and the energy would drift. Half the change of τ in the step is
+therefore added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is
+stepped alike in both directions of time. At an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹;
+without the correction, to 10⁻⁶.
 
-With more than `PAIRS_UP_TO` bodies the pairs are not examined. If the acceleration a of a body is that of one neighbour
-of mass m, that is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾); a body in the common field of many gets
-a shorter time by this than it has. Softening ε bounds the time from below by √(ε/a).
+With more than `PAIRS_UP_TO` bodies the pairs are not examined. If the acceleration a of a body is due to one neighbour
+of mass m, this neighbour is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾). A body in the common field of
+many others gets a shorter time by this than it needs. Softening ε bounds the time from below by √(ε/a).
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from carom.scene.schema import Gravity
 
 FloatArray = NDArray[np.float64]
 
-SHORTEST_MEAN = 0.5  # of the divisor 1 - η τ'/2, which only a large η could bring down to 0
+SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
 
 
 class PullTime:
-    """Finds the step that the pulls allow.
+    """Finds the step that gravity allows.
 
     Parameters
     ----------
     gravity
         The scene's section.
     fraction
-        η, the step over the shortest time.
+        η, the step over the shortest time scale.
     bodies
-        Whose masses count; what is fixed pulls, and is not pulled.
+        The bodies of the run. Fixed ones pull others and are not pulled.
     """
 
     def __init__(self, gravity: Gravity, fraction: float, bodies: Bodies) -> None:
@@ -67,7 +67,7 @@ class PullTime:
 def _step_of_pairs(
     x: FloatArray, v: FloatArray, m: FloatArray, inverse_mass: FloatArray, G: float, softening: float, fraction: float
 ) -> float:
-    """Return h of the pair whose τ is the shortest; infinite if none pulls."""
+    """Return h of the pair with the shortest τ; infinite if no pair pulls."""
     soft2 = softening * softening
     fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
     for i in range(len(m) - 1):
@@ -78,7 +78,7 @@ def _step_of_pairs(
             for k in range(3):
                 d, u = x[j, k] - x[i, k], v[j, k] - v[i, k]
                 R2, v2, along = R2 + d * d, v2 + u * u, along + d * u
-            if R2 == 0.0:  # centres that coincide do not pull each other
+            if R2 == 0.0:  # coincident centres do not pull each other
                 continue
             pull = G * (m[i] + m[j]) / np.sqrt(R2)
             rate = (v2 + pull) / R2

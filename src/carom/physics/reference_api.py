@@ -6,7 +6,7 @@ what `contact.solver.impacts.resolve_impacts` does to a pair, in readable form; 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
     u_t = (v_j - v_i) - v_n n - (ρ_i ω_i + ρ_j ω_j) × n     slip at the contact point
-    J_t = |u_t| / (1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j)     if that is at most μ_s J_n, else μ_k J_n
+    J_t = |u_t| / (1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j)     if that is at most μ_s J_n, otherwise μ_k J_n
 
 Both bodies share one contact point on the line of centres, at ρ_i = d r_i/(r_i + r_j) from i and ρ_j = d - ρ_i from
 j. Lever arms r_i and r_j of overlapping spheres would not add up to d, and each friction impulse would then create
@@ -46,7 +46,7 @@ class BodyProxy:
 
     @property
     def angular_velocity(self) -> FloatArray:
-        """(3,) rad/s; zeros that nothing reads where the scene requires no spin."""
+        """(3,) rad/s; unused zeros if the scene requires no spin."""
         return self._row(self._bodies.angular_velocity) if self.spins else np.zeros(3)
 
     @property
@@ -102,14 +102,14 @@ class BodyProxy:
             self.angular_velocity[:] += np.cross(arm, impulse) * self.inverse_inertia
 
     def _row(self, array: FloatArray) -> FloatArray:
-        """View, not copy, this body's row."""
+        """Return a view of this body's row."""
         row: FloatArray = array[self.index]
         return row
 
 
 @dataclass(frozen=True)
 class CollisionContext:
-    """All that is needed to resolve one collision."""
+    """The data that resolving one collision needs."""
 
     b1: BodyProxy
     b2: BodyProxy

@@ -2,9 +2,9 @@
 
     q(t + dt) = exp(½ ω dt) q(t),    exp(½ ω dt) = (ω/|ω| sin θ, cos θ),    θ = ½ |ω| dt
 
-Sine and cosine come from their Taylor series on [-π/4, π/4] after a reduction by multiples of π/2, so that their
-bits are the same on any machine; the error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A
-body that turns further in one step is turned by θ modulo 2π first, which is exact but for 2π itself: θ × 4 × 10⁻¹⁷.
+Sine and cosine are Taylor series on [-π/4, π/4] after a reduction by multiples of π/2, so their bits are the same on
+any machine. The error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A larger θ is first
+reduced modulo 2π; the rounding of 2π adds an error of θ × 4 × 10⁻¹⁷.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def sine_cosine(theta: float) -> tuple[float, float]:
 
 
 def rotate(orientation: FloatArray, angular_velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
-    """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it; a negative dt takes a turn back."""
+    """Turn every orientation, (n, 4) xyzw, by ω dt and normalise it; a negative dt turns it back."""
     team.divide(len(orientation), MIN_BODIES_PER_TASK, turn, orientation, angular_velocity, dt)
 
 

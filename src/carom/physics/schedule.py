@@ -1,4 +1,4 @@
-"""After which steps a frame is handed out; the last step of a run gets one in any case. Steps do not depend on it."""
+"""Schedules of frames: after which steps a run yields one. The last step always has one; no step depends on it."""
 
 from __future__ import annotations
 
@@ -63,5 +63,5 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 
 
 def _multiples(time: float, interval: float) -> float:
-    """Count the multiples of an interval up to a time, forgiving the rounding of a clock that adds up steps."""
+    """Count the multiples of an interval up to a time, with a tolerance, since the clock is a sum of steps."""
     return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0

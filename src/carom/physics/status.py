@@ -1,4 +1,4 @@
-"""What other threads may know of a run: published after each step, and never changed."""
+"""The status of a run for other threads: published after each step, and immutable."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from carom.physics.diagnostics.energy import Energy
 
 
 class StepStatus(NamedTuple):
-    """Where a run stood at the end of a step."""
+    """Progress of a run at the end of a step."""
 
     step: int
     time: float  # s
     dt: float  # s
-    dt_limit: str  # what kept the step from being longer
-    contacts: int  # that touch or carry an impulse
+    dt_limit: str  # the limit that set dt
+    contacts: int  # number of contacts that touch or carry an impulse
     energy: Energy  # as of the last check or frame
 
     @property

@@ -1,20 +1,20 @@
-"""The adaptive step, from the state of the frame before.
+"""The adaptive step, chosen from the state at its beginning.
 
-    dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body further than target_dx
+    dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body from rest further than target_dx
     dt_v = min_i 2 s_i / (u_i + √(u_i² + 2 |a_i| s_i))   no body moves further than s_i = cfl · r_i
-    dt_p = pull_fraction · τ                             τ of the pull that acts fastest, see `pull_time`
+    dt_p = pull_fraction · τ                             τ, the shortest time scale of gravity, see `pull_time`
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
     dt_h = min(√(2 held_dx / b_max), 0.01 min r_i/u_i)  in place of dt_a, if longer, for bodies that contacts hold
 
-By default the first two hold where bodies can touch, and the third where they cannot: radii then have no say.
+By default the first two apply where bodies can touch, and the third where they cannot.
 
-dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| count from the centre of mass and accelerations without the
-uniform field: a scene that moves or falls as a whole gets the same steps. Where planes, walls or fixed bodies stand
-still, speeds count from them and the field counts. The reference engine leaves out the acceleration, takes
-speeds as they are, and the radius of the *fastest* body only, so that a small body a little slower tunnels; that
-limit is kept as "fastest-body". It also smooths in both directions; a smoothed shrink breaks the bound that it exists
-for, so ours is taken at once.
+dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the centre of mass, and accelerations exclude
+the uniform field, so a scene that moves or falls as a whole gets the same steps. If there are planes, walls or fixed
+bodies, speeds are relative to them and the field counts. The reference engine ignores the acceleration, uses absolute
+speeds, and takes the radius of the *fastest* body only, so a small body that is a little slower tunnels; that limit is
+kept as "fastest-body". The reference engine also smooths in both directions, but a smoothed decrease breaks the bound
+that a limit guarantees. Here a decrease takes effect at once.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
 MIN_SHARED_BLOCKS = 10
-BORNE = 0.5  # of its acceleration; a body of which contacts bear less is as good as free, and a bounce bears none
+BORNE = 0.5  # of its acceleration; a body counts as held if contacts bear at least this part
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 
 
@@ -48,19 +48,19 @@ LIMITS = np.dtype(
         (name, np.float64)
         for name in (
             "largest_acceleration",  # m/s²
-            "largest_free_acceleration",  # m/s², of what contacts do not hold
-            "largest_borne",  # m/s², the most that contacts bear of an acceleration
+            "largest_free_acceleration",  # m/s², of bodies that contacts do not hold
+            "largest_borne",  # m/s², largest acceleration that contacts bear
             "velocity_step",  # s, dt_v of every body; infinite at rest
             "fastest_step",  # s, dt_v of the fastest body
             "fastest_squared",  # m²/s², its speed
-            "held_time",  # s, the shortest time in which what contacts hold moves by its radius
+            "held_time",  # s, shortest time in which a held body moves by its radius
         )
     ]
 )
 
 
 class Limits(NamedTuple):
-    """What the bodies allow, as in `LIMITS`."""
+    """The limits that the bodies set, as in `LIMITS`."""
 
     largest_acceleration: float = 0.0
     largest_free_acceleration: float = 0.0
@@ -74,24 +74,24 @@ NO_LIMITS = Limits()
 
 
 class Timestep:
-    """Chooses each step and remembers what the average needs.
+    """Chooses each step and keeps the moving average.
 
     Parameters
     ----------
     time
         The scene's section.
     cfl, target_dx, pull
-        What limits the step besides ``max_dt``; ``target_dx`` in m; None for no limit.
+        Limits of the step besides ``max_dt``; ``target_dx`` in m; None for no limit.
     smoothing
         Weight of the new step in the average.
     held_dx
-        m, in place of ``target_dx`` for what lasting contacts hold; None if it is the same.
+        m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not.
     held_part
         Of its own radius that such a body may move in a step.
     field
-        (3,) m/s², as far as it pulls all alike.
+        (3,) m/s², the uniform field, if it accelerates all bodies alike; otherwise zeros.
     anchored
-        Whether something stands still: speeds then count from it.
+        Whether something is fixed: speeds are then relative to it.
     team
         Threads that find the limits.
     """
@@ -124,7 +124,7 @@ class Timestep:
 
     @property
     def spares_held(self) -> bool:
-        """Whether it wants to know what contacts bear."""
+        """Whether the choice depends on what contacts bear."""
         return self._held_dx is not None
 
     def choose(self, bodies: Bodies, remaining: float, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
@@ -135,13 +135,13 @@ class Timestep:
         remaining
             s, until the run ends; the last step is cut to end there.
         borne
-            (n + p,) m/s², what lasting contacts bear of each body's acceleration; empty if nothing.
+            (n + p,) m/s², the part of each acceleration that lasting contacts bear; empty if none do.
 
         Returns
         -------
         dt, limit
-            s, and what set it: "acceleration", "held" (what contacts hold), "velocity", "pull", "cap", "growth" (the
-            average), "fixed" or "end".
+            s, and the limit that set it: "acceleration", "held" (bodies that contacts hold), "velocity", "pull", "cap",
+            "growth" (the average), "fixed" or "end".
         """
         if self._time.fixed_dt is not None:
             dt, limit = self._time.fixed_dt, "fixed"
@@ -177,7 +177,7 @@ class Timestep:
         return dt, limit
 
     def _of_acceleration(self, dx: float, limits: Limits) -> tuple[float, str]:
-        """Return the step that the largest acceleration allows, and the limit that it is."""
+        """Return the step that the accelerations allow, and the name of the limit."""
         a_max, a_free = limits.largest_acceleration, limits.largest_free_acceleration
         dt_a = math.sqrt(2.0 * dx / a_max)
         if self._held_dx is None or a_free == a_max:
@@ -210,7 +210,7 @@ def _limits(
     mass: FloatArray,
     anchored: bool,
 ) -> tuple[float, float, float, float, float, float]:
-    """Find the limits that all bodies set, in one call: a step of a few bodies consists of calls."""
+    """Find the limits that all bodies set, in one call: with few bodies, a step spends its time on calls."""
     Vx, Vy, Vz = (0.0, 0.0, 0.0) if anchored else centre_velocity(velocity, mass)
     found = np.empty(-(-len(mass) // BODIES_PER_BLOCK), LIMITS)
     _look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
@@ -261,7 +261,7 @@ def _look(
 
 @kernel
 def _strictest(found: Records) -> tuple[float, float, float, float, float, float]:
-    """Return the fields of `Limits` over all blocks: each is set by one body, so the blocks do not change it."""
+    """Return the fields of `Limits` over all blocks; one body sets each, so the division does not matter."""
     a_max, a_free, b_max, every, fastest, v2_max, turn = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]

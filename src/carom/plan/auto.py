@@ -1,4 +1,4 @@
-"""What "auto" stands for in a scene: gravity method, integrator, timing, limits of the step, frame interval."""
+"""The values of "auto" in a scene: gravity method, integrator, timing, limits of the step, frame interval."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from carom.scene.forces import GRAVITY
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.schema import Scene
 
-FRAMES = 600  # of an "auto" recording: more than a person scrubs through, few enough to open at once
+FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
-AUTO_BYTES = 300_000_000  # an "auto" recording of many bodies gets fewer frames to stay below
+AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
-MANY = 100  # bodies, from which on an "auto" step is a tenth of the fall from rest through the smallest radius
-STEP_PER_BODY = 1e-3  # of that fall; fewer bodies cost next to nothing a step, and get a shorter one
-# for their flights: what rests gets the step of many (docs/physics.md, 3)
+MANY = 100  # bodies; from this number on an "auto" step is a tenth of the time of a fall through the smallest radius
+STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they get shorter ones for accurate flights;
+# bodies that contacts hold get the step of `MANY` (docs/physics.md, 3)
 
-SMOOTH_UP_TO = 8  # bodies without contacts: of more, a step that does not follow the pulls misses encounters, and
-# there order four gains less than it costs
+SMOOTH_UP_TO = 8  # bodies without contacts: with more, a step that does not follow the pulls misses encounters, and
+# fourth order then gains less than it costs
 
-PAIRS_UP_TO = 100  # bodies whose pairs are looked at one by one for the step; beyond, that costs as much as the pulls
+PAIRS_UP_TO = 100  # bodies; the step examines each pair of so many; of more that costs as much as the pulls
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
-PULL_FRACTION = 0.02  # of the time that the largest acceleration tells of: of two equal bodies it is twice the pair's
+PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; for two equal bodies that is twice the pair's
 SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
 
-LATE_CFL = 0.5  # of its radius a body may cross in a step, where impacts wait for the step's end
-FREE_CFL = 1.0  # likewise, where they do not wait and nothing pulls: shorter steps only cost more (docs/trade.md)
+LATE_CFL = 0.5  # fraction of its radius that a body may move in a step, if impacts are resolved at its end
+FREE_CFL = 1.0  # likewise, with times of impact and without forces: shorter steps only cost more (docs/trade.md)
 
-TREE_FROM = 5000  # bodies, for "auto": here a tree takes a half to a third of the time of a direct sum
+TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
-    """Decide how the pull is summed.
+    """Decide how gravity is summed.
 
-    Both take as long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" waits for `TREE_FROM`: up to
-    there a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
+    Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" changes
+    over at `TREE_FROM`: below, a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
     """
     method = scene.gravity.method
     if method == "none" or not (pulls.gravity(scene).modelled or "gravity" in forced_parts(scene)):
@@ -48,17 +48,17 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
 
 
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
-    """Decide when impacts are resolved: at their own moments, unless the bodies' own gravity presses them together.
+    """Decide when impacts are resolved: at their own times, unless the bodies' own gravity presses them together.
 
-    Without a load flight is free, and a run is exact to rounding with steps many times as long. Under a uniform field
-    a heap that falls costs a sixth more and overlaps by a sixth as much. Under self-gravity an impact at its own moment
+    Without forces flight is exact, and a run is exact to rounding with steps many times as long. Under a uniform field
+    a falling heap costs a sixth more and overlaps by a sixth as much. Under self-gravity an impact at its own time
     costs more than it gains (docs/trade.md).
     """
     return "end-of-step" if why_late(scene) else "time-of-impact"
 
 
 def why_late(scene: Scene) -> str:
-    """Say why impacts wait for the end of the step; empty if they do not."""
+    """Say why impacts are resolved at the end of the step; empty if they are not."""
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
@@ -71,7 +71,7 @@ def why_late(scene: Scene) -> str:
 
 
 def integrator(scene: Scene) -> Integrator:
-    """Decide how the motion is integrated: order four where nothing in it is sudden (docs/trade.md)."""
+    """Decide how the motion is integrated: fourth order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:
         return INTEGRATORS[scene.time.integrator]
     return INTEGRATORS["yoshida4" if _is_smooth(scene) else "leapfrog"]
@@ -85,10 +85,10 @@ def _is_smooth(scene: Scene) -> bool:
 
 
 def target_dx(scene: Scene) -> float | None:
-    """Return the farthest that the largest acceleration may move a body in a step, in metres; None for no limit.
+    """Return the largest distance that an acceleration may move a body from rest in a step, in m; None for no limit.
 
-    A fall from rest through the smallest radius r takes √(2 r/a); a part s of that time is s² r of the way. Where
-    nothing can touch, radii have no say.
+    A fall from rest through the smallest radius r takes √(2 r/a), and in a fraction s of that time a body falls s² r.
+    Where nothing can touch, radii do not matter.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
@@ -98,10 +98,10 @@ def target_dx(scene: Scene) -> float | None:
 
 
 def held_dx(scene: Scene) -> float | None:
-    """Return ``target_dx`` in metres for bodies that lasting contacts hold; None where it is the same as for others.
+    """Return ``target_dx`` in metres for bodies that lasting contacts hold; None if it is the same as for others.
 
-    A short step makes the flights between bounces exact. What rests does not fly: the pull on it is balanced, and a
-    step of a tenth of a fall, as many bodies get, holds it.
+    A short step makes the flights between bounces exact. A held body does not fly, because the pull on it is balanced.
+    The step of many bodies, a tenth of a fall, is short enough to hold it.
     """
     if scene.time.target_dx != "auto" or scene.count >= MANY or scene.contact.solver != "lasting":
         return None
@@ -112,7 +112,7 @@ def held_dx(scene: Scene) -> float | None:
 
 
 def cfl(scene: Scene) -> float | None:
-    """Return the part of its own radius that a body may cross in a step; None for no limit."""
+    """Return the fraction of its own radius that a body may move in a step; None for no limit."""
     if scene.time.cfl != "auto":
         return scene.time.cfl
     if not contacts.contact(scene).modelled:
@@ -121,9 +121,9 @@ def cfl(scene: Scene) -> float | None:
 
 
 def pull_fraction(scene: Scene) -> float | None:
-    """Return the step as a part of the shortest time in which pulls change the motion; None for no limit.
+    """Return the step as a fraction of the shortest time in which pulls change the motion; None for no limit.
 
-    Unless it is given, it stands in for the limits by radius where nothing can touch, but not for a ``target_dx``.
+    By default it replaces the limits by radius where nothing can touch, unless the scene sets ``target_dx``.
     """
     if not pulls.gravity(scene).modelled:
         return None
@@ -137,8 +137,8 @@ def pull_fraction(scene: Scene) -> float | None:
 def smoothing(scene: Scene) -> float:
     """Return the weight of the new step in the moving average.
 
-    Contacts come and go, and the step that they allow jumps. That of the pulls alone is smooth: an average would lag
-    behind it, so that an orbit would be stepped differently on its way in and out, and drift.
+    Contacts come and go, and the step that they allow jumps. The step that pulls alone allow is smooth. An average
+    would lag behind it, so an orbit would be stepped differently on its way in and out, and drift.
     """
     if scene.time.smoothing != "auto":
         return scene.time.smoothing

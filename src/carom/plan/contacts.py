@@ -1,4 +1,4 @@
-"""Which parts of the response to contacts a scene needs."""
+"""The parts of the contact model that a scene needs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def contact(scene: Scene) -> Part:
 
 
 def _moves_relatively(scene: Scene) -> bool:
-    """Tell whether any two bodies start with different velocities (or overlapped, and so will be pushed).
+    """Tell whether two bodies start with different velocities, or may overlap and so be pushed apart.
 
-    Planes, walls and fixed bodies stand still, and neither the uniform field nor a medium moves them.
+    Planes, walls and fixed bodies do not move; a uniform field or a moving medium moves bodies relative to them.
     """
     velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
     if scene.anchored:
@@ -37,12 +37,12 @@ def _moves_relatively(scene: Scene) -> bool:
 
 
 def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
-    """Decide that a part is modelled where contacts are."""
+    """Decide that a part is modelled if contacts are."""
     return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
 
 
 def broad_phase(scene: Scene, contact: Part) -> Part:
-    """Decide whether pairs that may touch are searched."""
+    """Decide whether pairs that may touch are searched for."""
     how = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
     return where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
 
@@ -53,28 +53,28 @@ def narrow_phase(contact: Part) -> Part:
 
 
 def colouring(scene: Scene, contact: Part) -> Part:
-    """Decide whether contacts are put into stages."""
+    """Decide whether contacts are coloured."""
     what = "no two contacts of a stage share a body" if scene.contact.colouring == "contacts" else "of bodies"
     return where_bodies_meet("colouring", contact, what)
 
 
 def stabilisation(scene: Scene, contact: Part) -> Part:
-    """Decide whether overlaps are undone."""
+    """Decide whether overlaps are corrected."""
     how = scene.contact.stabilisation
     if contact.modelled and how == "none":
         return Part("stabilisation", False, 'contact.stabilisation = "none"')
-    return where_bodies_meet("stabilisation", contact, f"{how}: overlaps are undone")
+    return where_bodies_meet("stabilisation", contact, f"{how}: overlaps are corrected")
 
 
 def load(scene: Scene) -> str:
-    """Say what presses contacts together; empty if nothing does, and every contact is an impact."""
+    """Name the force that presses contacts together; empty if none does, and every contact is an impact."""
     if force := differing(scene):
         return force
     return f"the {pushing(scene)}" if field_presses(scene) else ""
 
 
 def field_presses(scene: Scene) -> bool:
-    """Tell whether the uniform field or a medium presses bodies on something that stands still."""
+    """Tell whether the uniform field or a medium presses bodies onto something fixed."""
     return scene.anchored and pushing(scene) != ""
 
 
@@ -83,7 +83,7 @@ def resting(scene: Scene, contact: Part) -> Part:
     name, pressing = "resting-contacts", load(scene)
     if contact.modelled and not pressing:
         return Part(name, False, "no load: every contact is an impact")
-    how = "impulses that last" if scene.contact.solver == "lasting" else "stages without restitution"
+    how = "warm-started impulses" if scene.contact.solver == "lasting" else "impulses from 0 in each step"
     return where_bodies_meet(name, contact, f"{pressing} presses: {how}")
 
 

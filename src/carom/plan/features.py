@@ -1,7 +1,7 @@
-"""Which parts of the model a scene needs, and why. Decided from the scene alone.
+"""The parts of the model that a scene needs, and why; decided from the scene alone.
 
-A part that is not required costs no time, no memory and no bytes in the recording, and leaving it out never changes
-the result.
+A part that is not required costs no time, no memory and no bytes in the recording. Leaving it out never changes the
+result.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from carom.scene.schema import Scene
 
 @dataclass(frozen=True)
 class Requirements:
-    """The parts of the model that a scene needs, or is forced to have."""
+    """The parts of the model that a scene needs or forces."""
 
     warm_up: Part
     adaptive_step: Part
@@ -78,7 +78,7 @@ class Requirements:
 
 
 def require(scene: Scene) -> Requirements:
-    """Decide what a scene needs, and switch the parts in ``model.force`` on against the decision.
+    """Decide what a scene needs, and switch on the parts in ``model.force``.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _by_name(needs: Requirements) -> dict[str, Part]:
 
 
 def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
-    """Decide part after part; what follows from a part that is forced on is decided as if it were required."""
+    """Decide on each part; consequences of a forced part are decided as if it were required."""
 
     def decide(part: Part) -> Part:
         if part.modelled or part.name not in forced:
@@ -147,7 +147,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
 
 
 def _contradiction(scene: Scene, name: str) -> str:
-    """Say why a part that is not required cannot be forced on, and what would do it; empty if it can."""
+    """Say why a part cannot be forced on, and what to do instead; empty if it can."""
     match name:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
@@ -194,7 +194,7 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")
     asked = scene.contact.timing == "time-of-impact"
     why = 'contact.timing = "time-of-impact"' if asked else "no self-gravity presses contacts together"
-    return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own moments within a step")
+    return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own times within a step")
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
@@ -207,7 +207,7 @@ def _spin(scene: Scene, friction: Part) -> Part:
 
 def _orientation(scene: Scene, friction: Part) -> Part:
     if friction.modelled or _starts_spinning(scene):
-        return Part("orientation", True, "what spins is seen to turn")
+        return Part("orientation", True, "bodies spin")
     return Part("orientation", False, "nothing spins")
 
 
@@ -224,12 +224,12 @@ def _integrator(scene: Scene) -> Part:
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
     if force := pulls.damping(scene):
-        why = f"its one drift has room for the {force.name}"
+        why = f"the only integrator that supports {force.name}"
     elif not pulls.differing(scene):
         why = "exact without a pull between bodies"
     elif contacts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
-        why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step, whatever the order"
+        why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step with any integrator"
     else:
         why = f"{scene.count} bodies, whose encounters the step does not resolve"
     return Part(name, True, f"leapfrog: {why}")
@@ -258,5 +258,5 @@ def _limits(scene: Scene) -> list[str]:
 
 def _warm_up(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
-        return Part("warm-up", False, "time.fixed_dt: no step has to be found")
-    return Part("warm-up", True, "adaptive steps begin with accelerations")
+        return Part("warm-up", False, "time.fixed_dt: no first step has to be found")
+    return Part("warm-up", True, "the first adaptive step needs accelerations")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from carom.scene.schema import Scene
 
-# What a part cannot be without. What follows from a part, such as torques from friction, is decided as for any other.
+# The parts that each part needs. Consequences, such as torques from friction, are decided as for any scene.
 _NEEDS = {
     "potential": ("gravity",),
     "tree": ("gravity",),
@@ -22,7 +22,7 @@ _NEEDS = {
 
 
 def forced_parts(scene: Scene) -> dict[str, str]:
-    """Return the parts that are forced on, each with the one in ``model.force`` that wants it."""
+    """Return the parts that are forced on, each with the part in ``model.force`` that needs it."""
     forced = {name: name for name in scene.model.force}
     for name in scene.model.force:
         for needed in _NEEDS.get(name, ()):

@@ -1,4 +1,4 @@
-"""What is refused before anything is allocated: what this version does not model, and what the machine cannot hold."""
+"""Scenes that are refused before anything is allocated: not supported, or too large for the machine."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
-BYTES_PER_BODY = 700  # state, workspace, frames under way and the start, measured at 10⁵ bodies and rounded up
+BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130}  # 16 slabs of sums; boxes and sorted bodies
 
 
@@ -25,7 +25,7 @@ def refuse_impossible(scene: Scene) -> None:
     Raises
     ------
     SceneError
-        Naming the key and what would be right.
+        With the key and what would be right.
     """
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
@@ -41,7 +41,7 @@ def refuse_impossible(scene: Scene) -> None:
 
 
 def _refuse_times_of_impact(scene: Scene) -> None:
-    """Refuse times of impact where a step is more than one drift."""
+    """Refuse times of impact with integrators whose step has more than one drift."""
     chosen = integrator(scene)
     if not chosen.drifts_once and require(scene).impact_time.modelled:
         why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
@@ -52,7 +52,7 @@ def _refuse_times_of_impact(scene: Scene) -> None:
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
-    """Refuse drift-kick-drift where bodies may rest on each other: they are held against the forces at the end."""
+    """Refuse drift-kick-drift where bodies may rest: holding them needs the forces at the end of the step."""
     chosen = integrator(scene)
     if chosen.controls_error:
         return
@@ -64,7 +64,7 @@ def _refuse_forces_of_mid_step(scene: Scene) -> None:
 
 
 def _refuse_damping(scene: Scene) -> None:
-    """Refuse integrators that have no place for a force that depends on velocities."""
+    """Refuse integrators that do not support a force that depends on velocities."""
     chosen, force = integrator(scene), damping(scene)
     if force and not chosen.damps:
         raise SceneError(
@@ -94,7 +94,7 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
 
 
 def _refuse_narrow_box(scene: Scene) -> None:
-    """In a periodic box a body may meet another once, not also its image or itself."""
+    """Refuse periodic boxes in which a body could meet another body and its image, or itself."""
     if scene.domain.boundary != "periodic" or scene.domain.size is None:
         return
     largest = max([body.radius for body in scene.body] + [group.radius.max for group in scene.group])
@@ -106,7 +106,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
 
 
 def _memory() -> int:
-    """Return the physical memory of this machine in bytes; all that an address can name where it is not known."""
+    """Return the physical memory of this machine in bytes; the whole address space if it is not known."""
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):

@@ -1,4 +1,4 @@
-"""What accelerates bodies between contacts."""
+"""The forces that accelerate bodies between contacts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def gravity(scene: Scene) -> Part:
 
 
 def differing(scene: Scene) -> str:
-    """Name the first force that accelerates bodies at rest differently, so that they may meet; empty if none does."""
+    """Name the first force that accelerates bodies at rest differently, so they may meet; empty if none does."""
     found = (kind.short_name for kind in FORCES if kind.differs and part(kind, scene).modelled)
     return next(found, "")
 

@@ -1,4 +1,4 @@
-"""What limits the adaptive step of a scene, and by how much a coarse look ahead may pass over that."""
+"""Limits of the adaptive step of a scene, and wider ones for the coarse run of `carom explain`."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from carom.plan.auto import (
 )
 from carom.scene.schema import Scene
 
-HELD_PART = 0.01  # of its own radius that a held body may move in a step: two that roll about each other turn in 600
+HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolling about each other takes 600 a turn
 WIDEST_HELD_PART = 0.1
-WIDEST_HELD = 3.0  # times the step of what is held
+WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
 
 
 @dataclass(frozen=True, slots=True)
 class StepLimits:
-    """The limits by their keys; None where one does not hold."""
+    """The limits by their keys; None if one does not apply."""
 
     max_dt: float  # s
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None  # m, in place of ``target_dx`` for what lasting contacts hold; None if that holds for all
+    held_dx: float | None  # m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not
     held_part: float  # of its own radius that such a body may move in a step
     pull_fraction: float | None
     smoothing: float
@@ -51,7 +51,7 @@ def step_limits(scene: Scene) -> StepLimits:
 
 
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
-    """Return limits that allow up to so many times longer steps, as far as contacts are found and orbits kept."""
+    """Return limits for steps up to ``stride`` times longer, as far as contacts are still found and orbits kept."""
 
     def wider(limit: float | None, widest: float) -> float | None:
         return None if limit is None else min(stride * limit, max(limit, widest))

@@ -1,1 +1,1 @@
-"""What happens where spheres touch: found, ordered, resolved."""
+"""Contacts: their detection, order and resolution."""

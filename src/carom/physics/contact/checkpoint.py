@@ -1,4 +1,4 @@
-"""What lasting contacts carry over from one step to the next."""
+"""The state of lasting contacts that carries over from one step to the next."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ContactCheckpoint:
-    """The contacts of a step, as far as the next one begins with them, and the impulses of its last kick.
+    """The contacts of a step that the next one needs, and the impulses of its last kick.
 
-    Nothing writes to its arrays.
+    Its arrays are never written to.
     """
 
-    pairs: IntArray  # (m, 2), sorted; what was only near counts
+    pairs: IntArray  # (m, 2), sorted; includes near contacts
     rest_speed: FloatArray  # (m,) m/s, up to which a contact is at rest
     dt: float  # s, the step that the speeds are for
-    held_pairs: IntArray  # (k, 2), sorted; mostly those above
+    held_pairs: IntArray  # (k, 2), sorted; mostly the same as ``pairs``
     impulse: FloatArray  # (k, 4) N s: λ_n, λ_t
-    kick: float  # s, how long that kick was
+    kick: float  # s, length of that kick
 
     @property
     def highest(self) -> int:
-        """The highest number of a body or plane in it, -1 where there is none."""
+        """The highest index of a body or plane in it, -1 if it is empty."""
         return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs) if len(pairs)), default=-1)

@@ -1,8 +1,8 @@
-"""The collision graph: which bodies touch in a step, how deeply, and in which order the contacts are resolved.
+"""The collision graph: the contacts of a step, and the colours that set their order.
 
-carom colours *contacts* so that no two contacts of a colour share a body: the contacts of a colour can be solved in
-parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions of a
-colour"; two contacts of one colour can share a body. Body colouring remains available for comparison.
+carom colours *contacts* so that no two contacts of a colour share a body. The contacts of a colour can then be solved
+in parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions of a
+colour", but two contacts of one colour can share a body. Body colouring remains available for comparison.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from carom.physics.parallel.jit import kernel
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
-OVERFLOW = 64  # colour of what does not fit into 64 stages: resolved last, one by one
+OVERFLOW = 64  # colour of the contacts that do not fit into 64 stages: resolved last, one by one
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionGraph:
     """The contacts of one step. A body is a node, a contact an edge.
 
-    ``pairs`` are sorted by (i, j) with i < j, so that the graph does not depend on how it was found.
+    ``pairs`` are sorted by (i, j) with i < j, so the graph does not depend on the search.
     """
 
-    pairs: IntArray  # (m, 2) indices; j - n counts the planes where j is no body
-    normals: FloatArray  # (m, 3) unit vectors from i to j, as the contact was found: before any push
+    pairs: IntArray  # (m, 2) indices; j ≥ n is plane j - n
+    normals: FloatArray  # (m, 3) unit vectors from i to j, as found, before position correction
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
     colours: IntArray  # (m,) stage in which the contact is resolved
-    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes, -1: touches nobody
-    into_step: FloatArray | None = None  # (m,) s after the beginning of the step each first was resolved; None: its end
+    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes, -1: no contacts
+    into_step: FloatArray | None = None  # (m,) s from the start of the step to each first resolution; None: its end
 
     def __len__(self) -> int:
         return len(self.pairs)
 
     @property
     def first(self) -> int:
-        """The contact that was resolved first, or the first of them."""
+        """Index of the contact that was resolved first."""
         return 0 if self.into_step is None else int(np.argmin(self.into_step))
 
 
@@ -55,7 +55,7 @@ def empty_graph() -> CollisionGraph:
 
 
 def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    """Return (m, 2) pairs as CSR offsets, (n + 1,), and neighbours, (2 m,), each body's in rising order."""
+    """Return (m, 2) pairs as CSR offsets, (n + 1,), and neighbours, (2 m,), in rising order for each body."""
     ends = np.concatenate((pairs, pairs[:, ::-1]))
     ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
     offsets = np.concatenate(([0], np.cumsum(np.bincount(ends[:, 0], minlength=n)))).astype(np.int64)
@@ -63,25 +63,25 @@ def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
 
 
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
-    """Colour contacts greedily, in order, so that no two of a colour share a body that moves.
+    """Colour contacts greedily, in order, so that no two of a colour share a moving body.
 
-    Equal spheres touch at most 12 others, so 23 colours are enough for them; past 64 the rest is `OVERFLOW`.
+    Equal spheres touch at most 12 others, so 23 colours suffice for them. Beyond 64 colours the rest is `OVERFLOW`.
 
     Parameters
     ----------
     inverse_mass
-        (n + p,) 1/kg of bodies and planes; 0 for what does not move, which any number of a stage's contacts may share.
+        (n + p,) 1/kg of bodies and planes; any number of contacts of a colour may share an end that is 0 here.
     """
     return colour_rest(pairs, np.full(len(pairs), -1), np.arange(len(pairs)), inverse_mass)
 
 
 def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mass: FloatArray) -> IntArray:
-    """Colour likewise, in an order, the contacts that have no colour yet, -1; return all (m,) colours.
+    """Colour the contacts that have no colour yet, -1, in an order; return all (m,) colours.
 
     Parameters
     ----------
     order
-        The contacts without a colour, the first to be given one first.
+        The contacts without a colour, in the order of colouring.
     """
     colours = colours.astype(np.int64)
     _colour_contacts(pairs, order, inverse_mass, np.empty(len(inverse_mass), dtype=np.uint64), colours)
@@ -89,26 +89,28 @@ def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mas
 
 
 def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tuple[IntArray, IntArray]:
-    """Colour bodies greedily, in order, so that no two that touch share a colour: the reference engine's rule.
+    """Colour bodies greedily, in order, so that touching bodies differ: the reference engine's rule.
 
     Parameters
     ----------
     given
-        (n,) colours that are kept, -1 where there is none; two of them may touch in spite of it.
+        (n,) colours to keep, -1 for none; two bodies with the same given colour may touch.
 
     Returns
     -------
     contact_colours
         (m,) the lower of the two bodies' colours: each contact belongs to one stage.
     body_colours
-        (n,), -1 for a body that touches nobody.
+        (n,), -1 for a body without contacts.
     """
     met = pairs[:, 1] < n
     offsets, neighbours = _adjacency(pairs[met], n)
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
-    bodies[on_plane] = np.maximum(bodies[on_plane], 0)  # a plane is no node: alone on it, a body has the first colour
+    bodies[on_plane] = np.maximum(
+        bodies[on_plane], 0
+    )  # a plane is not a node: a body that touches only planes has the first colour
     colours = bodies[pairs[:, 0]]
     colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
     return colours, bodies
@@ -116,7 +118,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
 
 @kernel
 def first_of(body: int, pairs: IntArray) -> int:
-    """Return which of sorted pairs is the first of this body, or of a later one, with another."""
+    """Return the position of the first of sorted pairs whose first body is this or a later one."""
     first, end = 0, len(pairs)
     while first < end:
         middle = (first + end) // 2
@@ -133,7 +135,7 @@ def _colour_contacts(
 ) -> None:
     for c in range(len(pairs)):
         used[pairs[c, 0]] = used[pairs[c, 1]] = np.uint64(0)
-    given = len(pairs) - len(order)  # first those that have a colour, then those that get one
+    given = len(pairs) - len(order)  # first those that have a colour, then those without
     for k in range(-len(pairs) if given > 0 else 0, len(order)):
         c = k + len(pairs) if k < 0 else order[k]
         i, j, colour = pairs[c, 0], pairs[c, 1], colours[c]

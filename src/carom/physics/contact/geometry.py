@@ -1,8 +1,8 @@
-"""The geometry of each contact: where two ends meet.
+"""Contact geometry: normals, lever arms and overlaps.
 
-Both bodies share one contact point on the line of centres, d r_i/(r_i + r_j) from i and the rest of d from j. A plane
-is touched with the whole radius and has no lever arm: it takes any angular momentum, so the arm need not add up to the
-distance, and an impact that is found late turns the body as it would have at the surface.
+Both bodies share one contact point on the line of centres, at d r_i/(r_i + r_j) from i and d r_j/(r_i + r_j) from j. At
+a plane the arm of the body is its radius, and the plane has none. A plane absorbs any angular momentum, so the arm need
+not equal the distance, and an impact that is found late turns the body as it would have at the surface.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def update_geometry(
         d = np.sqrt(dx * dx + dy * dy + dz * dz)
         if d > 0.0:
             contact.nx, contact.ny, contact.nz = dx / d, dy / d, dz / d
-        else:  # coincident centres: any direction will do, as long as it is always the same
+        else:  # coincident centres: always the same direction
             contact.nx, contact.ny, contact.nz = 1.0, 0.0, 0.0
         share = d / (radius[i] + radius[j])
         contact.arm_i, contact.arm_j = share * radius[i], share * radius[j]

@@ -1,10 +1,10 @@
-"""When a contact is at rest rather than an impact.
+"""Rest speeds: the closing speed up to which a contact is at rest rather than an impact.
 
 A contact at rest closes no faster than gravity makes it close in a step. Bodies that rest on each other share a load,
-so the acceleration that counts is the largest in the whole island that they belong to, not their own: in its middle
-nothing accelerates and the load is greatest. The island is the connected component of the collision graph without what
-is fixed; another island, however heavy, has no say. The uniform field pulls all alike and does not count, unless
-something is fixed and does not fall with the rest. Without gravity the speed is 0: every contact is an impact.
+so the largest acceleration of their whole island counts, not their own: in the middle of an island nothing accelerates,
+but the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands
+have no influence. The uniform field accelerates all bodies alike and is subtracted, unless something is fixed and does
+not fall. Without gravity the speed is 0, and every contact is an impact.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some con
 
 
 class Islands:
-    """Finds the island of each contact, and the speed up to which it is at rest there; keeps its tables.
+    """Finds the island and the rest speed of each contact; keeps its tables.
 
-    Threads join islands at the same time (`union_find`); the root of an island is the lowest of its bodies, whichever
-    thread came first.
+    Threads join islands at the same time (`union_find`). The root of an island is its lowest body, independent of the
+    order of the threads.
 
     Parameters
     ----------
     ends
-        How many bodies and planes there are.
+        Number of bodies and planes.
     team
-        Who looks.
+        Threads that work.
     """
 
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
-        self._parent = np.empty(ends, dtype=np.int64)  # both are touched only where contacts are
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; of the lowest of an island the largest in it
+        self._parent = np.empty(ends, dtype=np.int64)  # both are used only for bodies with contacts
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; for the root of an island, the largest in it
 
     def write_rest_speeds(
         self,
@@ -55,29 +55,29 @@ class Islands:
         dt: float,
         states: Records,
     ) -> bool:
-        """Write the speed up to which each contact is at rest, 2 |a|max dt of its island, into its row.
+        """Write the rest speed of each contact, 2 |a|max dt of its island.
 
-        Two bodies that rest on each other close at most that fast at the end of a step that began without motion.
+        Two bodies that rest on each other close at most that fast at the end of a step that began at rest.
 
         Parameters
         ----------
         pairs
             (m, 2) contacts.
         active
-            (b,) bodies and planes that are in any.
+            (b,) bodies and planes that have a contact.
         acceleration
             (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
         inverse_mass
-            (n + p,) 1/kg; what does not move passes no load on.
+            (n + p,) 1/kg; fixed ends do not transmit load.
         field
-            (3,) m/s², as far as it pulls all alike.
+            (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
         states
             (m,) `CONTACT_STATE`; ``rest_speed`` is written.
 
         Returns
         -------
         presses
-            Whether a speed is not 0.
+            Whether any speed is not 0.
         """
         team, parent, largest = self._team, self._parent, self._largest
         found = np.zeros(2, dtype=np.bool_)
@@ -105,9 +105,9 @@ def island_rest_speeds(
     dt: float,
     speeds: FloatArray,
 ) -> None:
-    """Write 2 |a|max dt of the island of each body, (n + p,) m/s, given all pairs that may touch; 0 for what is fixed.
+    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, given all pairs that may touch.
 
-    Those no farther apart than ``(r_i + r_j) scale + skin`` do.
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0.
     """
     n = len(x)
     parent = np.arange(n)
@@ -135,7 +135,7 @@ def island_rest_speeds(
 
 @kernel
 def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
-    """Return |a|² of the body that the field alone explains least, in m²/s⁴."""
+    """Return the largest |a - field|² of a body, in m²/s⁴."""
     largest = 0.0
     for i in range(len(acceleration)):
         largest = max(largest, _square(acceleration, field, i))
@@ -144,7 +144,7 @@ def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
 
 @kernel
 def largest_coordinate(position: FloatArray) -> float:
-    """Return how far the farthest body is from the origin along an axis, in m."""
+    """Return the largest coordinate of a body by magnitude, in m."""
     largest = 0.0
     for i in range(len(position)):
         for k in range(3):
@@ -164,7 +164,7 @@ def _stand_alone(
     largest: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:
-    """Begin with each body as an island of its own; tell whether one is accelerated unlike the first: all may fall."""
+    """Make each body an island of its own; tell whether one is accelerated unlike the first, since all may fall."""
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:
@@ -190,7 +190,7 @@ def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: I
 
 @long_kernel
 def _spread_largest(lo: int, hi: int, active: IntArray, parent: IntArray, largest: IntArray) -> None:
-    """Write the largest |a|² of each island to its root; the bits of non-negative numbers are in the numbers' order."""
+    """Write the largest |a|² of each island to its root; for non-negative numbers, bits sort like values."""
     for k in range(lo, hi):
         i = active[k]
         island = root_of(parent, i)
@@ -222,7 +222,7 @@ def _write_speeds(
 
 @kernel
 def _square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
-    """Return |a|² of a body without what the field does to it, in m²/s⁴."""
+    """Return |a - field|² of a body, in m²/s⁴."""
     a2 = 0.0
     for k in range(3):
         a = acceleration[i, k] - field[k]

@@ -1,4 +1,4 @@
-"""The contact snapshot of a step: the contacts found at its end, and the impacts on the way there."""
+"""The contact snapshot of a step: the contacts found at its end, and the impacts during its drift."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
-    approach: FloatArray  # (m,) m/s, closing speed before the impulses, the largest where there were several
+    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest if there were several
     rest_speed: FloatArray  # (m,) m/s, up to which each is at rest
-    impacts: int  # how many closed faster than that; a pair may have done so more than once
-    _order: IntArray | None = None  # (l,) of all that happened, by pair; None where each pair did once
-    _first: IntArray | None = None  # (m,) the first of each pair, in that order
+    impacts: int  # how many closed faster than that; a pair may count more than once
+    _order: IntArray | None = None  # (l,) of contacts and impacts by pair; None if there were no impacts
+    _first: IntArray | None = None  # (m,) position of the first of each pair in that order
 
     @classmethod
     def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> ContactSnapshot:
@@ -31,7 +31,7 @@ class ContactSnapshot:
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
     def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
-        """Add the impacts on the way through a step of dt, in s; (n + p,) 1/kg of bodies and planes.
+        """Add the impacts during a step of dt, in s; ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
 
         A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts found at
         the end keep the colours in which they were resolved; the others get theirs in the order of time.
@@ -41,7 +41,7 @@ class ContactSnapshot:
         graph, late = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, struck.pairs))
         approach = np.concatenate((self.approach, struck.approach))
-        # of the rows of a pair the one found at the end comes first, then the hardest impact
+        # in each pair, the contact found at the end comes first, then the hardest impact
         softness = -np.concatenate((np.full(late, np.inf), struck.approach))
         order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
         first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
@@ -68,7 +68,7 @@ class ContactSnapshot:
     def _colours(
         self, pairs: IntArray, shown: IntArray, into_step: FloatArray, inverse_mass: FloatArray
     ) -> tuple[IntArray, IntArray | None]:
-        """Colour pairs, of which ``shown`` says where they stand in this graph; past its end they are not in it."""
+        """Colour pairs; ``shown`` has their positions in this graph, or positions past its end if not in it."""
         graph = self.graph
         if graph.body_colours is not None:
             return colour_bodies(pairs, len(graph.body_colours), graph.body_colours)
@@ -79,7 +79,7 @@ class ContactSnapshot:
         return colour_rest(pairs, colours, in_time[struck[in_time]], inverse_mass), None
 
     def sums(self, late: FloatArray, struck: FloatArray) -> FloatArray:
-        """Sum up by contact what those found at the end did, and what the impacts did; in rows like theirs."""
+        """Sum rows of the contacts found at the end, and of the impacts, by contact."""
         if self._order is None or self._first is None:
             return late
         return np.add.reduceat(np.concatenate((late, struck))[self._order], self._first)

@@ -1,7 +1,7 @@
 """The order in which the contacts of a step are solved, cut into pieces that threads can share.
 
-By colour, then by pair. The records lie in this order, so that an iteration reads memory from end to end: in the order
-of pairs each colour would touch every cache line of it.
+Contacts are ordered by colour, then by pair. Their records lie in memory in this order, so an iteration reads memory
+from end to end. In the order of pairs each colour would touch every cache line.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ CONTACTS_PER_PIECE = 512  # contacts; a few microseconds of an iteration
 class SolveOrder:
     """The order of m contacts, colour by colour."""
 
-    place: IntArray  # (m,) of each contact
+    place: IntArray  # (m,) place of each contact in this order
     pairs: IntArray  # (m, 2) by place
-    pieces: IntArray  # (k, 2) first place and the one after the last; no piece is of two colours
+    pieces: IntArray  # (k, 2) first place and the one after the last; a piece has one colour
     edges: IntArray  # (s + 1,) first piece of each colour, and k
-    independent: int  # so many colours, from the first on, have no two contacts that share a body that moves
+    independent: int  # number of colours, from the first on, whose contacts share no moving body
 
     @property
     def count(self) -> int:
-        """How many colours there are."""
+        """Number of colours."""
         return len(self.edges) - 1
 
 
@@ -45,7 +45,7 @@ def solve_order_of(pairs: IntArray, colours: IntArray, independent: bool = True)
     colours
         (m,)
     independent
-        Whether contacts of a colour share no body that moves, but for those of the colour `OVERFLOW`.
+        Whether contacts of a colour share no moving body, except for the colour `OVERFLOW`.
     """
     sizes = np.bincount(colours)
     place, ordered = np.empty(len(pairs), dtype=np.int64), np.empty_like(pairs)
@@ -65,7 +65,7 @@ def _lay_out(
     edges: IntArray,
     pieces: IntArray,
 ) -> None:
-    """Cut the colours into pieces, and give each contact the next place of its colour."""
+    """Cut the colours into pieces, and assign each contact the next place of its colour."""
     k, end = 0, 0
     for colour in range(len(sizes)):
         lo, end = end, end + sizes[colour]

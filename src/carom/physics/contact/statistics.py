@@ -1,4 +1,4 @@
-"""Contact statistics of a step: how many contacts, the hardest, the deepest, and what they did to the energy.
+"""Contact statistics of a step: their number, the hardest and deepest, and their energies.
 
 They are computed in every step, block by block, from the records of the solver. The graph of the contacts is built only
 on demand (`snapshot`).
@@ -25,7 +25,7 @@ Records = NDArray[np.void]
 
 MIN_BLOCKS_PER_TASK = 1
 
-BLOCK_COUNTS = record(  # what is counted of a block of contacts
+BLOCK_COUNTS = record(  # statistics of a block of contacts
     f"{LEDGER_TERMS}"  # J
     " contacts impacts struck"  # numbers, and J: Σ ½ μ v_n² of the impacts
     " hardest hardest_i hardest_j"  # J, and the ends
@@ -34,14 +34,14 @@ BLOCK_COUNTS = record(  # what is counted of a block of contacts
 
 
 class ContactStatistics(NamedTuple):
-    """The contacts of a step that are seen, those that touch or carry an impulse, and the work of all."""
+    """Statistics of the contacts of a step that touch or carry an impulse, and the work of all."""
 
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
     contacts: int
-    impacts: int  # on the way each; of those found at the end the contacts that closed faster than one at rest
+    impacts: int  # each impact during the drift; of those found at the end, contacts faster than the rest speed
     struck: float  # J, Σ ½ μ v_n² of these
     hardest: float  # J, the largest ½ μ v_n²
-    hardest_pair: tuple[int, int]  # of those that are equally hard the first
+    hardest_pair: tuple[int, int]  # the first of equally hard ones
     deepest: float  # overlap / smaller radius
     deepest_pair: tuple[int, int]
 
@@ -68,12 +68,12 @@ class ContactStatistics(NamedTuple):
         )
 
     def with_impacts(self, snapshot: ContactSnapshot, ledger: FloatArray, ends: Ends) -> ContactStatistics:
-        """Return the statistics of a step that had impacts on the way.
+        """Return the statistics of a step with impacts during its drift.
 
         Parameters
         ----------
         snapshot
-            All that was seen, the impacts among it.
+            All contacts of the step, including the impacts.
         ledger
             (k, 3) J, of the impacts.
         """
@@ -158,5 +158,5 @@ def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
 
 @inline
 def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
-    """Tell whether a value is larger than the largest so far, or as large and of an earlier pair."""
+    """Tell whether a value is larger than the largest so far, or equal and of an earlier pair."""
     return value > largest or (value == largest and (i < first or (i == first and j < second)))

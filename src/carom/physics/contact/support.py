@@ -1,4 +1,4 @@
-"""What lasting contacts bear of each body's acceleration."""
+"""The part of each acceleration that lasting contacts bear."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-NOTHING_BORNE = np.empty(0)  # m/s², where no contact lasts
+NOTHING_BORNE = np.empty(0)  # m/s², if there are no lasting contacts
 
 
 def borne(cache: ImpulseCache, inverse_mass: FloatArray) -> FloatArray:
-    """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², h the kick that the impulses were for.
+    """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², with h the kick of the impulses.
 
-    Forces that oppose each other add up: what is squeezed between two bodies is borne all the more.
+    Opposing forces add up, so the sum is large for a body that is squeezed between two others.
     """
     if cache.kick == 0.0 or len(cache.pairs) == 0:
         return NOTHING_BORNE

@@ -13,7 +13,7 @@ IntArray = NDArray[np.int64]
 
 @inner
 def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body of the set that a body belongs to; halve the path to it."""
+    """Return the lowest body of the set of a body; halves the path to it."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -22,14 +22,14 @@ def root_of(parent: IntArray, i: int) -> int:
 
 @inner
 def join(parent: IntArray, i: int, j: int) -> None:
-    """Join the sets of two bodies: of two roots the higher one is hung below the lower one."""
+    """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
     i, j = root_of(parent, i), root_of(parent, j)
     parent[max(i, j)] = min(i, j)
 
 
 @inner
 def join_shared(parent: IntArray, i: int, j: int) -> None:
-    """Join the sets of two bodies while other threads join sets, too; the roots do not depend on who comes first."""
+    """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
     i, j = root_of(parent, i), root_of(parent, j)
     while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
-        i, j = root_of(parent, i), root_of(parent, j)  # another thread has hung one of them elsewhere
+        i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots

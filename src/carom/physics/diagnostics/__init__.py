@@ -1,1 +1,1 @@
-"""What a run says about itself: energy, momentum, extremes, activity, fingerprints, and where the time goes."""
+"""Diagnostics of a run: energy, momentum, extremes, activity, fingerprints, and a profile of its time."""

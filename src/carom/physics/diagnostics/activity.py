@@ -5,23 +5,23 @@ from __future__ import annotations
 from carom.physics.diagnostics.energy import Energy
 
 STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
-SETTLED_BELOW = 1e-3  # of the energy scale; a pile whose impacts sum to less has settled
-STILL_BELOW = 1e-4  # of the energy scale; what moves with more kinetic energy rolls, slides or falls
+SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if its recent impacts sum to less
+STILL_BELOW = 1e-4  # of the energy scale; bodies with more kinetic energy roll, slide or fall
 
 
 class Activity:
     """Follows the contacts of n bodies from step to step.
 
-    ``phase`` is "warm-up" before the first step, then "free", "colliding", or "settled": most bodies touch, recent
-    impacts were slight and, where motion counts from rest, little moves.
+    ``phase`` is "warm-up" before the first step, then "free", "colliding" or "settled". A run has settled if most
+    bodies touch, recent impacts were slight and, with ``from_rest``, the kinetic energy is small.
 
     Parameters
     ----------
     bodies
         How many there are.
     from_rest
-        Whether there is a uniform field or something fixed, so that a pile at rest has no kinetic energy. Elsewhere it
-        may drift and turn as a whole.
+        Whether there is a uniform field or something fixed, so a pile at rest has no kinetic energy. Otherwise it may
+        drift and turn as a whole.
     """
 
     def __init__(self, bodies: int, from_rest: bool) -> None:
@@ -36,12 +36,12 @@ class Activity:
         self.phase, self.impact_energy, self._contacts = phase, impact_energy, None
 
     def see(self, contacts: int, impact_energy: float) -> None:
-        """Take note of a step: the number of its contacts, and Σ ½ μ v_n² of those that were impacts, in J."""
+        """Add a step: the number of its contacts, and Σ ½ μ v_n² of its impacts, in J."""
         self.impact_energy += impact_energy - self.impact_energy / STEPS_REMEMBERED
         self._contacts = contacts
 
     def judge(self, energy: Energy) -> None:
-        """Name the phase after the last step, given the energy at its end."""
+        """Update the phase after the last step, given the energy at its end."""
         if self._contacts is None:
             return
         if self._contacts == 0:

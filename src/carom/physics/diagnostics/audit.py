@@ -1,4 +1,4 @@
-"""The audit of a run: energy and momentum at every check, compared with its start, and a warning where energy rose."""
+"""The audit of a run: compares energy and momentum at every check with the start, and warns of a rise of energy."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class Audit:
     Parameters
     ----------
     scene
-        Whose field, boundary and energy tolerance count.
+        The scene, for its field, boundary and energy tolerance.
     bodies
         The state at the start.
     names
-        For a warning.
+        Names for warnings.
     uniform
-        (3,) m/s², what accelerates all bodies alike.
+        (3,) m/s², acceleration that is the same for all bodies.
     constant
         J, the gravitational energy of fixed bodies among each other.
     losses
@@ -58,25 +58,25 @@ class Audit:
         self.step = -1  # of the last check
         self._bodies = bodies
         self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
-        booked = len(self.ledger.forces) > 0  # of the field, too: the centre of mass is then on no parabola
+        booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names)
         self._suspects: list[Suspects] = []
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
-        """What energies are compared with."""
+        """The reference values of the energy."""
         assert self._energy.baseline is not None, "the stock of the start has been taken"
         return self._energy.baseline
 
     @property
     def momentum_baseline(self) -> MomentumBaseline:
-        """What momenta are compared with."""
+        """The reference values of the momenta."""
         return self._momentum.baseline
 
     @property
     def monitor_state(self) -> MonitorState:
-        """What the watch knows from one check to the next."""
+        """The state of the energy watch between two checks."""
         return self._watch.tally
 
     def reopen(self, books: Books, ledger: Ledger) -> None:
@@ -86,28 +86,28 @@ class Audit:
         self._suspects = []
 
     def book(self, contacts: FloatArray) -> None:
-        """Book what contacts did in a step, (m, 3) J."""
+        """Book the energies of the contacts of a step, (m, 3) J."""
         self.ledger = self.ledger.plus(contacts)
 
     def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
-        """Book what a force without a potential took out, in J, and brought, in N s and N m s."""
+        """Book the energy that a force without a potential took out, in J, and its impulses, in N s and N m s."""
         self.ledger = self.ledger.plus_loss(entry, loss)
         self._momentum.receive(impulse, angular_impulse)
 
     def suspect(self, step: int, graph: CollisionGraph, contributions: FloatArray) -> None:
-        """Keep the contacts of a step for a warning that may come."""
+        """Keep the contacts of a step for a possible warning."""
         self._suspects.append(Suspects.of(step, graph, contributions, self._bodies))
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
-        """Return the energy of the state as it is, given the potential energies of the forces in joules."""
+        """Return the energy of the present state, given the potential energies of the forces in joules."""
         return self._energy.balance(self._bodies, potentials, self.ledger)
 
     def momentum_now(self, time: float) -> Momentum:
-        """Return the momentum of the state as it is, at a time in seconds."""
+        """Return the momentum of the present state, at a time in seconds."""
         return self._momentum.balance(self._bodies, time)
 
     def take_stock(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes) -> None:
-        """Compute energy and momentum, and let the extremes of the run see their errors.
+        """Compute energy and momentum, and update the extremes of the run with their errors.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Audit:
         self.step = step
 
     def check(self, time: float, extremes: Extremes) -> list[Event]:
-        """Let the watch look at the energy; return its warnings."""
+        """Check the energy; return the warnings of the energy watch."""
         warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, self._suspects)
         self._suspects = []
         return warnings

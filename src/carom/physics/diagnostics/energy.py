@@ -1,10 +1,10 @@
-"""Energy terms and the ledger: what the run has, what contacts took out, what stabilisation put in.
+"""Energy terms and their balance with the ledger.
 
     E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / √(r_ij² + ε²) - Σ m g·x
-    E(t) + dissipated(t) - injected(t) - E(0)  =  the integration error, and nothing else
+    integration error = E(t) + dissipated(t) - injected(t) - E(0)
 
-The error is compared with the energy scale: the total that is conserved, or what the field and the spins exchange with
-it where that is more (docs/physics.md, 11).
+The error is given relative to the energy scale: the conserved total, or the energy that the field and the spins
+exchange with it where that is more (docs/physics.md, 11).
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 FloatArray = NDArray[np.float64]
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
-CANCELLED = 1e-8  # of their magnitudes: a sum of which no more is left is as good as 0 in scenes written by people
+CANCELLED = 1e-8  # of the magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
 
 
 @dataclass(frozen=True, slots=True)
 class Energy:
     """The terms of the total energy at one moment, in joules.
 
-    ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0): what the integrator alone got wrong.
+    ``integration_error`` is E(t) + dissipated(t) - injected(t) - E(0), the error of the integrator alone.
     """
 
     translational: float  # Σ ½ m v²
@@ -41,7 +41,7 @@ class Energy:
     field: float  # -Σ m g·x, of the uniform field
     ledger: Ledger
     integration_error: float
-    scale: float  # what errors are compared with; see `EnergyAccount`
+    scale: float  # energy that errors are relative to; see `EnergyAccount`
     others: NamedEnergies = ()  # of the potentials of other forces, by their terms
 
     def term(self, name: str) -> float:
@@ -59,7 +59,7 @@ class Energy:
 
     @property
     def undamped(self) -> float:
-        """The total and what forces without a potential took out of it: contacts can only lower this, in J."""
+        """The total plus the energy taken out by forces without a potential, in J; contacts can only lower it."""
         return self.total + self.ledger.by_forces if self.ledger.forces else self.total
 
     @property
@@ -68,7 +68,7 @@ class Energy:
         return self.relative(abs(self.integration_error))
 
     def relative(self, energy: float) -> float:
-        """Return an energy in joules over the energy scale; any energy is the whole of it where the scale is 0."""
+        """Return an energy in joules over the energy scale; ±1 for any energy if the scale is 0."""
         if self.scale > 0.0:
             return energy / self.scale
         return 0.0 if energy == 0.0 else math.copysign(1.0, energy)
@@ -76,42 +76,42 @@ class Energy:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The terms at the start that the energy scale counts from, in joules."""
+    """Terms at the start, to which the energy scale refers, in joules."""
 
-    conserved: float  # kinetic + gravitational, from the centre of mass if nothing is fixed
+    conserved: float  # kinetic + gravitational, relative to the centre of mass if nothing is fixed
     rotational: float
     field: float  # of the uniform field and all other forces but gravity
 
 
 @dataclass(frozen=True, slots=True)
 class EnergyBaseline:
-    """What energies are compared with."""
+    """Reference values of the energy."""
 
     initial: float  # J, the total at the start of the run
     scale: float  # J, the largest so far
-    origin: Origin | None = None  # None in recordings that had another scale, which then goes on as it was
+    origin: Origin | None = None  # None in older recordings, which had another scale; it then stays as it was
 
 
 class EnergyAccount:
-    """Turns the state into an `Energy`, remembering where the run began and the largest energy scale so far.
+    """Computes the `Energy` of a state, relative to the start of the run and the largest energy scale so far.
 
     The scale is the largest so far of
 
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
-      start: the total that is conserved, after what contacts and drag took out of it and pushes put in;
-    - what the other forces and the spins have exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
-    - Σ m |g| r, where there is a field: bodies that rest on a plane have no other energy.
+      start: the conserved total, less the energy that contacts and drag took out, plus that put in by stabilisation;
+    - the energy that the other forces and the spins exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
+    - Σ m |g| r, if there is a field: bodies that rest on a plane have no other energy.
 
-    Where kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
+    If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
 
     Parameters
     ----------
     bodies
         Of the run.
     field
-        (3,) m/s², the uniform field, and what a moving medium pushes with.
+        (3,) m/s², the uniform field and the push of a moving medium.
     anchored
-        Whether something stands still: speeds then count from it in E_c, otherwise from the centre of mass.
+        Whether something is fixed: speeds in E_c are then relative to it, otherwise to the centre of mass.
     constant
         J, the gravitational energy of fixed bodies among each other, which is left out of E_c.
     """
@@ -123,7 +123,7 @@ class EnergyAccount:
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(self, bodies: Bodies, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
-        """Take stock, given the potential energies of the forces in joules. The first call is the start of the run."""
+        """Return the energy, given the potential energies of the forces in joules. The first call sets the start."""
         translational, internal, rotational = _terms(
             bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia
         )
@@ -167,7 +167,7 @@ def _terms(
     mass: FloatArray,
     inertia: FloatArray,
 ) -> tuple[float, float, float]:
-    """Return the kinetic energy, the one about the centre of mass and the rotational one, in J."""
+    """Return the kinetic energy, that relative to the centre of mass, and the rotational energy, in J."""
     Vx, Vy, Vz = centre_velocity(velocity, mass)
     translational, internal, rotational = 0.0, 0.0, 0.0
     for i in range(len(mass)):

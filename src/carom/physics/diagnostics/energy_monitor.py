@@ -1,6 +1,6 @@
-"""The energy check.
+"""The energy watch: warns if the energy rises or becomes wrong.
 
-A closed system cannot gain energy, so a gain is a fault, and the contacts of the step before are its first suspects.
+A closed system cannot gain energy, so a gain is an error. A warning lists the contacts that may have caused it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from carom.physics.names import Names
 
 FloatArray = NDArray[np.float64]
 
-MOST_CONTACTS = 6  # named in a warning, those that added most first
-LOST = 0.1  # of the energy scale; an orbit of such an energy has another size and another period
-MOST_WARNINGS = 100  # in a run; a run that gains energy at every check has said so by then
+MOST_CONTACTS = 6  # listed in a warning, those that added most energy first
+LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
+MOST_WARNINGS = 100  # of a rise in a run; more would say nothing new
 
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The contacts of one step as they were when it ended: copies, for a warning that may come a step later."""
+    """Copies of the contacts of one step, for a warning that may come a step later."""
 
     step: int
     graph: CollisionGraph
@@ -36,7 +36,7 @@ class Suspects:
 
     @classmethod
     def of(cls, step: int, graph: CollisionGraph, contributions: FloatArray, bodies: Bodies) -> Suspects:
-        """Copy what a warning would show."""
+        """Copy the data that a warning shows."""
         spins = len(bodies.angular_velocity) > 0
         return cls(
             step=step,
@@ -47,7 +47,7 @@ class Suspects:
         )
 
     def describe(self, names: Names) -> str:
-        """Name the contacts that added most energy, with the states of their bodies."""
+        """List the contacts that added most energy, with the states of their bodies."""
         if len(self.graph) == 0:
             return f"No bodies were colliding in step {self.step}."
         added = self.contributions[:, STABILISATION] - self.contributions[:, (RESTITUTION, FRICTION)].sum(axis=1)
@@ -67,19 +67,19 @@ class Suspects:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """What the watch knows from one check to the next."""
+    """The state of the watch between two checks."""
 
     lowest: Energy | None = None  # the lowest total since the last warning
-    since: float = 0.0  # s, when it was
+    since: float = 0.0  # s, the time of that total
     warnings: int = 0
-    lost: bool = False  # whether it has warned that the energy is lost
+    lost: bool = False  # whether it has warned of a large error
     gained: bool = False  # whether it has warned that impulses of contacts put energy in
 
 
 class EnergyMonitor:
-    """Looks at the energy at every check and warns of a rise, and of an integration error that makes the run useless.
+    """Checks the energy and warns of a rise, and of an integration error that makes the run useless.
 
-    A rise counts from the lowest energy since the last warning, so that a slow one is seen however often it is checked.
+    A rise is relative to the lowest energy since the last warning, so a slow rise is noticed at any rate of checks.
     """
 
     def __init__(self, tolerance: float, names: Names) -> None:
@@ -97,9 +97,9 @@ class EnergyMonitor:
         step, time, energy
             Of the check; s.
         contact_gain
-            The most that impulses of contacts have put in so far, over the energy scale.
+            Largest energy that impulses of contacts have put in so far, over the energy scale.
         suspects
-            The contacts of the step before, whose bodies a warning names with their states, and of this one.
+            The contacts of the previous and of this step, which a warning lists with the states of their bodies.
         """
         tally = self.tally
         lowest = tally.lowest or energy
@@ -144,7 +144,7 @@ def _rise(energy: Energy, lowest: Energy, since: float) -> str:
 
 def _loss(energy: Energy, lowest: Energy) -> str:
     """Say how wrong the energy is."""
-    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart do not pull any more
+    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer pull
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
     part = energy.relative_error
     amount = f"{part:.0%} of" if part < 10.0 else f"{part:.2g} times"
@@ -158,8 +158,8 @@ def _gain(energy: Energy, contact_gain: float) -> str:
     """Say that impulses of contacts put energy in."""
     ledger = energy.ledger
     return (
-        f"Impulses of contacts have put energy in, {contact_gain:.2g} of the energy scale, where they can only take it "
-        f"out: so far restitution took {ledger.restitution:.4g} J and friction {ledger.friction:.4g} J."
+        f"Impulses of contacts have put energy in, {contact_gain:.2g} of the energy scale, although they can only take "
+        f"it out: so far restitution took {ledger.restitution:.4g} J and friction {ledger.friction:.4g} J."
     )
 
 

@@ -1,4 +1,4 @@
-"""A 64-bit fingerprint of the exact state: XXH64 of the arrays' bytes as they lie in memory, one after the other."""
+"""A 64-bit fingerprint of the exact state: XXH64 of the bytes of the arrays, one after the other."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def fingerprint(bodies: Bodies, time: float) -> int:
 
 
 def fingerprint_of(time: float, arrays: Iterable[NDArray[np.float64]]) -> int:
-    """Return the fingerprint of a time in s and of arrays, which lie in one piece each."""
+    """Return the fingerprint of a time in s and of contiguous arrays."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
     for array in arrays:
         digest.update(array.data)

@@ -1,4 +1,4 @@
-"""Checks that end a run whose state is no longer finite, or no longer accurate in a periodic box."""
+"""Checks that end a run if its state is no longer finite, or no longer accurate in a periodic box."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: in
 def _look_for_infinities(
     lo: int, hi: int, position: NDArray[np.float64], velocity: NDArray[np.float64], lost: NDArray[np.bool_]
 ) -> None:
-    """Set ``lost`` if a number of the bodies [lo, hi) is not finite; NumPy would allocate three arrays for that."""
+    """Set ``lost`` if a value of the bodies [lo, hi) is not finite; NumPy would allocate three arrays for this."""
     infinities = 0
     for i in range(lo, hi):
         for k in range(3):

@@ -1,6 +1,6 @@
-"""The energy ledger: what contacts took out of the bodies and put into them, term by term.
+"""The energy ledger: energy that contacts and forces took out of the bodies or put into them, by term.
 
-Kernels write each term of a contact into a field of its name; arrays of all terms have a column for each, in this
+Kernels write each term of a contact into a field of that name. Arrays of all terms have one column for each, in this
 order.
 """
 
@@ -41,7 +41,7 @@ class Ledger:
         return forces[name] if name in forces else float(getattr(self, name))
 
     def plus(self, contacts: FloatArray) -> Ledger:
-        """Return the ledger after a step, given the contacts' own, (m, 3) J."""
+        """Return the ledger after a step, given the energies of its contacts, (m, 3) J."""
         step = np.zeros(3)
         _sum_rows(contacts, step)
         return Ledger(
@@ -52,24 +52,24 @@ class Ledger:
         )
 
     def plus_loss(self, entry: str, loss: float) -> Ledger:
-        """Return the ledger after a force without a potential took out so many joules."""
+        """Return the ledger after a force without a potential took out ``loss`` joules."""
         forces = dict(self.forces)
         return replace(self, forces=tuple({**forces, entry: forces.get(entry, 0.0) + loss}.items()))
 
     @property
     def balance(self) -> float:
-        """What left less what entered."""
+        """The energy that left less the energy that entered."""
         by_contacts = self.restitution + self.friction - self.stabilisation
         return by_contacts + self.by_forces if self.forces else by_contacts
 
     @property
     def by_forces(self) -> float:
-        """What forces without a potential took out; less than 0 if they put more in, as a medium that moves may."""
+        """The energy taken out by forces without a potential; a moving medium can make it negative."""
         return sum(loss for _, loss in self.forces)
 
     @property
     def taken_out(self) -> float:
-        """What left, without entries of the wrong sign."""
+        """The energy that contacts took out, without entries of the wrong sign."""
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 

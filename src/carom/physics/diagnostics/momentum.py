@@ -1,13 +1,14 @@
-"""Momentum and angular momentum, and how far they are from what they should be.
+"""Momentum and angular momentum, and their errors.
 
     p = Σ m v,    L = Σ (m x × v + I ω)
 
-Contacts and direct gravity conserve both to round-off. A uniform field g changes them, in closed form, since the
-centre of mass X moves on a parabola (planes, walls and fixed bodies take both, and nothing is compared):
+Contacts and direct gravity conserve both to round-off. A uniform field g changes them in closed form, because the
+centre of mass X moves on a parabola:
 
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 
-Where a medium drags, it and the field are booked as they act, step by step.
+With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies take
+up both momenta; nothing is compared then.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Momentum:
-    """Momentum at one moment and its relative errors."""
+    """Momentum at one time and its relative errors."""
 
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
-    linear_error: float | None  # over the largest Σ m |v| so far; None if something fixed takes it
+    linear_error: float | None  # over the largest Σ m |v| so far; None if something is fixed
     angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None likewise, and in a periodic box
 
 
 @dataclass(frozen=True, slots=True)
 class MomentumBaseline:
-    """What momenta are compared with: those at the start, and the largest sums of magnitudes so far."""
+    """Reference values: the momenta at the start, and the largest sums of magnitudes so far."""
 
     linear: tuple[float, float, float]  # kg m/s
     angular: tuple[float, float, float]  # kg m²/s
@@ -57,7 +58,7 @@ class MomentumAccount:
 
     @property
     def baseline(self) -> MomentumBaseline:
-        """What momenta are compared with; set it to go on from an earlier run."""
+        """The reference values; set them to continue an earlier run."""
         linear, angular, centre = (tuple(vector.tolist()) for vector in (self._linear, self._angular, self._centre))
         return MomentumBaseline(linear, angular, centre, self._linear_scale, self._angular_scale)
 
@@ -67,11 +68,11 @@ class MomentumAccount:
         self._linear_scale, self._angular_scale = known.linear_scale, known.angular_scale
 
     def receive(self, linear: FloatArray, angular: FloatArray) -> None:
-        """Book momenta that came from outside: what is found later is compared with them included."""
+        """Add momenta that came from outside to the reference values."""
         self._linear, self._angular = self._linear + linear, self._angular + angular
 
     def balance(self, bodies: Bodies, time: float) -> Momentum:
-        """Take stock at a time since the start, in seconds."""
+        """Return the momenta at a time since the start, in seconds."""
         linear, angular, linear_scale, angular_scale = _sums(bodies)
         self._linear_scale = max(self._linear_scale, linear_scale)
         self._angular_scale = max(self._angular_scale, angular_scale)

@@ -1,4 +1,4 @@
-"""A warning when the steps of a run have become so short that it takes many times as many as its start promised."""
+"""A warning when short steps make a run take many times as many as its start promised."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from carom.physics.event import Event
 
-CRAWL = 5.0  # times as many steps as at the pace of the first one
-MIN_STEPS = 50_000  # a run of fewer is over before anybody could act on a warning
+CRAWL = 5.0  # times as many steps as the first one promised
+MIN_STEPS = 50_000  # a shorter run ends before a warning is of use
 
-REMEDY = {  # what makes the steps longer that a limit sets
+REMEDY = {  # the key that makes steps longer, by the limit that sets them
     "acceleration": "time.target_dx",
     "held": "time.target_dx",
     "velocity": "time.cfl",
@@ -21,14 +21,14 @@ REMEDY = {  # what makes the steps longer that a limit sets
 
 @dataclass(frozen=True, slots=True)
 class PaceTally:
-    """What the monitor knows from one look to the next."""
+    """The state of the monitor between two checks."""
 
-    slow_since: float | None = None  # s, from when on all steps looked at were short; None if the last one was not
-    told: bool = False
+    slow_since: float | None = None  # s, since when all checked steps were short; None if the last one was not
+    told: bool = False  # whether the warning was given
 
 
 class PaceMonitor:
-    """Checks the step now and then, and warns once if the run crawls.
+    """Checks the step from time to time, and warns once if the run slows down.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class PaceMonitor:
         self.tally = PaceTally()
 
     def look(self, step: int, time: float, dt: float, limit: str) -> Event | None:
-        """Check the next step, of dt seconds, and the limit that sets it; return a warning the first time it crawls.
+        """Check the next step, of dt seconds, and the limit that sets it; return a warning at most once.
 
-        A run crawls if it would take that many steps at the pace so far, and also at the pace of the next step.
+        It warns if the run would take too many steps at the pace so far, and also at the pace of the next step.
         """
         short = CRAWL * dt < self._first_dt
         since = self.tally.slow_since if self.tally.slow_since is not None else time
@@ -59,6 +59,6 @@ class PaceMonitor:
         text = (
             f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first, "
             f"since t = {since:.6g} s: at this pace the run takes {whole:.3g} steps, {whole / promised:.3g} times "
-            f"as many as its start promised. To shorten it raise {REMEDY[limit]}."
+            f"as many as its start promised. To shorten the run, raise {REMEDY[limit]}."
         )
         return Event(step, time, "WARN", text, "pace")

@@ -6,7 +6,7 @@ from time import perf_counter_ns
 
 
 class Profile:
-    """Sums wall time by part of the step. A part is marked when it ends, which costs one clock reading."""
+    """Sums wall time by part of the step. Marking the end of a part costs one clock reading."""
 
     def __init__(self) -> None:
         self._nanoseconds: dict[str, int] = {}
@@ -23,7 +23,7 @@ class Profile:
         self._last = now
 
     def clear(self) -> None:
-        """Forget all, after the warm-up, which compiles."""
+        """Discard all times, such as those of the warm-up, which compiles kernels."""
         self._nanoseconds.clear()
 
     def seconds(self) -> dict[str, float]:

@@ -1,1 +1,1 @@
-"""What accelerates bodies between contacts: one module for each row of `carom.scene.forces.FORCES`."""
+"""The forces between contacts: one module for each row of `carom.scene.forces.FORCES`."""

@@ -1,4 +1,4 @@
-"""Stokes' drag in a medium that moves as one with the velocity u.
+"""Stokes' drag in a medium that moves uniformly with the velocity u.
 
     a = -(v - u)/τ
 
@@ -7,12 +7,12 @@ drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a
 
     v += a k₁,   v *= φ₁,    x += v h,    v *= E/φ₁,   v += a' k₂        k₁ = h φ₂/φ₁,   k₂ = h (φ₁ - E φ₂/φ₁)
 
-Between the two factors stands the mean velocity of the drift: there contacts are held, and impacts lie on straight
-lines. The kicks are as long as makes the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is
-its own adjoint, hence of order 2.
+Between the two factors, velocities are the mean velocities of the drift: contacts are held there, and impacts lie on
+straight lines. The lengths of the kicks make the step exact for a constant acceleration; for τ → ∞ both are h/2. The
+step is its own adjoint, hence of order 2.
 
-What the medium took out of the energy is what the step changed of it less the work of the other forces, which
-docs/physics.md, 6 derives:
+The energy that the medium took out is the change of the energy in the step less the work of the other forces
+(docs/physics.md, 6):
 
     lost = Σ ½ m (v² - w²) + κ m a·w - ½ m κ (h - κ) a²                     by the kick and the factor before the drift
     lost = Σ ½ m (w² - v²) + (h - κ) m a'·w - h m (u/τ)·w + ½ m κ (h - κ) a'²    after it
@@ -40,14 +40,14 @@ from carom.scene.schema import Drag, Scene
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-VANISHED = 745.0  # e^-z is 0 from here on
-TERMS = 20  # of a series on [0, 1]: 1/22! is below a rounding
+VANISHED = 745.0  # e^-z underflows to 0 for larger z
+TERMS = 20  # of a series on [0, 1]: 1/22! is below round-off
 
 
 def exponentials(z: float) -> tuple[float, float, float]:
     """Return e^{-z}, φ₁ = (1 - e^{-z})/z and φ₂ = (1 - φ₁)/z for z ≥ 0, with the same bits on any machine.
 
-    The exponential of libm differs in its last bit from one machine to the next.
+    The last bit of libm's exponential differs between machines.
     """
     if z <= 1.0:
         series = 1.0
@@ -69,11 +69,11 @@ class StokesDrag:
     drag
         The scene's section.
     bodies
-        What moves through the medium.
+        The bodies in the medium.
     outer
-        (3,) m/s², what other forces accelerate all bodies by alike.
+        (3,) m/s², acceleration by other forces that is the same for all bodies.
     team
-        Who works.
+        Threads that work.
     """
 
     kind = DRAG
@@ -88,7 +88,7 @@ class StokesDrag:
         self._against = np.zeros_like(bodies.ends.acceleration)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add the part that does not depend on velocities, u/τ; see `Force`."""
+        """Add u/τ, the part that does not depend on velocities; see `Force`."""
         if first:
             acceleration[:] = 0.0
         if self.uniform.any():
@@ -96,7 +96,7 @@ class StokesDrag:
         return 0.0
 
     def step(self, dt: float) -> DampedStep:
-        """Return kicks and factors of a step in seconds."""
+        """Return kicks and factors of a step of dt seconds."""
         decay, phi1, phi2 = exponentials(dt * self._rate)
         first, held = dt * (phi2 / phi1), dt * phi2
         last = dt * (phi1 - decay * (phi2 / phi1))
@@ -113,9 +113,9 @@ class StokesDrag:
         return self._exchange(_end, step, step.last_kick, step.after)
 
     def along(self, step: DampedStep) -> FloatArray:
-        """Return by what velocities change along the drift, (n + p, 3) m/s²: φ₁ (a - w/τ).
+        """Return the rate at which velocities change along the drift, φ₁ (a - w/τ), (n + p, 3) m/s².
 
-        That is the drag itself to second order, and in steps longer than τ no more than what stops a body.
+        This equals the drag to second order. In steps longer than τ it is at most the rate that stops a body.
         """
         bodies, n = self._bodies, len(self._bodies)
         self._along[:n] = step.before * (bodies.acceleration - bodies.velocity * self._rate)
@@ -127,17 +127,17 @@ class StokesDrag:
         return self._against
 
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return what holding the contacts changed of the loss, in joules; see `Damping`."""
+        """Return the change of the loss by holding the contacts, in joules; see `Damping`."""
         bodies = self._bodies
         return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
 
     def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
-        """Return what impacts along a drift changed of the loss, in joules.
+        """Return the change of the loss by impacts during a drift, in joules.
 
         Parameters
         ----------
         step
-            Of which they are.
+            The step of the impacts.
         before
             (n + p, 3) m/s, velocities at the beginning of the drift; overwritten.
         impacts
@@ -229,7 +229,7 @@ def _end(
 def _slow_down(
     i: int, x: FloatArray, v: FloatArray, mass: float, outer: FloatArray, kick: float, factor: float, sums: FloatArray
 ) -> None:
-    """Multiply a velocity; add the impulse that this and the kick by what is outside bring, and its moment."""
+    """Multiply a velocity by a factor; add the external impulse of this and of the kick, and its moment."""
     px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
     py = mass * (v[i, 1] * (factor - 1.0) + outer[1] * kick)
     pz = mass * (v[i, 2] * (factor - 1.0) + outer[2] * kick)
@@ -247,7 +247,7 @@ def _slow_down(
 def _lost_in_hold(
     v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, share: float
 ) -> float:
-    """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, and with the kick goes κ m Δv·a."""
+    """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, and the kick books κ m Δv·a."""
     lost = 0.0
     for i in range(len(mass)):
         for k in range(3):

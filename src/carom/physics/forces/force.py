@@ -1,7 +1,7 @@
-"""What a force is to a step, and how the forces of a scene are found.
+"""The protocols of forces, and the forces of a scene.
 
-A force that depends on positions alone adds an acceleration, and has a potential or none. Its kind, a row of
-`carom.scene.forces.FORCES`, says when a scene requires it and what it records. The module of that name offers
+A force that depends on positions only adds an acceleration and may have a potential. Its kind, a row of
+`carom.scene.forces.FORCES`, states when a scene requires it and what it records. The module of that name defines
 ``make(scene, bodies, team)``.
 """
 
@@ -32,7 +32,7 @@ class Force(Protocol):
     Attributes
     ----------
     kind
-        Its row in the list of forces.
+        Its row in `carom.scene.forces.FORCES`.
     uniform
         (3,) m/s², the part of the acceleration that is the same for every body.
     """
@@ -41,7 +41,7 @@ class Force(Protocol):
     uniform: FloatArray
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add its acceleration at positions, both (n, 3); return its potential energy in joules if that is asked for.
+        """Add its acceleration at positions, both (n, 3); return its potential energy in joules if requested.
 
         Parameters
         ----------
@@ -50,26 +50,26 @@ class Force(Protocol):
         acceleration
             m/s²
         first
-            Whether nothing stands in ``acceleration`` yet: it is then overwritten.
+            Whether this is the first force: ``acceleration`` is then overwritten.
         potential
-            Whether the energy is asked for; 0 is returned if not, or if the force has no potential.
+            Whether the energy is requested; otherwise, or without a potential, 0 is returned.
         """
 
 
 class DampedStep(NamedTuple):
-    """A step of leapfrog, kick - factor - drift - factor - kick, with a force that depends on velocities in it."""
+    """A leapfrog step with a force that depends on velocities: kick, factor, drift, factor, kick."""
 
     length: float  # s
     first_kick: float  # s
-    before: float  # factor of the velocities before the drift: it leads to their mean along it
+    before: float  # factor of the velocities before the drift, which makes them their mean along it
     after: float  # factor after the drift
     last_kick: float  # s
-    share: float  # s, of the step: the part of the other forces' work in the drift that is booked before it
-    held_kick: float  # s, what the first kick amounts to where contacts are held
+    share: float  # s, of the step: its part of the other forces' work in the drift is booked before the drift
+    held_kick: float  # s, effective length of the first kick where contacts are held
 
 
 class Exchange(NamedTuple):
-    """What left the bodies in a part of a step, and what came to them from outside."""
+    """The energy that left the bodies in a part of a step, and the external impulses."""
 
     loss: float  # J
     impulse: FloatArray  # (3,) N s
@@ -78,41 +78,41 @@ class Exchange(NamedTuple):
 
 @runtime_checkable
 class Damping(Force, Protocol):
-    """A force that depends on velocities: it brings kicks and drifts of its own, and books the energy that it takes.
+    """A force that depends on velocities: it defines kicks and factors of its own, and books the energy that it takes.
 
-    Its row in the list has ``damps`` set, and names the ledger's entry. A scene has one such force at most.
+    Its row in the table has ``damps`` set and names the entry of the ledger. A scene has at most one such force.
     """
 
     def step(self, dt: float) -> DampedStep:
         """Return kicks and factors of a step in seconds."""
 
     def begin(self, step: DampedStep) -> Exchange:
-        """Kick, and bring velocities to their mean along the drift."""
+        """Kick, and change velocities to their mean along the drift."""
 
     def end(self, step: DampedStep) -> Exchange:
-        """Bring velocities from their mean along the drift to its end, and kick."""
+        """Change velocities from their mean along the drift to those at its end, and kick."""
 
     def along(self, step: DampedStep) -> FloatArray:
-        """Return by what velocities change along the drift, (n + p, 3) m/s²."""
+        """Return the rate at which velocities change along the drift, (n + p, 3) m/s²."""
 
     def against(self) -> FloatArray:
-        """Return what contacts are held against, (n + p, 3) m/s²: the acceleration at the beginning of the step."""
+        """Return the accelerations against which contacts are held, (n + p, 3) m/s²: those at the start of the step."""
 
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return what holding the contacts changed of its loss, in joules.
+        """Return the change of its loss by holding the contacts, in joules.
 
-        ``before`` are the velocities before that, (n + p, 3) m/s.
+        ``before`` are the velocities before the hold, (n + p, 3) m/s.
         """
 
     def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
-        """Return what impacts along the drift changed of its loss, in joules; ``before`` is overwritten.
+        """Return the change of its loss by impacts during the drift, in joules; ``before`` is overwritten.
 
         ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s.
         """
 
 
 def forces_of(scene: Scene, needs: Requirements, bodies: Bodies, team: Team) -> list[Force]:
-    """Make the forces that a scene requires, in the order of the list."""
+    """Make the forces that a scene requires, in the order of the table."""
     return [_make(kind, scene, bodies, team) for kind in FORCES if needs.forces[kind.name].modelled]
 
 
@@ -125,7 +125,7 @@ def _make(kind: ForceKind, scene: Scene, bodies: Bodies, team: Team) -> Force:
 def accelerate(
     forces: Sequence[Force], position: FloatArray, acceleration: FloatArray, potential: bool, profile: Profile
 ) -> Potentials:
-    """Write the acceleration by all forces; return their potential energies if they are asked for."""
+    """Write the acceleration by all forces; return their potential energies if requested."""
     energies: Potentials = {}
     for index, force in enumerate(forces):
         energy = force.accelerate(position, acceleration, first=index == 0, potential=potential)

@@ -20,7 +20,7 @@ MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 
 
 class UniformField:
-    """Pulls all bodies alike, by `uniform` in m/s²."""
+    """Accelerates all bodies alike, by `uniform` in m/s²."""
 
     kind = UNIFORM_FIELD
 

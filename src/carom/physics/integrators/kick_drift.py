@@ -1,4 +1,4 @@
-"""What an integrator is made of: kicks, drifts, and the wrap into a periodic box. `scene.integrators` has the list."""
+"""Building blocks of the integrators: kick, drift, wrap into a periodic box. `scene.integrators` lists integrators."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Broad phase: which pairs of spheres, and which spheres and planes, are near enough to touch."""
+"""Broad phase: the search for pairs of spheres, and of spheres and planes, that may touch."""

@@ -1,20 +1,20 @@
-"""The bodies in the order of the cells of grids, one grid for each octave of radius.
+"""Bodies sorted into the cells of grids, one grid for each octave of radius.
 
-The cells of an octave are as wide as its largest body, so that its bodies touch in neighbouring cells only. An octave
-whose bodies would hardly ever share a cell joins the grid of the next larger one. Where a grid has few more cells than
-bodies its cells are numbered row by row, and what is near in space is near in memory. Where it would have many more,
-cells are wider, or they are hashed, so that a small cluster in a huge empty space costs what it holds and not what it
-spans.
+The cells of an octave are as wide as its largest body, so its bodies touch only bodies in neighbouring cells. An octave
+whose bodies would hardly ever share a cell joins the grid of the next larger one. If a grid has few more cells than
+bodies, its cells are numbered row by row, and neighbours in space are neighbours in memory. If it would have many more,
+its cells are wider or hashed. The cost of a small cluster in a huge empty space then depends on its bodies, not its
+extent.
 
-Looking into a row of cells costs as much as looking at some bodies. Where most cells are empty they are therefore
-broader across the rows and shorter along them: fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). Crowds
-take a tenth longer with such cells.
+Visiting a row of cells costs as much as testing some bodies. Where most cells are empty they are therefore broader
+across the rows and shorter along them, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms).
+Crowds take a tenth longer with such cells.
 
-From step to step bodies hardly change cells. Sorted in the order of the step before they are read and written nearly in
-order; renumbering the bodies themselves along a space-filling curve would gain nothing more.
+Bodies hardly change cells from step to step. Sorted in the order of the previous step, they are read and written nearly
+in order. Renumbering the bodies along a space-filling curve would gain nothing more.
 
-Rejected: hashing always (what is near in space is then anywhere in memory), one width of cells for all radii (n²
-candidates as soon as one body is huge).
+Rejected: always hashing (neighbours in space are then anywhere in memory); one cell width for all radii (n² candidates
+as soon as one body is huge).
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 Records = NDArray[np.void]
 
-WIDER = 1.0 + 1e-6  # cells are wider than the bodies need, so that no rounding moves a neighbour out of reach
-MOST_CELLS = 2**30  # along an axis: with more, the rounding of a cell's index nears that margin
-ROOM = 16  # cells for each body, at most, that are numbered row by row
-SPARSE = 2.5  # cells for each body, from which on they are
-BROAD = 1.75  # times broader across rows, and shorter along them, so that there are as many
-WIDE = 2.0  # times wider cells are tried where there would be more
-SHARED = 0.5  # bodies in a cell, on average, up to which octaves share a grid
-CROWDED = 1.0  # pairs in a cell for each body, from which on its octave neither joins others nor has wide cells again
-STRIP = 64  # cells of a row that lie side by side where cells are hashed
-UPWARDS = 8.0  # rows of cells that a small body meets in the grid of much larger ones, on average
+WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
+MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would approach that margin
+ROOM = 16  # largest number of cells per body in a grid that is numbered row by row
+SPARSE = 2.5  # cells per body from which on cells are `BROAD`
+BROAD = 1.75  # factor by which cells are broader across rows and shorter along them, for the same number of cells
+WIDE = 2.0  # factor by which cells are widened first if there would be more than `ROOM`
+SHARED = 0.5  # mean number of bodies in a cell up to which octaves share a grid
+CROWDED = 1.0  # pairs in a cell per body from which on an octave neither joins others nor has wide cells again
+STRIP = 64  # cells of a row that are adjacent in a hashed table
+UPWARDS = 8.0  # mean number of rows that a small body meets in the grid of much larger ones
 MIN_BODIES_PER_TASK = 1000
 
 OCTAVE = np.dtype(
@@ -70,9 +70,9 @@ GRID = np.dtype(
         ("nx", np.int64),  # cells along each axis
         ("ny", np.int64),
         ("nz", np.int64),
-        ("mask", np.int64),  # of the hash, where cells are hashed
-        ("hashed", np.bool_),  # or numbered row by row
-        ("crowded", np.bool_),  # whether its largest octave is
+        ("mask", np.int64),  # of the hash, if cells are hashed
+        ("hashed", np.bool_),  # otherwise numbered row by row
+        ("crowded", np.bool_),  # whether its largest octave is crowded
     ],
     align=True,
 )
@@ -81,12 +81,12 @@ SPHERE = np.dtype([(name, np.float64) for name in ("x", "y", "z", "radius")])  #
 
 
 class Layout(NamedTuple):
-    """The g grids of a step, at most k, from that of the largest bodies on."""
+    """The g grids of a step, at most k, beginning with that of the largest bodies."""
 
     grids: IntArray  # (1,) g
     grid: Records  # (k,) `GRID`
-    into: NDArray[np.bool_]  # (k, k) whether the bodies of a grid look into another
-    origin: FloatArray  # (3,) m, the corner from which cells are counted
+    into: NDArray[np.bool_]  # (k, k) whether the bodies of a grid search another
+    origin: FloatArray  # (3,) m, the corner where cells begin
     box: FloatArray  # (3,) m, zeros in open space
 
 
@@ -152,7 +152,7 @@ class Cells:
 
 @kernel
 def _span(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[float, float, float]:
-    """Write where cells are counted from; return the extent of the bodies, or of the box, in m."""
+    """Write the corner where cells begin; return the extent of the bodies, or of the box, in m."""
     if box[0] > 0.0:
         for k in range(3):
             origin[k] = -0.5 * box[k]
@@ -169,12 +169,12 @@ def _span(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[fl
 
 @kernel
 def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout) -> bool:
-    """Lay the grids, and say which bodies look into which of them.
+    """Define the grids, and which of them search which others.
 
     Returns
     -------
     anew
-        Whether octaves share grids in another way than before: bodies then have to be put in their order again.
+        Whether octaves share grids differently than before; bodies then have to be sorted anew.
     """
     count, cells, anew = 0, 0.0, False
     for L in range(len(octaves)):
@@ -223,12 +223,12 @@ def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves:
 
 @kernel
 def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: Any) -> float:
-    """Cut a grid into cells of a width, or a little more, broader across the rows and shorter along them.
+    """Cut a grid into cells of a width or a little more, broader across the rows and shorter along them.
 
     Returns
     -------
     cells
-        How many there are.
+        Number of cells.
     """
     periodic = box[0] > 0.0
     grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), periodic)
@@ -240,7 +240,7 @@ def _cut(width: float, broader: float, extent: tuple[float, float, float], box: 
 
 @kernel
 def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
-    """Return the number of cells of at least a size, in m, along an axis, and how many are in a metre."""
+    """Return the number of cells of at least a size, in m, along an axis, and the number per metre."""
     if periodic:
         cells = int(min(max(1.0, np.floor(extent / size)), MOST_CELLS))
         return cells, cells / extent
@@ -250,7 +250,7 @@ def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
 
 @inline
 def strip_of(ix: int, iy: int, iz: int) -> int:
-    """Spread the strips of rows over a table: Knuth's multiplicative hash, its upper half."""
+    """Hash the strips of rows: the upper half of Knuth's multiplicative hash."""
     return (((iz * (2 * MOST_CELLS) + iy) * 0x1E3779B97F4A7C15 + ix // STRIP) * 0x1E3779B97F4A7C15) >> 32
 
 
@@ -264,7 +264,7 @@ def _assign(
     bucket: Int32Array,
     rank: Int32Array,
 ) -> None:
-    """Find the bucket of each body, and how many others are in it already; which are, is left to chance."""
+    """Find the bucket of each body, and its number in it, which depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
     periodic = layout.box[0] > 0.0
@@ -292,7 +292,7 @@ def _assign(
 
 @kernel
 def _add_up(ends: Int32Array, octaves: Records, layout: Layout) -> None:
-    """Turn how many bodies each bucket holds into where they begin; take note of octaves that are crowded."""
+    """Turn the numbers of bodies in the buckets into first positions; note crowded octaves."""
     total, last = np.int32(0), 0
     for L in range(layout.grids[0]):
         pairs = 0
@@ -312,7 +312,7 @@ def _add_up(ends: Int32Array, octaves: Records, layout: Layout) -> None:
 
 @long_kernel
 def _move(lo: int, hi: int, before: Table, bucket: Int32Array, rank: Int32Array, table: Table) -> None:
-    """Move the bodies to their places."""
+    """Copy the bodies to their places."""
     ends, body, sphere = table
     for k in range(lo, hi):
         slot = ends[bucket[k]] + rank[k]

@@ -1,10 +1,12 @@
-"""Hierarchical grid: each body looks into the cells within its reach, in the grid of its own octave and in others.
+"""Hierarchical grid: each body searches the cells within its reach, in the grid of its own octave and in others.
 
-Within an octave a pair is found from the cell that comes first. Of two octaves it is found from one of them: either
-the smaller bodies look into the few cells of the larger ones that they meet, or the larger ones into the many cells
-that they cover; whichever are fewer cells in all. Among radii by a power law it is the latter, in the gravel on a
-planet the former. Rejected: the smaller ones always, each octave in a hashed grid of its own (4 times the time for 10⁵
-radii from 1 to 100).
+Within an octave a pair is found from the cell that comes first. A pair of two octaves is found from one of them. Either
+the smaller bodies search the few cells of the larger ones that they meet, or the larger bodies search the many cells
+that they cover, whichever are fewer cells in all. For gravel on a planet it is the former, for power-law radii the
+latter.
+
+Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
+10⁵ radii from 1 to 100).
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
-ALL_PAIRS_UP_TO = 100  # bodies: to look at every pair of so few is faster than to sort them into cells
+ALL_PAIRS_UP_TO = 100  # bodies; testing every pair of so few is faster than sorting them into cells
 NARROW = 4  # cells; a wider reach is cut to the chord of each row
 MIN_BODIES_PER_TASK = 200
 
@@ -75,7 +77,7 @@ class HierarchicalGrid:
         return self._found[0, :m].copy()
 
     def _find(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
-        """Fill the first half of the buffer; return how many pairs there are, if they fitted."""
+        """Fill the first half of the buffer; return the number of pairs, if they fitted."""
         taken, found = self._taken, self._found
         taken[0] = 0
         self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, taken, found)
@@ -94,7 +96,7 @@ def search(
     taken: IntArray,
     found: IntArray,
 ) -> None:
-    """Note the pairs of the bodies [lo, hi) of the table."""
+    """Store the pairs of the bodies [lo, hi) of the table."""
     ends, body, sphere = table
     origin, box = layout.origin, layout.box
     periodic = box[0] > 0.0
@@ -115,13 +117,13 @@ def search(
             fy, ly = math.floor((oy - reach) * ky), math.floor((oy + reach) * ky) + 1
             fz, lz = math.floor((oz - reach) * kz), math.floor((oz + reach) * kz) + 1
             whole = True
-            if periodic:  # no cell twice
+            if periodic:  # visits no cell twice
                 whole = lx - fx <= nx and ly - fy <= ny and lz - fz <= nz
                 lx, ly, lz = min(lx, fx + nx), min(ly, fy + ny), min(lz, fz + nz)
             else:
                 fx, fy, fz = max(fx, 0), max(fy, 0), max(fz, 0)
                 lx, ly, lz = min(lx, nx), min(ly, ny), min(lz, nz)
-            # within an octave half of the neighbours; where a cell is its neighbour on both sides, later bodies of all
+            # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
             half = K == L
             if half and periodic:
                 most = WIDER * (grid.diameter * scale + skin)
@@ -192,7 +194,7 @@ def search(
 def _all_pairs(
     position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, found: IntArray
 ) -> int:
-    """Note the pairs of all bodies, and return how many there are."""
+    """Store the pairs of all bodies; return their number."""
     m, periodic = 0, box[0] > 0.0
     for i in range(len(radius)):
         for j in range(i + 1, len(radius)):
@@ -218,12 +220,12 @@ def _leave(found: IntArray, m: int, end: int) -> None:
 
 @kernel
 def sort_pairs(rows: int, found: IntArray, counts: IntArray) -> int:
-    """Sort what the rows hold by (i, j), if they are all there: by j into the second half of the buffer, by i back.
+    """Sort the pairs by (i, j), if all fitted: by j into the second half of the buffer, then by i back.
 
     Returns
     -------
     m
-        How many pairs they hold.
+        Number of pairs.
     """
     if rows > found.shape[1]:
         return 0
@@ -233,7 +235,7 @@ def sort_pairs(rows: int, found: IntArray, counts: IntArray) -> int:
 
 @kernel
 def _sort_by(end: int, rows: int, pairs: IntArray, ordered: IntArray, counts: IntArray) -> int:
-    """Sort by one of the ends, keeping the order of equals and leaving out what is no pair; return how many are."""
+    """Sort by one of the ends, stably, without unused rows; return the number of pairs."""
     for i in range(len(counts)):
         counts[i] = 0
     for c in range(rows):

@@ -1,4 +1,4 @@
-"""A k-d tree as broad phase, to compare with."""
+"""A k-d tree as broad phase, for comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planes in the broad phase: which bodies touch which."""
+"""Planes in the broad phase."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class PlaneSearch:
     radius
         (n,) m.
     inverse_mass
-        (n + p,) 1/kg; what is fixed touches nothing else that is.
+        (n + p,) 1/kg; two fixed ends form no contact.
     planes
         The half-spaces.
     team
@@ -42,7 +42,7 @@ class PlaneSearch:
         self._planes = planes
 
     def merged(self, pairs: IntArray, position: FloatArray, scale: float, skin: float) -> IntArray:
-        """Return the pairs, (m, 2) sorted by (i, j), with those of bodies and planes among them, in order."""
+        """Return the pairs merged with those of bodies and planes, (m, 2) sorted by (i, j)."""
         n, p, team = len(self._radius), len(self._planes), self._team
         blocks = np.empty(-(-n // BODIES_PER_BLOCK), dtype=BLOCK)
         merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
@@ -69,7 +69,7 @@ def _merge(
     merged: IntArray,
     blocks: Records,
 ) -> None:
-    """Merge the pairs of the blocks [lo, hi) of bodies, each block from where it has room for all possible pairs."""
+    """Merge the pairs of the blocks [lo, hi) of bodies; each block has room for all its possible pairs."""
     c = first_of(lo * BODIES_PER_BLOCK, pairs)
     for block in range(lo, hi):
         begin = c + block * BODIES_PER_BLOCK * len(offset)

@@ -1,4 +1,4 @@
-"""The ways to find pairs that touch, and the one that a scene asks for."""
+"""The protocol of searches for touching pairs, and the choice by `contact.search`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ IntArray = NDArray[np.int64]
 
 
 class Search(Protocol):
-    """A way to find the pairs of spheres that touch."""
+    """A search for the pairs of spheres that touch."""
 
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
@@ -24,5 +24,5 @@ class Search(Protocol):
 
 
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
-    """Return the search that a scene names in ``contact.search``; the grids are searched by a team."""
+    """Return the search of a scene's ``contact.search``; a team searches the grids."""
     return KdTree(radius, box) if method == "k-d-tree" else HierarchicalGrid(radius, box, team)

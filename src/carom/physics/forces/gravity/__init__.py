@@ -1,4 +1,4 @@
-"""How bodies pull each other: by a direct sum over all pairs, or by a tree."""
+"""Gravity of the bodies on each other: by a direct sum over all pairs, or by a tree."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 class Gravity:
-    """The pull of all bodies on each other, summed one way or the other."""
+    """The gravity of all bodies on each other, by direct sum or tree."""
 
     kind = GRAVITY
     uniform = np.zeros(3)
@@ -26,7 +26,7 @@ class Gravity:
         self._pull = pull
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Write the pull; see `Force`. No other force comes before it."""
+        """Write the acceleration; see `Force`. Gravity is always the first force."""
         assert first, "gravity is the first of the forces"
         return self._pull.accelerate(position, acceleration, potential) or 0.0
 
@@ -39,7 +39,7 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> Gravity:
 
 
 def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> DirectGravity | TreeGravity | None:
-    """Choose how a scene sums the pull of bodies of mass (n,) kg; None where nothing pulls."""
+    """Return the gravity of bodies of mass (n,) kg by the method of a scene; None if there is none."""
     method, gravity = gravity_method(scene), scene.gravity
     if method == "none":
         return None

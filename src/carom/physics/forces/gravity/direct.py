@@ -5,16 +5,19 @@
 
 Without softening, coincident bodies neither pull each other nor have a potential: both are undefined.
 
-Each pair needs one square root and one division. Bodies are taken in blocks of 32. A block of targets lies in the SIMD
-lanes and the bodies of a later block are taken in turn as sources: what a source does to the lanes is added up for each
-lane, and so is what the lanes do to the source, whose lanes are added up in a fixed order at the end of its block. So
-the order of every sum is fixed by the number of bodies: the same bits on any SIMD width and any number of threads.
+Each pair needs one square root and one division. Bodies are processed in blocks of 32. A block of targets lies in the
+SIMD lanes, and the bodies of a later block are taken in turn as sources. Accelerations of the targets are summed lane
+by lane, and so are the reactions on each source. The lanes of a source are summed in a fixed order at the end of its
+block. The number of bodies thus fixes the order of every sum: the same bits on any SIMD width and any number of
+threads.
 
-Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which does 2.7 × 10⁹ times root
-and division a second): 3.0, 3.2 and 3.4 × 10⁹. Rejected: every body summing over all others (2.4 × 10⁹; faster below
-200 bodies, by a microsecond), one source at a time (2.3, 2.9 and 3.2 × 10⁹: two share the loads and stores of the
-lanes), sums kept in arrays that are handed in (2.5 × 10⁹ at most: for all that the compiler knows they overlap),
-approximate reciprocal roots (slower, and other bits), a reduction over sources (other bits).
+Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
+and divisions a second): 3.0, 3.2 and 3.4 × 10⁹.
+
+Rejected: each body summing over all others (2.4 × 10⁹; faster below 200 bodies, by a microsecond); one source at a time
+(2.3, 2.9 and 3.2 × 10⁹; two share the loads and stores of the lanes); sums in arrays passed as arguments (2.5 × 10⁹ at
+most, because the compiler must assume that they overlap); approximate reciprocal roots (slower, and other bits); a
+reduction over sources (other bits).
 """
 
 from __future__ import annotations
@@ -33,12 +36,12 @@ X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
-PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder wants the other core
-SLABS = 16  # of equal work, each with sums of its own: so many threads can share a sum of `PARALLEL_FROM` bodies
+PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder needs the other core
+SLABS = 16  # of equal work, each with sums of its own: the largest number of threads that can share a sum
 
 
 class DirectGravity:
-    """Pull and potential of n bodies on each other, with the workspace they need."""
+    """Direct gravity of n bodies on each other, with its workspace."""
 
     def __init__(self, mass: FloatArray, constant: float, softening: float, team: Team = SOLO):
         n = len(mass)
@@ -46,7 +49,7 @@ class DirectGravity:
         self._mass = mass
         self._constant = constant
         self._softening_squared = softening * softening
-        self._source = np.zeros((4, blocks * LANES))  # what fills the last block has no mass
+        self._source = np.zeros((4, blocks * LANES))  # padding of the last block has no mass
         self._source[MASS, :n] = mass
         self._edges = _slabs(blocks, SLABS if n >= PARALLEL_FROM else 1)
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
@@ -54,7 +57,7 @@ class DirectGravity:
         self._team = team if n >= PARALLEL_FROM else SOLO
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if it is asked for.
+        """Write the acceleration of every body; return the potential energy in joules if requested.
 
         Parameters
         ----------
@@ -76,17 +79,17 @@ class DirectGravity:
 
 
 def _slabs(blocks: int, count: int) -> IntArray:
-    """Split the blocks into slabs of about equal work: a block meets all before it."""
+    """Split the blocks into slabs of about equal work; each block is paired with all before it."""
     work = np.cumsum(np.arange(1, blocks + 1))
     return np.concatenate(([0], np.searchsorted(work, work[-1] * np.arange(1, count) / count), [blocks]))
 
 
 @kernel
 def _lanes(count: int) -> FloatArray:
-    """Allocate floats that begin on a cache line: lanes that straddle two of them take twice as long.
+    """Allocate floats that begin on a cache line; lanes that straddle two lines take twice as long.
 
-    Made inside of the kernel, so that the compiler knows that lanes do not overlap. Not inlined: a dozen copies of it
-    would take half a second to compile.
+    The kernel allocates them itself, so the compiler knows that lanes do not overlap. This function is not inlined:
+    a dozen copies would take half a second to compile.
     """
     buffer = np.empty(count + CACHE_LINE // 8)
     start = (CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8
@@ -104,7 +107,7 @@ def _pull(
     sums: FloatArray,
     potential: FloatArray | None,
 ) -> None:
-    """Write what the blocks of the slabs from lo to hi, and all before them, do to each other: Σ m d/R³, and Σ m/R."""
+    """Write Σ m d/R³ and Σ m/R between the blocks of the slabs [lo, hi) and all blocks before them."""
     L, H = np.uint64(LANES), np.uint64(LANES // 2)
     tx, ty, tz, tm = _lanes(LANES), _lanes(LANES), _lanes(LANES), _lanes(LANES)
     ax, ay, az, ap = _lanes(LANES), _lanes(LANES), _lanes(LANES), _lanes(LANES)
@@ -120,14 +123,12 @@ def _pull(
                 bx[k] = by[k] = bz[k] = bp[k] = 0.0
             for targets in range(block + 1):
                 i = np.uint64(targets) * L
-                weight = (
-                    1.0 if i < first else 0.0
-                )  # a block's own bodies pull its lanes, each once, and nothing is mirrored
+                weight = 1.0 if i < first else 0.0  # within a block each body is a source once, without reactions
                 for k in range(L):
                     tx[k], ty[k], tz[k] = source[X, i + k], source[Y, i + k], source[Z, i + k]
                     tm[k] = weight * source[MASS, i + k]
                     ax[k] = ay[k] = az[k] = ap[k] = 0.0
-                for two in range(twos):  # sources at a time, which share the loads and stores of the lanes
+                for two in range(twos):  # two sources share the loads and stores of the lanes
                     j = first + two + two
                     q = (two + two) * L
                     jj = j + np.uint64(1)
@@ -191,8 +192,8 @@ def _total(
     potential: FloatArray,
     wanted: bool,
 ) -> None:
-    """Add up the slabs: each has sums for its own blocks and those before them."""
-    # softened, a body would sit in its own potential, m/ε: taken away with the rounding with which it was added
+    """Add the slabs; each has sums for its own blocks and those before them."""
+    # with softening each body has added its own potential, m/ε; subtract it with the same rounding
     own = 1.0 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0
     slab = 0
     for i in range(len(m)):

@@ -2,8 +2,8 @@
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 
-They are summed over the bodies of each box, not over its halves: that costs a twelfth of the whole, and only so is b
-exact.
+They are summed over the bodies of each box, not over its halves. This costs a twelfth of the whole evaluation and makes
+b exact.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 BOXES_PER_TASK = 64  # about 10 µs
-EXACT_UP_TO = 4  # bodies, which are taken one by one: hardly slower than their moments, and exact
+EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and hardly slower than their moments
 
 
 CENTRE = np.dtype(
@@ -27,7 +27,7 @@ CENTRE = np.dtype(
         ("x", np.float64),  # m, X
         ("y", np.float64),
         ("z", np.float64),
-        ("far_squared", np.float64),  # m², (b/θ)²: beyond that distance M and Q stand for the bodies
+        ("far_squared", np.float64),  # m², (b/θ)²: beyond this distance M and Q replace the bodies
     ]
 )
 
@@ -57,11 +57,11 @@ def expand(
     Parameters
     ----------
     lo, hi
-        Threads, of which each takes the next `BOXES_PER_TASK` boxes until there are no more.
+        Range of threads; each takes the next `BOXES_PER_TASK` boxes until none are left.
     turn
-        (1,), how often some were taken.
+        (1,), how many times boxes were taken.
     boxes, first, last
-        How many, and the bodies of each.
+        Number of boxes, and the range of bodies of each.
     x, m
         (3, n) m and (n,) kg, sorted.
     theta

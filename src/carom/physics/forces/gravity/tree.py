@@ -1,11 +1,11 @@
-"""Gravity by a tree: a box of bodies that is far enough away pulls as a whole.
+"""Gravity by a tree: distant boxes of bodies pull as a whole.
 
-`tree_build` sorts the bodies, `multipole` sums up the boxes, `tree_walk` decides what is far and adds up the pull. The
-error is that of the opening angle (docs/physics.md has it measured), and so is that of the total momentum: the force on
-a body and those that it exerts are not opposite. The bits are the same on any processor and number of threads.
+`tree_build` sorts the bodies into boxes, `multipole` computes their moments, and `tree_walk` opens near boxes and sums
+the accelerations. The opening angle determines the error (measured in docs/physics.md), and that of the total momentum,
+because the two forces of a pair are not opposite. The bits are the same on any processor and number of threads.
 
-Threads take what is next in turn until nothing is left, so that all of them end at about the same time: in pieces that
-are cut beforehand, bodies that are crowded take far longer than others.
+Threads take the next piece of work until none is left, so all end at about the same time. Pieces assigned beforehand
+would be uneven, because crowded bodies take far longer than others.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 
 class TreeGravity:
-    """Pull and potential of n bodies on each other, with the workspace they need."""
+    """Tree gravity of n bodies on each other, with its workspace."""
 
     def __init__(
         self,
@@ -46,13 +46,13 @@ class TreeGravity:
         self._centres = np.empty(self._boxes.most, CENTRE)
         self._moments = aligned_empty(self._boxes.most, MOMENTS)
         self._potential = np.zeros(n)
-        self._turn = np.zeros(1, np.int64)  # how many things were taken in turn
+        self._turn = np.zeros(1, np.int64)  # how many pieces of work were taken
         size, most = self._team.size, self._boxes.most
-        # for each thread the lanes of a group, and what its walk found, far and near
+        # for each thread, the lanes of a group and the lists of far boxes and near bodies
         self._lists = np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if it is asked for.
+        """Write the acceleration of every body; return the potential energy in joules if requested.
 
         Parameters
         ----------

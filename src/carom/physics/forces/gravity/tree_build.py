@@ -1,16 +1,16 @@
-"""Bodies sorted into nested boxes: the tree.
+"""The tree: bodies sorted into nested boxes.
 
-Each box is the tight one around its bodies. It is halved in the middle of its longest side, and each half gets its own
-tight box, until no more than `LEAF` bodies are in one. Around a cube this is Morton's (1966) order, and the sort is a
-radix sort from the most significant bit on; but the bits adapt to the bodies, so none run out where one body is far
-away or thousands lie close to one point. Bodies at one point end as one leaf, of any size.
+Each box fits tightly around its bodies. It is halved in the middle of its longest side, and each half gets a tight box
+of its own, until a box has at most `LEAF` bodies. Around a cube this is Morton's (1966) order, and the sort is a radix
+sort from the most significant bit on. The bits adapt to the bodies, so they suffice where one body is far away or
+thousands lie close to one point. Bodies at one point form one leaf, of any size.
 
-The boxes stand in preorder: a box, then all boxes in it. A walk goes on to the next one to look into a box, and to
-``skip[box]`` to pass by it.
+The boxes are in preorder: a box, then all boxes in it. A walk goes on to the next box to open one, and to ``skip[box]``
+to pass over it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest) need a tenth to a third
-more time for the same error, since a box that is a little too large is split into eight. And keys of 21 bits a
-coordinate, which have to be made anew wherever they do not tell bodies apart.
+Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), which need a tenth to
+a third more time for the same error, because a box that is a little too large is split into eight; keys of 21 bits a
+coordinate, which have to be recomputed wherever they do not distinguish bodies.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-LEAF = 12  # bodies at most, unless they coincide
-GROUP = 128  # bodies at most that share a walk: at 64, 8 % slower at equal error, since the walks are shared by fewer
-GRAIN = 2048  # bodies at most that one thread sorts to the end; of more it leaves a half to whoever is free
-MIN_BODIES_PER_TASK = 20_000  # when they are copied
+LEAF = 12  # largest number of bodies in a leaf, unless they coincide
+GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
+GRAIN = 2048  # largest number of bodies that one thread sorts alone; of more it queues a half for other threads
+MIN_BODIES_PER_TASK = 20_000  # for copying
 
 UNSORTED, PUT, TAKEN = 0, 8, 16  # words of the queue's counters, each in a cache line of its own
 COUNTERS = 24
@@ -41,10 +41,10 @@ BODY = np.dtype([("x", np.float64), ("y", np.float64), ("z", np.float64), ("inde
 
 
 class Queue(NamedTuple):
-    """Ranges of bodies that wait to be sorted."""
+    """A queue of ranges of bodies to be sorted."""
 
-    counters: IntArray  # (COUNTERS,) bodies not sorted yet, ranges put into the queue, and those taken from it
-    end: IntArray  # (k,) of each range; 0 until it is there
+    counters: IntArray  # (COUNTERS,) bodies not sorted yet, ranges put into the queue, ranges taken from it
+    end: IntArray  # (k,) of each range; 0 until the range is written
     begin: IntArray  # (k,)
     box: IntArray  # (k,) the place of its first box
 
@@ -66,7 +66,7 @@ class Boxes:
 
     def __init__(self, mass: FloatArray, team: Team = SOLO) -> None:
         n = len(mass)
-        self.most = 2 * n  # a halving leaves a body on either side; pages that are never touched take no memory
+        self.most = 2 * n  # each halving leaves bodies on both sides; untouched pages take no memory
         self.position = np.empty((3, n))
         self.mass = np.empty(n)
         self.body = np.empty(n, np.int64)
@@ -105,7 +105,7 @@ def _lay_out(lo: int, hi: int, position: FloatArray, rows: Records) -> None:
 
 @kernel
 def _begin(queue: Queue, n: int) -> None:
-    """Clear the queue, and put all bodies on it."""
+    """Clear the queue, and put the range of all bodies on it."""
     counters = queue.counters
     for k in range(counters[PUT]):
         queue.end[k] = 0
@@ -118,7 +118,7 @@ def _put(queue: Queue, lo: int, hi: int, box: int) -> None:
     """Put a range of bodies on the queue, with the place of its box."""
     k = atomic_add(queue.counters, PUT, 1)
     queue.begin[k], queue.box[k] = lo, box
-    atomic_store(queue.end, k, hi)  # last: who finds it finds the others, too
+    atomic_store(queue.end, k, hi)  # written last: a thread that sees it sees the others, too
 
 
 @long_kernel
@@ -139,12 +139,12 @@ def _sort(
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
-    A range of k bodies has 2 k - 1 places for its boxes, as many as there can be: so it can be sorted before anybody
-    knows how many boxes stand before its own. At the place of the first one ``boxes`` tells how many there are; it is 0
-    where a box was halved and its halves went their own ways.
+    A range of k bodies has 2 k - 1 places for its boxes, the largest possible number. It can thus be sorted before the
+    number of boxes before its own is known. At the place of the first box ``boxes`` is their number, or 0 if a box was
+    halved and its halves were queued separately.
 
-    Written out in one piece: each call of a function that takes arrays counts their references, in memory that all
-    threads write to, and that took half as long again.
+    The function is written in one piece, because each call with arrays as arguments counts references in memory that
+    all threads write to. With calls it took half as long again.
     """
     stack, counters = stacks[lo], queue.counters
     while True:
@@ -168,7 +168,7 @@ def _sort(
                     az, bz = min(az, row.z), max(bz, row.z)
                 axis, middle = _longest_side(ax, bx, ay, by, az, bz)
                 half = over = i0
-                for i in range(i0, i1):  # without a branch: either half is written to, and one of them moves on
+                for i in range(i0, i1):  # without a branch: both halves are written to, and one of them advances
                     row = rows[i]
                     x0, y0, z0, index = row.x, row.y, row.z, row.index
                     along = x0 if axis == 0 else (y0 if axis == 1 else z0)
@@ -181,7 +181,7 @@ def _sort(
                 for k in range(over - i0):
                     lower, upper = rows[half + k], spare[i0 + k]
                     lower.x, lower.y, lower.z, lower.index = upper.x, upper.y, upper.z, upper.index
-            if i0 < half < i1:  # else they are few, or at one point, or not finite
+            if i0 < half < i1:  # otherwise they are few, at one point, or not finite
                 if i1 - i0 > np.uint64(GRAIN):
                     boxes[box] = 0
                     _put(queue, int(half), int(i1), box + 2 * int(half - i0))
@@ -212,14 +212,14 @@ def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: flo
     if bz - az > high - low:
         axis, low, high = 2, az, bz
     middle = low + 0.5 * (high - low)
-    return axis, middle if middle > low else high  # of neighbouring numbers, the higher one parts them
+    return axis, middle if middle > low else high  # between neighbouring numbers, the higher one separates them
 
 
 @long_kernel
 def _put_in_order(
     n: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray, edges: IntArray
 ) -> tuple[int, int]:
-    """Make of the boxes of the ranges those of the whole; return how many there are, and how many groups."""
+    """Join the boxes of all ranges; return the numbers of boxes and of groups."""
     boxes = _close_up(n, first, last, skip)
     _link(boxes, first, last, skip, begins)
     return boxes, _group(boxes, first, last, skip, edges)
@@ -227,7 +227,7 @@ def _put_in_order(
 
 @kernel
 def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
-    """Close the gaps between the boxes of one range and of the next; return how many boxes there are."""
+    """Close the gaps between the boxes of the ranges; return the number of boxes."""
     count = box = 0
     while box < 2 * n - 1:
         bodies, nested = last[box] - first[box], boxes[box]
@@ -240,7 +240,7 @@ def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
 
 @kernel
 def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray) -> None:
-    """Write for each box the one that follows all that is in it: the largest one that begins where this one ends."""
+    """Write for each box the next one outside it: the largest box that begins where this one ends."""
     begins[len(begins) - 1] = boxes
     for box in range(boxes - 1, -1, -1):
         skip[box] = begins[last[box]]
@@ -249,7 +249,7 @@ def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: I
 
 @kernel
 def _group(boxes: int, first: IntArray, last: IntArray, skip: IntArray, edges: IntArray) -> int:
-    """Cut the sorted bodies into groups, each the bodies of a box; return how many there are."""
+    """Cut the sorted bodies into groups, each the bodies of one box; return the number of groups."""
     groups, box = 0, 0
     while box < boxes:
         if last[box] - first[box] <= GROUP or skip[box] == box + 1:

@@ -1,13 +1,14 @@
-"""One walk through the boxes for each group of bodies, and the sums over what it finds.
+"""Tree walks, one for each group of bodies, and the sums over the boxes and bodies that they find.
 
-A box of moments M, Q about X stands for its bodies if it is seen from the nearest point of the group's own box under
-an angle b/d < θ; else the walk looks into it, and at a leaf takes the bodies one by one. With d = X - x, R² = d² + ε²:
+A box with the moments M, Q about X replaces its bodies if its angular radius b/d, seen from the nearest point of the
+group's own box, is below θ. Otherwise the walk opens it; the bodies of a leaf are taken one by one. With d = X - x,
+R² = d² + ε²:
 
     a = G [ (M/R³ + (5/2 dᵀQd/R² - tr Q/2)/R⁵) d - Q d/R⁵ ]
     φ = -G [ M/R + (1/2 dᵀQd/R² - tr Q/6)/R³ ]
 
-a is -∇φ, and both hold for any softening ε. Without quadrupoles, Q = 0. The group's bodies lie in the SIMD lanes and
-every box and body is taken in turn, so that the bits depend neither on the SIMD width nor on the threads.
+a is -∇φ, and both hold for any softening ε. Without quadrupoles, Q = 0. The bodies of a group lie in the SIMD lanes,
+and boxes and bodies are taken in turn, so the bits depend on neither the SIMD width nor the threads.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, and their sums
-LANES_PER_REGISTER = 8  # lanes of float64 in the widest registers: a loop over whole registers leaves no remainder
+LANES_PER_REGISTER = 8  # of float64, in the widest registers; loops over whole registers leave no remainder
 
 
 @long_kernel
@@ -53,9 +54,9 @@ def pull(
 ) -> None:
     """Write acceleration and potential of all groups.
 
-    Each of the threads from lo to hi takes the next group until there are no more; ``turn``, (1,), counts those taken.
+    Each of the threads [lo, hi) takes the next group until none are left; ``turn``, (1,), counts the groups taken.
     """
-    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε: softened, a body would sit in its own potential
+    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε, the potential of a body at its own position
     lanes, far, near = lanes_of[lo], far_of[lo], near_of[lo]
     while True:
         group = atomic_add(turn, 0, 1)
@@ -68,7 +69,7 @@ def pull(
         y0 = y1 = x[Y, i0]
         z0 = z1 = x[Z, i0]
         for lane in range(width):
-            i = i0 + min(lane, bodies - 1)  # spare lanes repeat the last body and are thrown away
+            i = i0 + min(lane, bodies - 1)  # spare lanes repeat the last body; their results are discarded
             x0, x1 = min(x0, x[X, i]), max(x1, x[X, i])
             y0, y1 = min(y0, x[Y, i]), max(y1, x[Y, i])
             z0, z1 = min(z0, x[Z, i]), max(z1, x[Z, i])
@@ -81,7 +82,7 @@ def pull(
             dy = max(y0 - centre.y, 0.0, centre.y - y1)
             dz = max(z0 - centre.z, 0.0, centre.z - z1)
             if dx * dx + dy * dy + dz * dz > centre.far_squared:
-                prefetch_to_read(moments, box)  # 2 to 5 % of the whole; more beside others who need the cache
+                prefetch_to_read(moments, box)  # saves 2 to 5 % of the whole; more if other processes use the cache
                 far[fars] = box
                 fars += 1
                 box = skip[box]
