@@ -13,13 +13,6 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from rich.table import Table
 
-MOMENTS = {
-    "impact": "hardest impact, {value:.4g} J of approach (½ μ v_n²)",
-    "overlap": "deepest overlap, {value:.3%} of the smaller radius",
-    "contacts": "most contacts, {value:.0f}",
-    "energy_error": "largest integration error, {value:.2e} of the energy scale",
-}
-
 AROUND = 20  # frames, of a clip of a moment
 
 
@@ -107,18 +100,16 @@ def _warnings(summary: dict[str, Any]) -> Iterator[str]:
 
 def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
     """Name each extreme, and the commands that look closer."""
+    from carom.experiment.overview import moments
+
     length = summary["sim_time"] - summary.get("clip", {}).get("from", 0.0)
     window = AROUND * length / max(1, summary["frames"] - 1)
-    for name, wording in MOMENTS.items():
-        moment = summary["moments"].get(name)
-        if moment:
-            who, time = moment["between"], moment["time"]
-            begin, end = max(0.0, time - window / 2), time + window / 2
-            what = wording.format(value=moment["value"]) + (f", {who}" if who else "")
-            yield f"{what}, at step {moment['step']}, t = {time:.6g} s"
-            yield "    " + command("view", file, "--at", f"{time:.9g}")
-            yield "    " + command("clip", file, "--around", f"{time:.9g}", "--window", f"{window:.3g}")
-            yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
+    for moment in moments(summary):
+        begin, end = max(0.0, moment.time - window / 2), moment.time + window / 2
+        yield f"{moment.text}, at step {moment.step}, t = {moment.time:.6g} s"
+        yield "    " + command("view", file, "--at", f"{moment.time:.9g}")
+        yield "    " + command("clip", file, "--around", f"{moment.time:.9g}", "--window", f"{window:.3g}")
+        yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 
 
 def _profile(summary: dict[str, Any]) -> Table:

@@ -16,6 +16,7 @@ from carom.cli import (
     diff,
     explain,
     inspect,
+    publish,
     repair,
     replay,
     report,
@@ -66,6 +67,7 @@ app.command("new", cls=Command)(scenes.new)
 app.command("explain", cls=Command)(explain.explain)
 app.command("inspect", cls=Command)(inspect.inspect)
 app.command("replay", cls=Command)(replay.replay)
+app.command("publish", cls=Command)(publish.publish)
 app.command("report", cls=Command)(report.report)
 app.command("resume", cls=Command)(resume.resume)
 app.command("stress", cls=Command)(stress.stress)

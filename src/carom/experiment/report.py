@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from carom.experiment.contact_counts import counts_text
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
+from carom.experiment.overview import overview
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
 from carom.recording.edit import bundle
@@ -157,9 +157,7 @@ def _picture(recording: Path, moment: float, path: Path) -> tuple[Path | None, s
 def _summary(
     recording: Recording, clip: Recording, moment: float, why: str, replayed: str, picture: bool, name: str
 ) -> str:
-    whole, times = recording.summary(), clip.fingerprints()["time"].to_numpy()
-    energy, contacts = whole["energy"], whole["contacts"]
-    counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    times = clip.fingerprints()["time"].to_numpy()
     lines = [
         f"# {recording.title}",
         "",
@@ -168,15 +166,7 @@ def _summary(
         *(["![The moment](picture.png)", ""] if picture else []),
         "| | |",
         "|---|---|",
-        f"| command | `{recording.properties.get('command', '')}` |",
-        f"| outcome | {in_words(whole['outcome'])} |",
-        f"| run | {whole['bodies']} bodies, {whole['steps']} steps, {whole['sim_time']:.6g} s simulated |",
-        f"| energy | {energy['initial']:.6g} J at first, {energy['final']:.6g} J at last; "
-        f"integration error at most {energy['max_error']:.3g} of the scale |",
-        f"| contacts | {counted}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius |",
-        *(f"| promise {name} | {_promise(verdict)} |" for name, verdict in whole["expect"].items()),
-        f"| versions | {', '.join(f'{package} {version}' for package, version in recording.versions.items())} |",
-        f"| machine | {recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')} |",
+        *(f"| {name} | {f'`{text}`' if name == 'command' else text} |" for name, text in overview(recording)),
         "",
         f"The clip: {clip.frames} frames from {times[0]:.9g} to {times[-1]:.9g} s. {replayed}",
         "",
@@ -191,13 +181,6 @@ def _summary(
         "",
     ]
     return "\n".join(lines)
-
-
-def _promise(verdict: dict[str, Any]) -> str:
-    kept = "kept" if verdict["met"] else "**missed**"
-    if not verdict.get("judged", True):
-        kept = "not judged, the run ended elsewhere"
-    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}: {kept}"
 
 
 def _ledger(clip: Recording) -> list[str]:

@@ -1,0 +1,46 @@
+"""`carom publish`: a folder that any web host can serve."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carom.cli.options import JsonOption, RecordingArgument
+from carom.cli.text import say
+
+
+def publish(
+    file: RecordingArgument,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: FILE-page, beside FILE.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a folder for any static web host: a page with pictures of the moments, the viewer and the recording."""
+    import json
+    import shlex
+    from dataclasses import asdict
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.units import bytes_text
+    from carom.experiment.publish import publish as make
+    from carom.experiment.publish import refuse_folder
+    from carom.recording.read.recording import Recording
+
+    recording = Recording.open(file)
+    folder = output or file.with_name(f"{file.stem}-page")
+    refuse_folder(folder, force)
+    announce_compilation()
+    made = make(recording, folder, lambda what: say(f"Writing {what} …", err=True))
+    if as_json:
+        say(json.dumps({**asdict(made), "path": str(folder)}, indent=2))
+        return
+    moments = "1 moment" if made.moments == 1 else f"{made.moments} moments"
+    say(f"{folder} written, {bytes_text(made.size)}: {moments}.")
+    if made.picture:
+        say(f"Without pictures: {made.picture}", err=True)
+    say("Upload it to any web host. To look at it here, run this and open http://127.0.0.1:8000:")
+    say(f"    python3 -m http.server --bind 127.0.0.1 -d {shlex.quote(str(folder))}")

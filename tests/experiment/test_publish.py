@@ -1,0 +1,205 @@
+"""A recording as a folder for a web host."""
+
+from __future__ import annotations
+
+import functools
+import html.parser
+import http.server
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from browser import LOADED, chromium, pixels_of
+from carom.experiment import publish as publishing
+from carom.recording.errors import RecordingError
+from carom.recording.view.web import index_page, site
+from carom.recording.write.recorder import Recorder
+from command import carom
+from merry import Merry
+
+TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
+BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
+
+
+def record(path: Path, title: str = TITLE) -> Path:
+    merry = Merry(8, title=title)
+    impact: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2", "between": BETWEEN}
+    most: dict[str, float | str] = {"value": 7.0, "step": 40, "time": 2.0}
+    error: dict[str, float | str] = {"value": 1e-6, "step": 20, "time": 1.0}
+    moments = {"impact": impact, "contacts": most, "energy_error": error}
+    named = {f"moments.{name}.{key}": value for name, moment in moments.items() for key, value in moment.items()}
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(60):
+            recorder.put(frame)
+        recorder.finish("completed", named)
+    return path
+
+
+def draw(path: object, at: float, png: Path, size: tuple[int, int]) -> None:
+    Image.new("RGB", size, "orange").save(png)
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording, with pictures and a viewer that cost nothing."""
+    monkeypatch.setattr(publishing, "render", draw)
+    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
+    return record(tmp_path / "my run.rrd")
+
+
+class Texts(html.parser.HTMLParser):
+    """The tags of a page and the text between them."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_the_page_has_the_summary_and_a_picture_with_a_link_for_each_moment(run: Path) -> None:
+    done = carom("publish", run.name, cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    folder = run.parent / "my run-page"
+    assert "2 moments" in done.stdout and "-d 'my run-page'" in done.stdout
+    assert (folder / "recording.rrd").read_bytes() == run.read_bytes()
+    page = Texts((folder / "index.html").read_text(encoding="utf-8"))
+    links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
+    assert [link for link in links if link and "#" in link] == [
+        "viewer.html#at=1000000000&show=moment-1",
+        "viewer.html#at=2000000000&show=moment-2",
+    ]
+    for picture in ("moment-1.png", "moment-2.png"):
+        assert picture in [attributes.get("src") for tag, attributes in page.tags if tag == "img"]
+        assert Image.open(folder / picture).size == (1600, 1000)
+    for text in (
+        TITLE,
+        f"Hardest impact, 3 J of approach (½ μ v_n²), {BETWEEN}",
+        "Most contacts, 7",
+        "8 bodies",
+        "completed",
+    ):
+        assert text in page.text
+
+
+def test_no_text_of_the_recording_becomes_a_tag_of_a_page(run: Path) -> None:
+    carom("publish", run.name, "-o", "out", cwd=run.parent)
+    for name in ("index.html", "viewer.html"):
+        page = Texts((run.parent / "out" / name).read_text(encoding="utf-8"))
+        assert not {"b"} & {tag for tag, _ in page.tags}
+        scripts = [attributes.get("src") or "" for tag, attributes in page.tags if tag == "script"]
+        assert all(script.endswith(".js") for script in scripts)
+        assert not any(name.startswith("on") for _, attributes in page.tags for name in attributes)
+
+
+def test_the_pages_ask_no_other_host_for_anything(run: Path) -> None:
+    carom("publish", run.name, "-o", "out", cwd=run.parent)
+    for name in ("index.html", "viewer.html"):
+        for tag, attributes in Texts((run.parent / "out" / name).read_text(encoding="utf-8")).tags:
+            loaded = attributes.get("src") or (attributes.get("href") if tag == "link" else "") or ""
+            assert "//" not in loaded and not loaded.startswith("/")
+
+
+def test_a_folder_that_exists_is_replaced_only_when_forced(run: Path) -> None:
+    carom("publish", run.name, "-o", "out", cwd=run.parent)
+    before = (run.parent / "out" / "index.html").read_text(encoding="utf-8")
+    refused = carom("publish", run.name, "-o", "out", cwd=run.parent)
+    assert refused.returncode == 2 and "out: exists; give --force" in refused.stderr
+    record(run, "Another title")
+    assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode == 0
+    after = (run.parent / "out" / "index.html").read_text(encoding="utf-8")
+    assert before != after and "Another title" in after
+    assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "index.html"])
+def test_a_folder_with_a_file_of_another_program_is_never_replaced(run: Path, name: str) -> None:
+    folder = run.parent / "out"
+    folder.mkdir()
+    (folder / name).write_text("mine", encoding="utf-8")
+    done = carom("publish", run.name, "-o", "out", "--force", cwd=run.parent)
+    assert done.returncode == 2 and f"holds {name}, which carom did not write" in done.stderr
+    assert (folder / name).read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_what_ends_in_the_middle_leaves_the_old_folder(
+    run: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    carom("publish", run.name, "-o", "out", cwd=run.parent)
+    before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
+    monkeypatch.setattr(index_page, "write_index", fail)
+    assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
+    assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
+    assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]
+
+
+def test_without_a_driver_the_page_has_no_pictures_and_the_command_says_why(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise RecordingError("it needs a Vulkan driver")
+
+    monkeypatch.setattr(publishing, "render", fail)
+    done = carom("publish", run.name, "-o", "out", "--json", cwd=run.parent)
+    assert done.returncode == 0 and json.loads(done.stdout)["picture"] == "it needs a Vulkan driver"
+    page = Texts((run.parent / "out" / "index.html").read_text(encoding="utf-8"))
+    assert not [tag for tag, _ in page.tags if tag == "img"]
+    assert page.text.count("Open this moment in the viewer") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nothing.rrd"], "there is no recording at nothing.rrd"),
+        (["my run.rrd", "-o", "no/such/folder"], "there is no folder no/such"),
+        (["my run.rrd", "-o", "my run.rrd"], "my run.rrd: a file; name a folder"),
+    ],
+)
+def test_a_mistake_is_one_sentence(run: Path, arguments: list[str], said: str) -> None:
+    done = carom("publish", *arguments, cwd=run.parent)
+    assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+@pytest.fixture
+def published(tmp_path: Path) -> Iterator[str]:
+    """Yield the address of a published folder on a plain server of files."""
+    run = record(tmp_path / "run.rrd")
+    assert carom("publish", run.name, "-o", "out", cwd=tmp_path).returncode == 0
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(tmp_path / "out"))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.mark.slow
+def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> None:
+    with chromium() as (page, errors):
+        page.goto(published)
+        assert page.title() == TITLE
+        widths = page.eval_on_selector_all("img", "images => images.map((image) => image.naturalWidth)")
+        assert widths == [1600, 1600]
+        page.click("figure:nth-of-type(2) a")
+        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+        page.wait_for_timeout(3000)
+        shown = pixels_of(page)
+        assert page.url.endswith("viewer.html#at=2000000000&show=moment-2")
+    assert not errors
+    bodies = shown[75:250, :440]
+    assert (bodies.max(axis=2) - bodies.min(axis=2) > 60).mean() > 0.02, "bodies in the colours of their groups"
