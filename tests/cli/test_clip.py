@@ -10,9 +10,15 @@ from command import carom
 def test_clip_says_what_it_cut_out_and_the_clip_inspects(run_file: Path, tmp_path: Path) -> None:
     done = carom("clip", "run.rrd", "--around", "2.5", "--window", "0.4", "--bodies", "3,17", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "run-clip.rrd written: 9 frames, steps 46 to 54, 2.3 to 2.7 s, bodies 3 17, " in done.stdout
+    bodies = 'body 3 "body-3" and body 17 "body-17"'
+    assert f"run-clip.rrd written: 9 frames, steps 46 to 54, 2.3 to 2.7 s, {bodies}, " in done.stdout
     shown = carom("inspect", "run-clip.rrd", cwd=tmp_path).stdout
-    for part in ("clip of", "run.rrd, 2.3 to 2.7 s, bodies 3 17", "the whole run", "9 frames, steps 46 to 54"):
+    for part in (
+        "clip of",
+        'run.rrd, 2.3 to 2.7 s, body 3 "body-3" and body 17 "body-17"',
+        "the whole run",
+        "9 frames, steps 46 to 54",
+    ):
         assert part in shown
 
 
@@ -32,8 +38,8 @@ def test_clip_prints_json_that_a_script_can_use(run_file: Path, tmp_path: Path) 
         (["--around", "1", "--window", "-1"], "cannot be negative"),
         (["--from", "2", "--to", "1"], "the end lies before the beginning"),
         (["--from", "9"], "no frame between 9 and inf s; it goes from 0 to 4.95 s"),
-        (["--bodies", "3,x"], "expected numbers of bodies"),
-        (["--bodies", "3,99"], "has no body 99"),
+        (["--bodies", "3,x"], 'has no body "x"'),
+        (["--bodies", "3,99"], 'has no body "99"'),
         (["-o", "run.rrd"], "is the recording itself"),
         (["-o", "taken.rrd"], "exists; give --force"),
         (["-o", "no/such.rrd"], "there is no folder"),

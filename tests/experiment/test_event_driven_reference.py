@@ -52,7 +52,7 @@ def test_the_bounces_come_when_kepler_says_and_the_course_ends_where_the_bodies_
     scene = scene_of(bodies, gravity={"constant": 1.0}, contact={"restitution": 0.5}, time={"duration": 100.0})
     exact = course(scene)
     assert np.allclose(exact.time[:4], BOUNCES, rtol=0, atol=5e-6), "published to five decimals"
-    assert "bodies 0 and 1 stay in contact" in exact.ended
+    assert "body 0 and body 1 stay in contact" in exact.ended
     assert exact.trajectory.time[-1] <= AT_REST < exact.trajectory.time[-1] + 0.5
     # each flight is half as long as the one before; those from 4e-11 m of height on, 7e-5 s, are left out
     assert abs(exact.time[-1] - AT_REST) <= 2e-4

@@ -96,7 +96,7 @@ def test_an_exact_course_that_ends_early_says_so_and_is_compared_up_to_there() -
     scene = pair(gravity={"constant": 1.0}, time={"duration": 20.0}, contact={"restitution": 0.3})
     reference = make_reference(scene)
     assert reference.kind == "exact" and not reference.whole
-    assert 0.0 < reference.horizon < 20.0 and "it ends early: bodies 0 and 1 stay in contact" in reference.text
+    assert 0.0 < reference.horizon < 20.0 and "it ends early: body 0 and body 1 stay in contact" in reference.text
 
 
 def test_many_bodies_are_refined_until_they_part_and_the_horizon_is_there() -> None:

@@ -15,8 +15,8 @@ from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonito
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.event import Event
-from carom.physics.names import Names
 from carom.physics.space import Space
+from carom.scene.names import Names
 from carom.scene.schema import Expect
 from examples import pair, random_bodies, scene_of
 

@@ -183,7 +183,7 @@ def test_fewer_bodies_can_be_cut_out_of_a_few_by_their_own_numbers(recorded: Pat
     clip(recorded, tmp_path / "few.rrd", START, END, bodies=[3, 17, 20])
     clip(tmp_path / "few.rrd", tmp_path / "one.rrd", bodies=[17])
     assert static(tmp_path / "one.rrd", paths.BODIES)["Ellipsoids3D:labels"] == ["body-17"]
-    with pytest.raises(RecordingError, match=r"no body 5: it shows bodies \[3, 17, 20\]"):
+    with pytest.raises(RecordingError, match=r"no body 5: it shows body 3 .*, body 17 .* and body 20 "):
         clip(tmp_path / "few.rrd", tmp_path / "none.rrd", bodies=[5])
     assert not (tmp_path / "none.rrd").exists()
 

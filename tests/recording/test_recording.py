@@ -97,7 +97,9 @@ def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(p
     assert summary["contacts"]["total"] == 1234
     assert summary["expect"] == {"energy_error": KEPT}
     assert summary["profile"] == {"gravity": 0.5}
-    assert summary["moments"] == {"impact": {**HIT, "bodies": [3, 17], "planes": [], "between": "body 3 and body 17"}}
+    assert summary["moments"] == {
+        "impact": {**HIT, "bodies": [3, 17], "planes": [], "between": 'body 3 "body-3" and body 17 "body-17"'}
+    }
 
 
 def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, merry: Merry) -> None:
@@ -143,4 +145,4 @@ def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(tmp
         impact = {f"moments.impact.{key}": value for key, value in HIT.items()}
         recorder.finish("completed", impact | {"moments.impact.bodies": f"3,{n + 1}"})
     found = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
-    assert found == {**HIT, "bodies": [3], "planes": [1], "between": "body 3 and plane 1"}
+    assert found == {**HIT, "bodies": [3], "planes": [1], "between": 'body 3 "body-3" and plane 1'}

@@ -27,7 +27,11 @@ def clip(
     window: Annotated[Seconds, typer.Option("--window", parser=seconds, metavar="W", help="Its length (s).")] = None,
     bodies: Annotated[
         str | None,
-        typer.Option("--bodies", metavar="3,17", help="Show these bodies only, with the contacts among them."),
+        typer.Option(
+            "--bodies",
+            metavar="A,B",
+            help="Show these bodies only, by number or name, and the contacts among them.",
+        ),
     ] = None,
     output: OutputOption = None,
     force: ForceOption = False,
@@ -40,16 +44,18 @@ def clip(
     from carom.cli.units import bytes_text
     from carom.experiment.output import refuse_output
     from carom.recording.edit.clip import clip as cut
+    from carom.recording.read.recording import Recording
+    from carom.scene.names import bodies_called
 
     interval = _interval(start, end, around, window)
     path = output or file.with_name(f"{file.stem}-clip.rrd")
     _refuse_itself(file, path)
     refuse_output(path, force)
-    made = cut(file, path, *interval, bodies=_numbers(bodies))
+    made = cut(file, path, *interval, bodies=_numbers(file, bodies))
     if as_json:
         say(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
         return
-    shown = "" if made.bodies is None else f", bodies {' '.join(map(str, made.bodies))}"
+    shown = "" if made.bodies is None else f", {bodies_called(made.bodies, Recording.open(file).bodies.name)}"
     say(
         f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
         f"{made.start:.6g} to {made.end:.6g} s{shown}, {bytes_text(made.size)}."
@@ -76,15 +82,15 @@ def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) ->
     return first, last
 
 
-def _numbers(bodies: str | None) -> list[int] | None:
-    from carom.recording.errors import RecordingError
+def _numbers(file: Path, bodies: str | None) -> list[int] | None:
+    """Find the bodies that are meant, by their numbers or names."""
+    from carom.recording.read.body_names import body_number
+    from carom.recording.read.recording import Recording
 
     if bodies is None:
         return None
-    parts = [part.strip() for part in bodies.split(",")]
-    if not all(part.isascii() and part.isdigit() for part in parts):
-        raise RecordingError(f"--bodies {bodies}: expected numbers of bodies with commas between them, such as 3,17")
-    return [int(part) for part in parts]
+    recording = Recording.open(file)
+    return [body_number(recording, part.strip()) for part in bodies.split(",")]
 
 
 def _refuse_itself(file: Path, path: Path) -> None:

@@ -53,6 +53,7 @@ def _grid() -> Table:
 def _overview(summary: dict[str, Any]) -> Table:
     from carom.experiment.contact_counts import counts_text
     from carom.experiment.ending import in_words
+    from carom.scene.names import in_series
 
     energy, contacts = summary["energy"], summary["contacts"]
     angular = summary["angular_momentum"]["max_error"]
@@ -60,7 +61,7 @@ def _overview(summary: dict[str, Any]) -> Table:
     table.add_row("scene", f"{summary['scene']['title']}, {summary['bodies']} bodies")
     clip = summary.get("clip")
     if clip:
-        few = "" if len(clip["bodies"]) == summary["bodies"] else f", bodies {' '.join(map(str, clip['bodies']))}"
+        few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
         table.add_row("clip of", f"{clip['source']}, {clip['from']:.6g} to {clip['to']:.6g} s{few}")
     table.add_row("outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else ""))
     steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else f"{summary['steps']} steps"

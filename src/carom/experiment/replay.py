@@ -23,6 +23,7 @@ from carom.recording.read.restore import checkpoint_before, recorded_scene, spac
 from carom.recording.schema.header import Header
 from carom.recording.write.recorder import Recorder
 from carom.scene.forces import FORCES
+from carom.scene.names import body_called
 
 TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
 
@@ -39,6 +40,7 @@ class Difference:
     body: int | None  # None where it belongs to no one body
     recorded: Value
     replayed: Value
+    name: str = ""  # of the body
 
     @property
     def by(self) -> float | None:
@@ -48,7 +50,7 @@ class Difference:
         return self.replayed - self.recorded
 
     def __str__(self) -> str:
-        what = self.quantity + ("" if self.body is None else f" of body {self.body}")
+        what = self.quantity + ("" if self.body is None else f" of {body_called(self.body, self.name)}")
         off = "" if self.by is None else f", off by {self.by:.3g}"
         values = f"recorded {self.recorded!r}, replayed {self.replayed!r}"
         return f"step {self.step}, t = {self.time:.9g} s: {what}, {values}{off}"
@@ -200,7 +202,8 @@ class _Comparison:
 
     def _other(self, found: Mismatch) -> Difference:
         time = self._times.get(found.step, np.nan)
-        return Difference(found.step, time, found.quantity, found.body, found.recorded, found.replayed)
+        name = "" if found.body is None else self._recording.bodies.name[found.body]
+        return Difference(found.step, time, found.quantity, found.body, found.recorded, found.replayed, name)
 
     def left(self, step: int) -> int:
         """How many steps are still to be done."""
@@ -226,7 +229,8 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
             body = int(off.argmax())
             axis = int(np.abs(shown[body] - recorded[body]).argmax())
             name = f"{'xyz'[axis]} (m, as drawn)"
-            return Difference(frame.step, time, name, body, float(recorded[body, axis]), float(shown[body, axis]))
+            values = float(recorded[body, axis]), float(shown[body, axis])
+            return Difference(frame.step, time, name, body, *values, recording.bodies.name[body])
     energy = recording.energy()
     rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
     row = int(rows[0]) if len(rows) else 0

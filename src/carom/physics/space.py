@@ -32,7 +32,6 @@ from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.kick_drift import drift, kick, wrap
-from carom.physics.names import Names
 from carom.physics.parallel.thread_team import Team, cores
 from carom.physics.pull_time import PullTime
 from carom.physics.reference_api import BodyProxy
@@ -45,6 +44,7 @@ from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.plan.step_limits import StepLimits, step_limits, wider_limits
 from carom.scene.half_space import half_spaces
+from carom.scene.names import Names
 from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
 
@@ -617,7 +617,7 @@ class Space:
             if self.extremes.contacts is None:
                 graph = contact.seen.graph
                 i, j = graph.pairs[graph.first]
-                text = f"First contact: {self._called.of(i)} and {self._called.of(j)}."
+                text = f"First contact: {self._called.pair((i, j))}."
                 self._log(Event(self.step, self.time, "INFO", text, "first-contact"))
             self._see_contacts(contact, self.extremes)
             for text in contact.limits_reached():

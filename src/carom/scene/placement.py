@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.names import body_called, body_key
 from carom.scene.neighbours import (
     QUERY_MARGIN,
     overlapping_pairs,
@@ -63,8 +64,8 @@ def place(scene: Scene) -> Start:
     if parts and scene.contact.enabled:
         reach = np.abs(parts[0].position).max(axis=1)
         worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
-        remedy = ", or set contact.enabled = false"
-        _refuse_unresolved(f"body.{worst}", float(reach[worst]), float(parts[0].radius[worst]), remedy)
+        remedy, key = ", or set contact.enabled = false", body_key(worst, parts[0].name[worst])
+        _refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), remedy)
     solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         _refuse_overlaps(parts[0], box)
@@ -141,8 +142,9 @@ def _refuse_overflow(start: Start) -> None:
         }
     for what, bodies in wrong.items():
         if bodies.any():
-            name = start.name[int(np.argmax(bodies))]
-            raise SceneError(f'the {what} of "{name}" is too large or too small a number; choose other units')
+            worst = int(np.argmax(bodies))
+            called = body_called(worst, start.name[worst])
+            raise SceneError(f"the {what} of {called} is too large or too small a number; choose other units")
 
 
 def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
@@ -159,7 +161,7 @@ def _refuse_overlaps(start: Start, box: FloatArray | None) -> None:
     if overlap > rounding[worst]:
         a, b = pairs[worst]
         raise SceneError(
-            f'body.{a} ("{start.name[a]}") and body.{b} ("{start.name[b]}") overlap by {overlap:.6g} m at the start; '
+            f"{body_key(a, start.name[a])} and {body_key(b, start.name[b])} overlap by {overlap:.6g} m at the start; "
             "move them apart, or set contact.allow_overlap = true"
         )
 
@@ -170,8 +172,8 @@ def _refuse_immersion(start: Start, solids: HalfSpaces) -> None:
     if len(solids) and np.max(depth - rounding) > 0.0:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
         raise SceneError(
-            f'body.{body} ("{start.name[body]}") reaches {depth[body, plane]:.6g} m into {solids.name[plane]} at the '
-            "start; move it out, or set contact.allow_overlap = true"
+            f"{body_key(int(body), start.name[body])} reaches {depth[body, plane]:.6g} m into {solids.name[plane]} "
+            "at the start; move it out, or set contact.allow_overlap = true"
         )
 
 

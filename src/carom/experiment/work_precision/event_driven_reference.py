@@ -28,6 +28,7 @@ from carom.experiment.work_precision.trajectory import Trajectory
 from carom.physics.bodies import Bodies
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from carom.scene.names import bodies_called
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -94,7 +95,7 @@ class _Solver:
         self._scene, self._tolerance, self._times = scene, tolerance, times
         self._budget, self._deadline = budget, clock.perf_counter() + budget
         self._bodies = _copy(start)
-        self._n = len(start)
+        self._n, self._names = len(start), space.names
         self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
         self._field = np.array(scene.gravity.uniform)
         self._contacts = space.requirements.contact.modelled
@@ -301,7 +302,7 @@ class _Solver:
                 continue
             flight = rate / -pull if pull < 0.0 else 0.0
             if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
-                self._end(f"bodies {i} and {j} stay in contact from t = {self._time:.9g} s on")
+                self._end(f"{bodies_called((i, j), self._names)} stay in contact from t = {self._time:.9g} s on")
             longest = min(longest, flight)
         return longest
 

@@ -17,7 +17,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
-from carom.physics.names import Names
+from carom.scene.names import Names
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

@@ -15,7 +15,7 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
-from carom.physics.names import Names
+from carom.scene.names import Names
 
 FloatArray = NDArray[np.float64]
 

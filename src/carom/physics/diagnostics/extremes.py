@@ -9,7 +9,7 @@ from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.momentum import Momentum
 from carom.physics.event import Event
-from carom.physics.names import Names
+from carom.scene.names import Names
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ def _named(extreme: Extreme, names: Names) -> Extreme:
         extreme,
         bodies=tuple(end for end in extreme.bodies if end < n),
         planes=tuple(end - n for end in extreme.bodies if end >= n),
-        between=" and ".join(names.of(end) for end in extreme.bodies),
+        between=names.pair(extreme.bodies),
     )
 
 

@@ -9,10 +9,10 @@ from carom.physics.bodies import Bodies
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
+from carom.scene.names import bodies_called
 
 FloatArray = NDArray[np.float64]
 
-MOST_NAMES = 5
 MOST_TURNS = 1e6
 MIN_BODIES_PER_TASK = 5000
 
@@ -31,9 +31,9 @@ def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, 
         return
     finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)
     bodies_lost = np.flatnonzero(~finite.all(axis=1))
-    among = ", ".join(f'{body} "{names[body]}"' for body in bodies_lost[:MOST_NAMES])
     raise PhysicsError(
-        f"the state is no longer finite at step {step}, t = {time:.6g} s: {len(bodies_lost)} bodies, among them {among}"
+        f"the state is no longer finite at step {step}, t = {time:.6g} s: "
+        f"position or velocity of {bodies_called(bodies_lost.tolist(), names)}"
     )
 
 

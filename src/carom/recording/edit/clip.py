@@ -22,6 +22,7 @@ from carom.recording.schema.header import Scalar
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
+from carom.scene.names import bodies_called
 
 PROPERTY = "clip"
 
@@ -127,8 +128,9 @@ def _cut(recording: Recording, start: float, end: float) -> _Cut:
 def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
     shown = recording.shown
     if missing := sorted(set(bodies) - set(shown)):
-        whole = f"bodies 0 to {len(shown) - 1}" if shown == list(range(len(shown))) else f"bodies {shown}"
-        raise RecordingError(f"{recording.path} has no body {missing[0]}: it shows {whole}")
+        whole = shown == list(range(len(shown)))
+        which = f"bodies 0 to {len(shown) - 1}" if whole else bodies_called(shown, recording.bodies.name)
+        raise RecordingError(f"{recording.path} has no body {missing[0]}: it shows {which}")
     box = recording.info.get("box")
     return Selection(bodies, shown, None if box is None else np.asarray(box, dtype=np.float64))
 

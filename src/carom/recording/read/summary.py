@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from carom.recording.errors import DamageError
+from carom.scene.names import body_called
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -37,7 +38,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
         "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
         "warnings": [asdict(event) for event in recording.warnings()],
-        "moments": _moments(recording.closing, int(recording.info["bodies"])),
+        "moments": _moments(recording),
         "profile": {} if clip else _below(recording.closing, "profile"),
         "versions": recording.versions,
         "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
@@ -56,7 +57,9 @@ def _clip(recording: Recording) -> dict[str, Any]:
     if not recording.clip:
         return {}
     first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
-    return dict(recording.clip) | {"bodies": recording.shown, "first_step": first}
+    shown = recording.shown
+    called = [body_called(body, recording.bodies.name[body]) for body in shown]
+    return dict(recording.clip) | {"bodies": shown, "names": called, "first_step": first}
 
 
 def _energy(energy: pa.Table) -> dict[str, float]:
@@ -83,18 +86,22 @@ def _contacts(steps: pa.Table) -> dict[str, float]:
     }
 
 
-def _moments(closing: Mapping[str, Any], bodies: int) -> dict[str, Any]:
+def _moments(recording: Recording) -> dict[str, Any]:
     """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``.
 
-    Recordings without `planes` count them among the bodies, from n on, and say no names.
+    Recordings without `planes` count them among the bodies, from n on, and lack their names.
     """
-    moments = _complete(_below(closing, "moments"), ("value", "step", "time"))
+    moments = _complete(_below(recording.closing, "moments"), ("value", "step", "time"))
+    n = int(recording.info["bodies"])
     for moment in moments.values():
         ends, planes = _numbers(moment.get("bodies", "")), _numbers(moment.get("planes", ""))
-        moment["bodies"] = [end for end in ends if end < bodies]
-        moment["planes"] = planes or [end - bodies for end in ends if end >= bodies]
-        unnamed = [f"body {body}" for body in moment["bodies"]] + [f"plane {plane}" for plane in moment["planes"]]
-        moment["between"] = moment.get("between") or " and ".join(unnamed)
+        moment["bodies"] = [end for end in ends if end < n]
+        moment["planes"] = planes or [end - n for end in ends if end >= n]
+        if not moment.get("between"):
+            from carom.recording.read.names import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
+
+            ends = moment["bodies"] + [plane + n for plane in moment["planes"]]
+            moment["between"] = names_of(recording).pair(ends) if ends else ""
     return moments
 
 

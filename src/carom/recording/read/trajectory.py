@@ -15,6 +15,7 @@ from carom.recording.read.damage import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
+from carom.scene.names import bodies_called, body_called
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -78,7 +79,11 @@ def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
     """Return the drawn positions of a body, (k, 3) m; NaN where there are none."""
     shown = recording.shown
     if number not in shown:
-        raise RecordingError(f"{recording.path} does not show body {number}: it is a clip of bodies {shown}")
+        names = recording.bodies.name
+        raise RecordingError(
+            f"{recording.path} does not show {body_called(number, names[number])}: "
+            f"it is a clip of {bodies_called(shown, names)}"
+        )
     place, position = shown.index(number), np.full((len(steps), 3), np.nan)
     entries = [
         entry

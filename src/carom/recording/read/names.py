@@ -1,0 +1,23 @@
+"""What the bodies, planes and walls of a recording are called."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.restore import recorded_scene
+from carom.scene.error import SceneError
+from carom.scene.half_space import half_spaces
+from carom.scene.names import Names
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
+
+def names_of(recording: Recording) -> Names:
+    """Return the names of all bodies, planes and walls; planes have none if this version cannot read the scene."""
+    try:
+        planes = half_spaces(recorded_scene(recording)).name
+    except (RecordingError, SceneError):
+        planes = []
+    return Names(recording.bodies.name, planes)
