@@ -15,13 +15,15 @@ import pytest
 from browser import LOADED, chromium, pixels_of
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.view.presentation import presentation
 from carom.recording.view.web import site
 from carom.recording.view.web.server import hosted
 
 
 @pytest.fixture(scope="module")
 def link(recorded: Path) -> Iterator[str]:
-    with hosted(Recording.open(recorded), 2.0) as address:
+    recording = Recording.open(recorded)
+    with hosted(recording, 2.0, presentation(recording, 2.0).supplement) as address:
         yield address
 
 
@@ -46,7 +48,7 @@ def listening() -> set[tuple[str, int]]:
 
 def test_a_hosted_recording_is_listened_for_on_loopback_only(recorded: Path) -> None:
     before = listening()
-    with hosted(Recording.open(recorded)) as link:
+    with hosted(Recording.open(recorded), 0.0) as link:
         assert listening() - before == {("127.0.0.1", urlsplit(link).port)}
     assert listening() - before == set()
 
@@ -84,7 +86,10 @@ def test_a_page_of_another_name_that_leads_here_is_refused(link: str) -> None:
 
 def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
     taken = urlsplit(link).port or 0
-    with pytest.raises(RecordingError, match=f"port {taken} is in use"), hosted(Recording.open(recorded), port=taken):
+    with (
+        pytest.raises(RecordingError, match=f"port {taken} is in use"),
+        hosted(Recording.open(recorded), 0.0, port=taken),
+    ):
         pass
 
 

@@ -53,20 +53,18 @@ def view(
     """Open a recording in the Rerun viewer, paused at a moment; by default at its most interesting one."""
     if port and not web:
         raise typer.BadParameter("--port goes with --web")
-    if web and (event or bodies):
-        raise typer.BadParameter("--event and --bodies need a window; --web goes with --at")
-    if web:
-        _view_in_browser(file, at, port)
-        return
     from carom.cli.compiling import announce_compilation
     from carom.recording.view.window import open_window
 
     _refuse_both(at, event)
     announce_compilation()
+    if web:
+        _view_in_browser(file, at, event, bodies, port)
+        return
     open_window(file, at, event=event, bodies=bodies, say=_say_missing)
 
 
-def _view_in_browser(file: Path, at: float | None, port: int) -> None:
+def _view_in_browser(file: Path, at: float | None, event: str | None, bodies: str | None, port: int) -> None:
     """Host a recording until the interrupt key."""
     import contextlib
     import getpass
@@ -76,12 +74,18 @@ def _view_in_browser(file: Path, at: float | None, port: int) -> None:
 
     from carom.cli.text import say
     from carom.recording.read.recording import Recording
+    from carom.recording.view.presentation import asked
     from carom.recording.view.viewer import has_screen
     from carom.recording.view.web.server import hosted
 
     recording = Recording.open(file)
-    moment = None if at is None else recording.moment(at)
-    with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, port) as link:
+    if recording.is_overlay:
+        moment, supplement = recording.moment(at), None
+    else:
+        shown = asked(recording, at, event, bodies, dense=True)
+        moment, supplement = shown.time, shown.supplement
+        _say_missing(shown.missing)
+    with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as link:
         say(link)
         if not has_screen():
             taken = urlsplit(link).port

@@ -14,6 +14,7 @@ from carom.experiment.overview import Moment, moments, overview
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.picture import render
+from carom.recording.view.presentation import presentation
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
 from carom.recording.write.claim import Claim
@@ -61,7 +62,8 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
         for number, together in enumerate(_together(found), 1):
             name, time = f"moment-{number}", together[0].time
             watch(f"the moment at {time:.6g} s")
-            link = site.write_moment(recording, time, part, name)
+            shown = presentation(recording, time)
+            link = site.write_moment(recording, shown.time, shown.supplement, part, name)
             if not missing:
                 missing = _picture(recording, time, part / f"{name}.png")
             lines = [*(f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together), f"t = {time:.9g} s"]

@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import HOST
 from carom.recording.view.web import site
 
@@ -25,15 +26,32 @@ _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/
 
 
 @contextlib.contextmanager
-def hosted(recording: Recording, at: float | None = None, port: int = 0) -> Iterator[str]:
-    """Host a recording while the context lasts; give the link that opens it, paused at a simulated time (s).
+def hosted(recording: Recording, at: float, supplement: Supplement | None = None, port: int = 0) -> Iterator[str]:
+    """Host a recording while the context lasts; yield the link that opens it.
 
     The server listens on 127.0.0.1 only. The link has a secret in its path, for other people may be logged in here.
-    Port 0 takes a free one. RecordingError if the port is in use.
+
+    Parameters
+    ----------
+    recording
+        What is shown.
+    at
+        s, where it is paused.
+    supplement
+        How that moment is shown; by default as the recording says.
+    port
+        0 takes a free one.
+
+    Raises
+    ------
+    RecordingError
+        If the port is in use.
     """
     with tempfile.TemporaryDirectory(prefix="carom-") as folder, _listening(port) as server:
         site.write_viewer(recording, Path(folder))
-        page = site.PAGE if at is None else site.write_moment(recording, at, Path(folder), "moment")
+        page = site.paused_page(recording, at)
+        if supplement is not None:
+            page = site.write_moment(recording, at, supplement, Path(folder), "moment")
         secret = secrets.token_urlsafe(16)
         files = {path.name: path for path in Path(folder).iterdir()} | {site.RECORDING: recording.path.resolve()}
         server.files = {f"/{secret}/{name}": path for name, path in files.items()}

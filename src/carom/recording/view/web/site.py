@@ -15,7 +15,7 @@ from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
-from carom.recording.view.presentation import presentation
+from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import HOST, binary, free_port
 from carom.recording.write.rerun_compat import StoredLayout
 
@@ -49,17 +49,17 @@ def write_viewer(recording: Recording, folder: Path) -> None:
     shutil.copyfile(Path(binary()).with_name(NOTICES), folder / NOTICES)
 
 
-def write_moment(recording: Recording, at: float, folder: Path, name: str) -> str:
+def write_moment(recording: Recording, at: float, supplement: Supplement, folder: Path, name: str) -> str:
     """Write what shows a time (s) as ``NAME.rbl`` and ``NAME.rrd``; return the page's address, paused there."""
-    clock = Clock(float(recording.info["time_scale"]))
-    if recording.is_overlay:  # it has a layout of its own
-        return f"{PAGE}#at={clock.nanoseconds([at])[0]}"
     application, recording_id = recording.store.application_id, recording.store.store_id
-    shown = presentation(recording, at)
-    nanoseconds = clock.nanoseconds([shown.time])[0]
-    shown.supplement.layout.save(application, folder / f"{name}.rbl")
-    shown.supplement.save(folder / f"{name}.rrd", application, recording_id)
-    return f"{PAGE}#at={nanoseconds}&show={name}"
+    supplement.layout.save(application, folder / f"{name}.rbl")
+    supplement.save(folder / f"{name}.rrd", application, recording_id)
+    return f"{paused_page(recording, at)}&show={name}"
+
+
+def paused_page(recording: Recording, at: float) -> str:
+    """Return the address of the page, relative to its folder, paused at a time (s) in the recording's own layout."""
+    return f"{PAGE}#at={Clock(float(recording.info['time_scale'])).nanoseconds([at])[0]}"
 
 
 def _copy_web_viewer(folder: Path) -> None:
