@@ -41,7 +41,12 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
 
 
 def space_of(
-    recording: Recording, scene: Scene, checkpoint: Checkpoint, threads: int | None = None, restored: bool = True
+    recording: Recording,
+    scene: Scene,
+    checkpoint: Checkpoint,
+    threads: int | None = None,
+    restored: bool = True,
+    record_contacts: bool = False,
 ) -> Space:
     """Build a space in the state of a checkpoint.
 
@@ -52,6 +57,8 @@ def space_of(
     restored
         Whether to restore what the checkpoint has besides positions and velocities. At the start of a run a space has
         all that by itself, and the contacts of frame 0, too.
+    record_contacts
+        Whether frames carry what contacts did.
 
     Raises
     ------
@@ -61,7 +68,7 @@ def space_of(
         If the bodies in it cannot be simulated.
     """
     try:
-        space = Space(scene, threads, _start(recording, scene, checkpoint))
+        space = Space(scene, threads, _start(recording, scene, checkpoint), record_contacts=record_contacts)
         needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
         if (needs.spin.modelled, needs.orientation.modelled) != kept:
             raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")

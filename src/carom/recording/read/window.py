@@ -27,6 +27,8 @@ class Window:
         What to run again.
     before
         s; the checkpoint is earlier than this, unless there is none.
+    contacts
+        Whether frames carry what contacts did.
     threads
         Threads for the kernels; the bits do not depend on it.
     watch
@@ -43,6 +45,7 @@ class Window:
         recording: Recording,
         before: float,
         *,
+        contacts: bool = False,
         threads: int | None = None,
         watch: Watcher = lambda status: None,
     ) -> None:
@@ -57,7 +60,7 @@ class Window:
             scene = recorded_scene(recording)
         except SceneError as error:
             raise RecordingError(f"{recording.path} cannot be run again: {error}") from error
-        self._space = space_of(recording, scene, checkpoint, threads, restored=checkpoint.step > 0)
+        self._space = space_of(recording, scene, checkpoint, threads, checkpoint.step > 0, contacts)
 
     @property
     def source(self) -> str:

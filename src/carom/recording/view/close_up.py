@@ -38,10 +38,10 @@ FOLLOWED = f"{ROOT}/followed"
 _MOST_UNLIKE = 6.0  # ratio of radii from which on the larger body is not to be seen whole
 _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
 _ASIDE = 0.85  # how far the eye is turned away from the normal, which would point at it
-_NORMAL, _ARROW = (
-    0.9,
-    1.3,
-)  # lengths of the arrows in radii of the smaller body; the longer impulse or spin has the second
+_NORMAL = 0.9  # length of the normal in radii of the smaller body
+_SPIN = 1.3  # … of the faster spin's arrow
+_IMPULSE = 1.6  # length of an impulse's arrow in radii of its body: it sticks out
+_ROOM = 1.35  # radii about the bodies that are to be seen
 _THICK, _THIN = 0.07, 0.04  # of arrows, in the same
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _UNSEEN = 1e-6  # of a radius: the size of the points that the eye follows
@@ -54,7 +54,8 @@ class Contact:
 
     point: FloatArray  # (3,) m from the recording's origin
     normal: FloatArray  # (3,) from i to j
-    impulse: FloatArray  # (3,) N s, on j; zero where it is not known
+    approach_speed: float  # m/s
+    impulse: FloatArray  # (3,) N s, on j
     edge: FloatArray  # (2, 3) m
 
 
@@ -100,7 +101,7 @@ class CloseUp:
         )
         yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
-        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, labels="normal")
+        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, show_labels=True)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW, show_labels=True)
         yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.GREEN, show_labels=True)
 
@@ -108,8 +109,7 @@ class CloseUp:
         """Yield where the bodies are at all frames, and what happened in the step."""
         yield from self._bodies()
         if self.contact is not None:
-            small = float(header.radius[list(self.bodies)].min())
-            yield from self._arrows(self.contact, small)
+            yield from self._arrows(self.contact, header)
 
     def _bodies(self) -> Iterable[Rows]:
         """Place the bodies, and what the camera follows, at all frames and at the steps that were run again."""
@@ -146,28 +146,44 @@ class CloseUp:
         ends = np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3).astype(np.float32)
         yield Rows(FOLLOWED, steps, times, rr.Points3D.columns(positions=ends).partition([2] * len(steps)), ends.nbytes)
 
-    def _arrows(self, contact: Contact, small: float) -> Iterable[Rows]:
-        """Draw edge, normal, impulse and spins at the step, and nothing at the next one."""
+    def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
+        """Draw edge, normal, impulse and spins at the step, and nothing at the next frame."""
+        small = float(header.radius[list(self.bodies)].min())
         yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
-        normal = (_NORMAL * small * contact.normal).astype(np.float32)
-        yield self._once(NORMAL, rr.Arrows3D.columns(vectors=[normal], origins=[contact.point.astype(np.float32)]), 1)
-        size = float(np.linalg.norm(contact.impulse))
-        if size > 0.0:
-            vector = _ARROW * small / size * contact.impulse
-            signs = np.array([1.0, -1.0])[: len(self.bodies)] if len(self.bodies) == 2 else np.array([-1.0])
-            vectors = (signs[:, None] * vector).astype(np.float32)
-            origins = np.tile(contact.point, (len(signs), 1)).astype(np.float32)
-            labels = [f"{size:.3g} N s", *[""] * (len(signs) - 1)]
-            columns = rr.Arrows3D.columns(vectors=vectors, origins=origins, labels=labels)
-            yield self._once(IMPULSE, columns, len(signs))
+        yield self._once(
+            NORMAL,
+            rr.Arrows3D.columns(
+                vectors=[(_NORMAL * small * contact.normal).astype(np.float32)],
+                origins=[contact.point.astype(np.float32)],
+                labels=[f"normal, {contact.approach_speed:.3g} m/s" if contact.approach_speed > 0.0 else "normal"],
+            ),
+            1,
+        )
+        yield from self._impulses(contact.impulse, header)
         if self.spin is not None:
             yield from self._spins(self.spin, small)
+
+    def _impulses(self, impulse: FloatArray, header: Header) -> Iterable[Rows]:
+        """Draw the impulse on each body from its centre; of two very unlike ones only on the smaller."""
+        size = float(np.linalg.norm(impulse))
+        if size == 0.0:
+            return
+        radius = header.radius[list(self.bodies)]
+        signs = np.array([-1.0, 1.0])[: len(radius)]
+        drawn = radius <= _MOST_UNLIKE * radius.min()
+        vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / size
+        origins = self.step.position[list(self.bodies)][drawn]
+        labels = [f"{size:.3g} N s", *[""] * (len(origins) - 1)]
+        columns = rr.Arrows3D.columns(
+            vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
+        )
+        yield self._once(IMPULSE, columns, len(origins))
 
     def _spins(self, spin: FloatArray, small: float) -> Iterable[Rows]:
         speed = np.linalg.norm(spin, axis=1)
         turning = speed > 0.0
         if turning.any():
-            vectors = _ARROW * small * spin[turning] / speed.max()
+            vectors = _SPIN * small * spin[turning] / speed.max()
             origins = self.step.position[list(self.bodies)][turning]
             labels = [f"{value:.3g} rad/s" for value in speed[turning]]
             columns = rr.Arrows3D.columns(
@@ -176,8 +192,16 @@ class CloseUp:
             yield self._once(SPIN, columns, len(labels))
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Rows:
-        """Return one row at the step."""
-        return Rows(path, [self.step.step], [self.step.time], columns.partition([count]), 0)
+        """Return a row at the step, and an empty one at the next step that the viewer has."""
+        steps, times, each = [self.step.step], [self.step.time], [count]
+        following = next((frame for frame in self.step.added if frame.step > self.step.step), None)
+        later = np.flatnonzero(self.times > self.step.time)
+        if following is not None:
+            steps, times = [*steps, following.step], [*times, following.time]
+        elif self.paths is not None and len(later):
+            row = int(later[0])
+            steps, times = [*steps, int(self.paths.steps[row])], [*times, float(self.times[row])]
+        return Rows(path, steps, times, columns.partition(each + [0] * (len(steps) - 1)), 0)
 
 
 def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, aspect: float) -> CloseUp:
@@ -208,36 +232,23 @@ def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> C
     if radius.max() > _MOST_UNLIKE * radius.min():
         place = [int(np.argmin(radius))]
         return CameraFit(3.0 * radius[place], position[place], to_eye=_aside(normal))
-    return CameraFit(1.2 * radius, position, to_eye=_aside(normal))
+    return CameraFit(_ROOM * radius, position, to_eye=_aside(normal))
 
 
 def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Contact | None:
     """Find the contact of a pair in a step; with a plane, the first that the body touches."""
-    graph, n = frame.contacts, header.bodies
-    i, j = graph.pairs[:, 0], graph.pairs[:, 1]
-    found = np.flatnonzero((i == pair.i) & (j >= n if pair.j is None else j == pair.j))
+    rows, n = frame.contact_rows, header.bodies
+    if rows is None:
+        return None
+    found = rows[(rows["i"] == pair.i) & (rows["j"] >= n if pair.j is None else rows["j"] == pair.j)]
     if len(found) == 0:
         return None
-    row = int(found[0])
-    normal = graph.normals[row]
-    begin = step.position[pair.i]
-    reach = float(header.radius[pair.i]) - float(graph.overlaps[row]) / 2
-    point = begin + reach * normal
-    other = begin + (header.radius[pair.i] - graph.overlaps[row]) * normal
-    end = other if pair.j is None else other + header.radius[pair.j] * normal
-    return Contact(point, normal, _impulse(frame, pair, n), np.stack([begin, end]))
-
-
-def _impulse(frame: Frame, pair: Pair, bodies: int) -> FloatArray:
-    """Return the impulse (N s) that acts on j in the step, as the contact tap gathered it; zero where it did not."""
-    total, rows = np.zeros(3), frame.contact_rows
-    if rows is None:
-        return total
-    ends = rows["j"] >= bodies if pair.j is None else rows["j"] == pair.j
-    for row in rows[ends & (rows["i"] == pair.i)]:
-        total += row["normal_impulse"] * np.array([row["nx"], row["ny"], row["nz"]])
-        total += [row["friction_x"], row["friction_y"], row["friction_z"]]
-    return total
+    row = found[int(np.argmax(found["normal_impulse"]))]
+    normal = np.array([row["nx"], row["ny"], row["nz"]])
+    point = np.array([row["x"], row["y"], row["z"]]) - (frame.position[pair.i] - step.position[pair.i])
+    end = point if pair.j is None else step.position[pair.j]
+    impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
+    return Contact(point, normal, float(row["approach_speed"]), impulse, np.stack([step.position[pair.i], end]))
 
 
 def _aside(normal: FloatArray | None) -> FloatArray | None:

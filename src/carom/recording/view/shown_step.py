@@ -93,7 +93,7 @@ def _run(
     added: list[Frame] = []
     before, shown = None, None
     started: float | None = None
-    window = Window(recording, goal, watch=watch)
+    window = Window(recording, goal, watch=watch, contacts=True)
     for frame in window.frames(earlier):
         started = clock.monotonic() if started is None else started
         if clock.monotonic() - started > limit:

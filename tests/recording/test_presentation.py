@@ -1,0 +1,121 @@
+"""What a viewer is given to show a moment: no picture is rendered here."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import carom
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.view import close_up, shown_step
+from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
+from carom.recording.view.presentation import asked, presentation
+from carom.recording.write.encoder import Rows
+from carom.scene.schema import Scene
+
+
+@pytest.fixture(scope="module")
+def bounce(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Two spheres that meet between two frames."""
+    scene = Scene.load("two-spheres", ["record.every=0.25"])
+    return carom.run(scene, tmp_path_factory.mktemp("bounce") / "bounce.rrd")
+
+
+def rows_of(path: str, shown: list[Rows]) -> list[Rows]:
+    return [rows for rows in shown if rows.path == path]
+
+
+def test_a_moment_between_two_frames_shows_the_step_itself(bounce: Recording) -> None:
+    step = shown_step.shown_step(bounce, bounce.moment())
+    assert step.step == bounce.closing["moments.impact.step"]
+    assert step.step not in bounce.fingerprints()["step"].to_pylist()
+    assert step.frame is not None and len(step.frame.contacts) == 1
+    np.testing.assert_array_equal(step.position, step.frame.position - bounce.origin)
+
+
+def test_a_window_onto_a_moment_has_every_step_up_to_the_next_frame(bounce: Recording) -> None:
+    step = shown_step.shown_step(bounce, bounce.moment(), dense=True)
+    steps = [frame.step for frame in step.added]
+    recorded = bounce.fingerprints()["step"].to_pylist()
+    assert steps == list(range(steps[0], steps[-1] + 1))
+    assert steps[0] - 1 in recorded and steps[-1] in recorded
+
+
+def test_the_steps_that_are_run_again_are_shown_without_their_events(bounce: Recording) -> None:
+    rows = list(presentation(bounce, bounce.moment()).supplement.rows)
+    step = bounce.closing["moments.impact.step"]
+    assert all(step in found.steps for path in (paths.BODIES, paths.CONTACTS) for found in rows_of(path, rows))
+    assert rows_of(paths.BODIES, rows) and not rows_of(paths.EVENTS, rows)
+
+
+def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with_the_reason(
+    bounce: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("carom.physics.space.fingerprint", lambda bodies, time: 1)
+    shown = presentation(bounce, bounce.moment())
+    assert "other bits" in shown.missing
+    assert shown.time == pytest.approx(1.5, abs=1e-12), "the frame before 1.605 s"
+
+
+def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounce: Recording) -> None:
+    shown = presentation(bounce, bounce.moment())
+    step = bounce.closing["moments.impact.step"]
+    for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN):
+        (rows,) = rows_of(path, list(shown.supplement.rows))
+        assert rows.steps[0] == step and len(rows.steps) == 2, "they vanish at the next frame"
+
+
+def test_the_close_up_follows_its_bodies_through_all_frames(bounce: Recording) -> None:
+    rows = rows_of(close_up.BODIES, list(presentation(bounce, bounce.moment()).supplement.rows))
+    assert {step for found in rows for step in found.steps} >= set(bounce.fingerprints()["step"].to_pylist())
+
+
+def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
+    assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
+    for name in ("impact", "overlap"):
+        assert event(bounce, name) == (bounce.closing[f"moments.{name}.time"], Pair(0, 1))
+    assert event(bounce, "first-contact")[0] == pytest.approx(bounce.moment(), abs=1e-8)
+
+
+def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) -> None:
+    frame = shown_step.shown_step(bounce, bounce.moment()).frame
+    assert frame is not None
+    rows = np.zeros(2, CONTACT_ROW)
+    rows["i"], rows["j"], rows["normal_impulse"] = [0, 1], [1, 2], [1.0, 3.0]
+    graph = replace(
+        frame.contacts,
+        pairs=np.array([[0, 1], [1, 2]]),
+        normals=np.zeros((2, 3)),
+        overlaps=np.zeros(2),
+        colours=np.zeros(2, dtype=np.int64),
+    )
+    assert pair_of_step(replace(frame, contacts=graph, contact_rows=rows), bodies=2) == Pair(1, None)
+
+
+@pytest.mark.parametrize(
+    ("at", "name", "bodies", "said"),
+    [
+        (99.0, None, None, "goes from 0 to 4 s, 99 s is not in it"),
+        (None, "bang", None, 'has no event "bang"; it has'),
+        (None, None, "0,7", 'has no body "7"'),
+        (None, None, "left", "expected two bodies with a comma between them, such as 0,1"),
+        (None, None, "0,left", "is one body; give two"),
+    ],
+)
+def test_what_does_not_exist_is_one_sentence(
+    at: float | None, name: str | None, bodies: str | None, said: str, bounce: Recording
+) -> None:
+    with pytest.raises(RecordingError, match=said):
+        asked(bounce, at, name, bodies)
+
+
+def test_a_scene_without_contacts_has_no_close_up_and_no_graph(tmp_path: Path) -> None:
+    scene = Scene.load("figure-eight", ["time.duration=0.1"])
+    recording = carom.run(scene, tmp_path / "eight.rrd")
+    for view, said in (("close-up", "name two bodies with --bodies"), ("graph", "no collision graph")):
+        with pytest.raises(RecordingError, match=said):
+            presentation(recording, 0.0, only=view)
