@@ -1,1 +1,1 @@
-"""Runs: where scene, physics and recording meet."""
+"""Runs and their comparison: this package combines scene, physics and recording."""

@@ -1,8 +1,8 @@
-"""Compiling kernels in a second process, beside the first run on a machine.
+"""Compiles kernels in a second process, beside the first run on a machine.
 
-Numba compiles under a lock of its own, so a thread would gain nothing. Both processes share the cache of compiled
-kernels, and neither compiles what the other one has begun, see `kernel_cache`. This one takes what a run needs late: it
-begins with the last phases of the solver. It only ever fills the cache. Where it fails, the run compiles by itself.
+Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
+and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with the last
+phases of the solver, which a run needs last. It only fills the cache; if it fails, the run compiles everything itself.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ POINTS: dict[str, Any] = {
 
 
 def start_compiling() -> subprocess.Popen[bytes] | None:
-    """Start the second process; None where it could not help: on one core, or without a cache to share.
+    """Start the second process; returns None if it could not help: on one core, or without a shared cache.
 
-    It ends with this process, however that ends, and leaves no file but the kernels.
+    It ends with this process and leaves no files except the kernels.
     """
     if cores() < 2 or not cache_folder():
         return None
@@ -52,12 +52,12 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
         )
     except OSError:
         return None
-    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # or it would stay a zombie
+    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # prevents a zombie process
     return helper
 
 
 def compile_ahead() -> None:
-    """Compile what most runs need, with the last first."""
+    """Compile the kernels that most runs need, those needed last first."""
     scene = Scene.from_dict(POINTS)
     _solver_of(scene).compile_phases()
     Space(scene, threads=1).energy()
@@ -66,7 +66,7 @@ def compile_ahead() -> None:
 
 
 def _solver_of(scene: Scene) -> ContactSolver:
-    """Build a solver of no contacts."""
+    """Build a solver without contacts."""
     bodies = Bodies.at_start(place(scene), spins=True, orients=True)
     frictionless = materials_of(np.zeros((1, 3)))
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, np.zeros(3), friction=True, team=SOLO)

@@ -1,22 +1,22 @@
-"""How the contacts of a run were counted, in words."""
+"""The counts of contacts and impacts of a run, in words."""
 
 from __future__ import annotations
 
-EACH = "each"  # impacts on the way through a step
+EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts found at its end
 
 
 def counts_text(contact_steps: int, impacts: int | None, counted: str | None) -> str:
-    """Say what the two numbers are.
+    """Describe the two numbers.
 
     Parameters
     ----------
     contact_steps
         Pairs that touched, summed over the steps.
     impacts
-        Contacts that closed faster than at rest; None where nobody counted them.
+        Contacts that closed faster than the rest speed; None if they were not counted.
     counted
-        `EACH`, `ONCE_A_STEP`, or None where that is not known.
+        `EACH`, `ONCE_A_STEP`, or None if unknown.
     """
     steps = f"{contact_steps} contact-steps (pairs that touch, summed over steps)"
     if impacts is None:

@@ -1,4 +1,4 @@
-"""How a run ended, in words."""
+"""The end of a run in words."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ _FAILED = "recording failed"
 
 
 def in_words(outcome: str) -> str:
-    """Say a status, or a status with its reason, for people: ``disk`` is a recording that could not be written."""
+    """Describe a status, with its reason if there is one; ``disk`` means that the recording could not be written."""
     return _FAILED + outcome.removeprefix(_DISK) if outcome == _DISK or outcome.startswith(f"{_DISK}:") else outcome

@@ -1,4 +1,4 @@
-"""What a run depends on besides its scene: versions, machine, command."""
+"""The environment of a run: versions, machine, command."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def versions() -> dict[str, str]:
 
 
 def environment(threads: int) -> dict[str, str | int]:
-    """Return the properties that a recording carries about where it came from."""
+    """Return the properties of a recording about its origin."""
     stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
     stamped["command"] = command_line()
     stamped["git"] = _revision()
@@ -33,7 +33,7 @@ def environment(threads: int) -> dict[str, str | int]:
 
 
 def command_line() -> str:
-    """Return the command line with the folders of absolute paths removed: recordings are given to others."""
+    """Return the command line without the folders of absolute paths, since recordings are shared."""
     program = Path(sys.argv[0])
     name = "carom" if program.name == "__main__.py" and program.parent.name == "carom" else program.name
     return shlex.join([name, *(_ABSOLUTE.sub(r"\1", word) for word in sys.argv[1:])])
@@ -41,7 +41,7 @@ def command_line() -> str:
 
 @cache
 def _version(package: str) -> str:
-    """Return what is installed; to look that up costs a millisecond or two, and a sweep asks for every run."""
+    """Return the installed versions, cached: a lookup takes a millisecond or two, and sweeps repeat it every run."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -50,7 +50,7 @@ def _version(package: str) -> str:
 
 @cache
 def _revision() -> str:
-    """Return the commit of the working folder as it was when this process first asked: a sweep asks for every run."""
+    """Return the commit of the working folder at the first call, cached because a sweep needs it for every run."""
     return git_revision(Path.cwd())
 
 

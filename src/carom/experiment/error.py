@@ -1,7 +1,7 @@
-"""The one exception of this package."""
+"""The exception of this package."""
 
 from __future__ import annotations
 
 
 class ExperimentError(Exception):
-    """What was asked for cannot be done; the message says why, and what would be right."""
+    """A request cannot be fulfilled; the message says why, and what would be right."""

@@ -1,4 +1,4 @@
-"""Estimates what a run will cost, by part and entity, from a few steps and frames and a coarse look ahead."""
+"""Estimates the cost of a run, by part and entity, from a few steps and frames and a coarse run."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from carom.scene.schema import Scene
 
 TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
-PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to tell what a potential costs
+PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
-FRAME_BYTES = 250  # of a body in a frame
+FRAME_BYTES = 250  # per body in a frame
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 
-# The marks of a step's profile and the part that each belongs to; in a scene without that part, to the second.
+# The part of the model for each mark of a step's profile; the second counts if a scene does not have the first.
 MARKS = {
     "timestep": ("adaptive-step", "integrator"),
     "orientation": ("orientation", "integrator"),
@@ -53,36 +53,36 @@ MARKS = {
 
 @dataclass(frozen=True, slots=True)
 class PartCost:
-    """A part of the model, and what it costs."""
+    """A part of the model, and its cost."""
 
     name: str
     modelled: bool
     why: str
-    share: float | None  # of the time of a run; None where it is not modelled or not told apart
-    within: str | None  # the part whose share has this one's in it
+    share: float | None  # of the time of a run; None if it is not modelled or not measured separately
+    within: str | None  # the part whose share includes this one
 
 
 @dataclass(frozen=True, slots=True)
 class EntityCost:
-    """An entity of the recording, and what it takes."""
+    """An entity of the recording, and its size."""
 
     path: str
     recorded: bool
     why: str
-    share: float | None  # of the bytes of a recording; None where it is not recorded
+    share: float | None  # of the bytes of a recording; None if it is not recorded
     bytes: float  # of the whole recording
     seconds: float  # of the whole run, in the recorder's thread
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Cost of a run, by a coarse look at the whole of it."""
+    """Estimated cost of a run."""
 
     steps: int
-    fewest_steps: int  # a range in which the number of steps is
+    fewest_steps: int  # lower end of the estimated range
     most_steps: int
     limits: dict[str, float]  # share of the steps that each limit sets, the largest first
-    looked_until: float  # s; the end of the run, unless the look took too long
+    looked_until: float  # s; the end of the run, unless the coarse run took too long
     seconds: float
     memory: int  # bytes, without the interpreter
     frames: int
@@ -92,7 +92,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a run is made of and what it costs."""
+    """Parts, entities and cost of a run."""
 
     parts: list[PartCost]
     entities: list[EntityCost]
@@ -100,7 +100,7 @@ class Estimate:
 
 
 def estimate(scene: Scene) -> Estimate:
-    """Run the first steps of a scene for about a second, record a few frames, and look ahead.
+    """Run the first steps of a scene for about a second, record a few frames, and run it coarsely.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def estimate(scene: Scene) -> Estimate:
 
 
 def _first_frames(space: Space) -> list[Frame]:
-    """Run the first steps; return the last few frames of them."""
+    """Run the first steps; return their last few frames."""
     deadline = time.perf_counter() + TRIAL_SECONDS
     room = max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
     wanted = every(frame_interval(space.scene))
@@ -156,7 +156,7 @@ def _first_frames(space: Space) -> list[Frame]:
 
 
 def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
-    """Share the time of a run out among the parts."""
+    """Divide the time of a run among the parts."""
     needs = space.requirements
     modelled = {part.name for part in needs.parts if part.modelled}
     seconds = dict.fromkeys(modelled, 0.0)  # a step
@@ -175,7 +175,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
 
 
 def _more_for_the_potential(space: Space) -> float:
-    """Measure how much longer the pull takes with the potential, in s: in turns, medians."""
+    """Measure how much longer gravity takes with the potential, in s, by medians of interleaved calls."""
     gravity = gravity_of(space.scene, space.state.mass, Team(space.threads))
     if gravity is None:
         return 0.0
@@ -193,7 +193,7 @@ def _more_for_the_potential(space: Space) -> float:
 
 
 def _within(name: str, needs: Requirements) -> str | None:
-    """Name the part that one is computed together with: no clock can tell them apart."""
+    """Name the part that is computed together with this one, so that their times cannot be separated."""
     match name:
         case "narrow-phase":
             return "broad-phase"

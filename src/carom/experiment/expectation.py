@@ -10,34 +10,34 @@ from carom.scene.schema import Scene
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One promise: what was allowed, what was measured, and when it was at its worst.
+    """One promise: its limit, the measured value, and when it was worst.
 
-    A promise about the end that a run of another length cannot keep or break is not judged, and counts as met.
+    A promise about the end is not judged in a run of another length, and counts as met.
     """
 
     name: str
     limit: float
     measured: float
-    worst: Extreme | None = None  # None where no extreme is to blame
-    at_least: bool = False  # the limit is one from below
+    worst: Extreme | None = None  # None if no extreme belongs to it
+    at_least: bool = False  # whether the limit is a lower bound
     note: str = ""  # what was measured, where the name does not say
-    promised_at: float | None = None  # s, the end that the promise is about, where the run did not end there
+    promised_at: float | None = None  # s, the end that the promise refers to, if the run ended elsewhere
 
     @property
     def judged(self) -> bool:
-        """Whether the promise is one about this run."""
+        """Whether the promise applies to this run."""
         return self.promised_at is None
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept or is not judged; what is not a number keeps none."""
+        """Whether the promise was kept or is not judged; NaN keeps none."""
         if not self.judged:
             return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
 
     @property
     def bound(self) -> str:
-        """From which side the limit holds, in words."""
+        """The kind of bound, in words."""
         return "at least" if self.at_least else "at most"
 
     def __str__(self) -> str:
@@ -49,11 +49,11 @@ class Verdict:
 
 
 def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
-    """Compare every promise that a scene makes with the extremes of its run, which ended at a time in s.
+    """Compare every promise of a scene with the extremes of its run, which ended at a time in s.
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
-    something is fixed, counts as infinitely wrong. The final kinetic energy is judged at the end that it was promised
-    for, the number of impacts and the warnings from then on.
+    something is fixed, counts as infinitely wrong. The final kinetic energy is judged only at the promised end; the
+    number of impacts and the warnings are also judged later.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}

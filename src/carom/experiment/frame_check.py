@@ -28,17 +28,17 @@ Value = float | str
 _MOST_FRAMES, _MOST_BODIES = (
     128,
     20_000,
-)  # compared at once: what is encoded alone costs as much as a batch of a hundred
+)  # compared together: encoding one frame costs as much as a batch of a hundred
 
 _LED = "what led to the first frame (contacts, torques, dt, events)"
 _LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"
 
-# what led to the state of a checkpoint is not in it
+# a checkpoint does not contain the step that led to it
 _BEFORE = {
     *(paths.CONTACTS, paths.TORQUE, paths.ANGULAR_ACCELERATION),
     *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
 }
-# what depends on which frames there were before, as errors relative to the largest energy so far do
+# values that depend on earlier frames, such as errors relative to the largest energy so far
 _RELATIVE = {
     **{series.path: None for series in SERIES if series.past in (Past.INTERVAL, Past.RUN)},
     paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
@@ -65,19 +65,19 @@ class FrameCheck:
     recording
         What was recorded.
     header
-        Of the replayed space: which entities there should be.
+        Of the replayed space; it determines which entities must exist.
     steps
         Those of the recorded frames that will be compared, rising.
     begin
         The step of the checkpoint that the replay begins with.
     all_frames
-        Whether the replay looks at the same frames as the run did from ``begin`` on, at these and at no others.
+        Whether the replay makes exactly the same frames as the run from ``begin`` on.
     """
 
     def __init__(
         self, recording: Recording, header: Header, steps: NDArray[np.int64], begin: int, all_frames: bool
     ) -> None:
-        self.skipped: dict[str, None] = {}  # what could not be compared, in the order in which it was met
+        self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared, in order
         self._rows = RecordedRows(recording)
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -99,7 +99,7 @@ class FrameCheck:
         self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
 
     def strays(self) -> Mismatch | None:
-        """Find a row of a step that no frame was recorded of, which the viewer would show all the same."""
+        """Find a row of a step without a recorded frame, which the viewer would nevertheless show."""
         last = int(self._steps[-1]) if len(self._steps) else self._begin
         for path in self._rows.entities:
             for steps in self._rows.steps(path):
@@ -110,13 +110,13 @@ class FrameCheck:
         return None
 
     def see(self, frame: Frame) -> Mismatch | None:
-        """Take a frame; compare it and those before it once there are enough of them."""
+        """Add a frame; compare the queued frames once there are enough of them."""
         self._waiting.append(frame)
         full = len(self._waiting) >= self._room or frame.step == self._begin
         return self.finish() if full else None
 
     def finish(self) -> Mismatch | None:
-        """Compare the frames that wait; name the first thing that differs."""
+        """Compare the queued frames; return the first difference."""
         frames, self._waiting = self._waiting, []
         if not frames:
             return None
@@ -145,7 +145,7 @@ class FrameCheck:
         return min(found, key=lambda mismatch: mismatch.step, default=None)
 
     def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
-        """Compare an entity's rows at once; where they are not the same, one by one, up to the first that differs."""
+        """Compare the rows of an entity at once; if they differ, find the first row that does."""
         path, steps = replayed.entity_path, np.array(replayed.batch[STEP].to_numpy())
         compared = [name for name in replayed.components if not self._skips(path, name, first)]
         block = self._rows.block(path, steps)
@@ -198,7 +198,7 @@ class FrameCheck:
         return []
 
     def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
-        """Compare what was logged since the frame before: word for word if it is the same version that says it."""
+        """Compare the events since the previous frame; compare their texts if the versions are the same."""
         if first or not self._all_frames:
             self.skipped[_LED if first else _LARGEST] = None
             return []
@@ -213,7 +213,7 @@ class FrameCheck:
 
 @dataclass(frozen=True, slots=True)
 class _States:
-    """A state that has a row only where it changes."""
+    """A state that is recorded only when it changes."""
 
     step: NDArray[np.int64]
     name: list[str]
@@ -265,6 +265,6 @@ def _flat(row: pa.Array) -> NDArray[np.generic]:
 
 
 def _told(events: list[tuple[int, str, str]], others: list[tuple[int, str, str]]) -> str:
-    """Say which event the others do not have."""
+    """Name the event that the others lack."""
     only = [event for event in events if event not in others]
     return f"{only[0][1]} at step {only[0][0]}: {only[0][2]}" if only else "nothing else"

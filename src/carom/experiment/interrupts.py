@@ -9,13 +9,13 @@ from types import FrameType, TracebackType
 from typing import Any, Self
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a terminal that is closed
-SAME_PRESS = 0.3  # s; wrappers such as `uv run` pass on an interrupt that the terminal has sent already
+SAME_PRESS = 0.3  # s; wrappers such as `uv run` forward an interrupt that the terminal has already sent
 
 _received: list[int] = []  # signals that were raised as KeyboardInterrupt
 
 
 def raise_signals() -> None:
-    """Let every signal that would end this process raise KeyboardInterrupt in the main thread, as Ctrl-C does."""
+    """Make every signal that would end this process raise KeyboardInterrupt in the main thread, as Ctrl-C does."""
     for number in (signal.SIGINT, *ENDING):
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
             signal.signal(number, _raise)
@@ -32,15 +32,15 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 class Interrupts:
-    """Counts requests to end while its context lasts; outside the main thread it sees none.
+    """Counts requests to end while its context lasts; outside the main thread it counts none.
 
-    Nothing is raised, so that work is not torn apart, until the interrupt key has been pressed more often than
-    ``patience``. Other signals count once, for their senders repeat them.
+    It raises nothing, so work is not interrupted, until the interrupt key has been pressed more often than
+    ``patience``. Other signals count once, because their senders repeat them.
 
     Parameters
     ----------
     patience
-        Presses of the interrupt key that are counted only.
+        Presses of the interrupt key that raise nothing.
     """
 
     def __init__(self, patience: int = 1) -> None:

@@ -1,8 +1,8 @@
-"""How this process asks the system for memory.
+"""Settings of the memory allocator.
 
-A run hands thousands of arrays from thread to thread. glibc gives such memory back as soon as it is free, and asks for
-it again: 40 page faults a frame of 1000 bodies, a twentieth of the run. Told to keep it, the process is no larger in
-the end, since the frames under way are bounded.
+A run passes thousands of arrays between threads. By default glibc returns such memory to the system as soon as it is
+free and requests it again: 40 page faults per frame of 1000 bodies, a twentieth of the run. Keeping it makes the
+process no larger, because the number of queued frames is bounded.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ import ctypes
 import sys
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
-_KEPT = 512 << 20  # bytes that are kept free
-_LARGE = 64 << 20  # bytes of an array that gets pages of its own
+_KEPT = 512 << 20  # bytes of free memory to keep
+_LARGE = 64 << 20  # bytes; larger arrays get pages of their own
 
 
 def keep_freed_memory() -> None:
-    """Keep freed memory for the next frame, in one pool for all threads; only where the C library is glibc.
+    """Keep freed memory for the next frame, in one pool for all threads; does nothing without glibc.
 
-    To be called before there are other threads: those that NumPy starts have pools of their own for good.
+    Call it before there are other threads, because threads that NumPy starts keep pools of their own.
     """
     if not sys.platform.startswith("linux"):
         return

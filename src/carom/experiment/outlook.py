@@ -10,10 +10,10 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 
-STRIDES = 8.0, 64.0  # times the steps of the scene; the longer ones where the shorter would take too long
-LOOK_SECONDS = 3.0  # for a look
-MANY_STEPS = 100  # from which on the look tells better than the first steps what one takes
-LIKELY = 2.0  # a whole look is right to this factor: the bundled scenes and extremes are (test_estimate.py)
+STRIDES = 8.0, 64.0  # times the steps of the scene; the longer if the shorter would take too long
+LOOK_SECONDS = 3.0  # for each coarse run
+MANY_STEPS = 100  # from this number on, the coarse run gives the time of a step better than the first steps
+LIKELY = 2.0  # factor to which a complete estimate is right for the bundled scenes and extremes (test_estimate.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Outlook:
     fewest: int
     most: int
     seconds: float
-    seen: float  # of the duration; 1 where the look reached the end
+    seen: float  # part of the duration that the coarse run covered; 1 if it reached the end
     limits: dict[str, float]  # share of the steps that each limit sets, the largest first
 
 
@@ -34,7 +34,7 @@ def look_ahead(scene: Scene, step_seconds: float) -> Outlook:
     Parameters
     ----------
     step_seconds
-        What a step took at the start.
+        Time that a step takes at the start.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def _look(scene: Scene, stride: float, step_seconds: float) -> Outlook:
         except PhysicsError:
             if not rates:
                 raise
-            break  # too long a step for this scene: what has been seen counts
+            break  # the step is too long for this scene: use the part so far
         now, foreseen = time.perf_counter(), sum(space.foreseen.values())
         rates.append((foreseen - total) / space.dt)
         within = rates[-1] * (min(space.time, duration) - before)

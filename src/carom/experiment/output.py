@@ -11,7 +11,7 @@ from carom.recording.write.claim import Claim
 
 
 def refuse_output(path: Path, force: bool) -> None:
-    """Refuse a path before anything is computed for it.
+    """Refuse an unsuitable path before anything is computed for it.
 
     Raises
     ------
@@ -33,7 +33,7 @@ def refuse_output(path: Path, force: bool) -> None:
 
 @contextlib.contextmanager
 def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
-    """Refuse a path as `refuse_output` does; keep it for this process as long as the context lasts.
+    """Check a path with `refuse_output`, and claim it for this process while the context lasts.
 
     Raises
     ------
@@ -42,12 +42,12 @@ def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
     """
     refuse_output(path, force)
     with Claim(path) as claim:
-        refuse_output(path, force)  # somebody may have written it just now
+        refuse_output(path, force)  # another process may just have written it
         yield claim
 
 
 def output_folder(path: Path) -> None:
-    """Make a folder for recordings, where there is none yet.
+    """Make a folder for recordings if it does not exist.
 
     Raises
     ------
@@ -63,6 +63,6 @@ def output_folder(path: Path) -> None:
 
 
 def _short(path: Path) -> str:
-    """Write a path, or its beginning where that says enough."""
+    """Shorten a path to its beginning where that is enough."""
     text = str(path)
     return text if len(text) <= 200 else f"{text[:200]}…"

@@ -25,9 +25,9 @@ from carom.recording.write.recorder import Recorder
 from carom.scene.forces import FORCES
 from carom.scene.names import body_called
 
-TRIAL_SECONDS = 1.0  # of stepping, before a replay says what it will cost
+TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
-Consent = Callable[[float], bool]  # s that the rest will take → whether to go on
+Consent = Callable[[float], bool]  # s that the rest will take → whether to continue
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Difference:
     step: int
     time: float  # s, recorded
     quantity: str
-    body: int | None  # None where it belongs to no one body
+    body: int | None  # None if the value belongs to no single body
     recorded: Value
     replayed: Value
     name: str = ""  # of the body
@@ -61,15 +61,15 @@ class Replay:
     """Result of a replay."""
 
     begin: int  # the step of the checkpoint that it began at
-    frames: int  # recorded ones from there to the end of the window
+    frames: int  # recorded frames from there to the end of the window
     compared: int
     difference: Difference | None
-    ended: str  # why it ended before the window did; empty where it did not
+    ended: str  # why it ended before the window did; empty if it did not
     seconds: float
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)
     dense: Path | None = None  # the recording of every step
-    not_compared: list[str] = field(default_factory=list)  # what was recorded, or should have been
+    not_compared: list[str] = field(default_factory=list)  # descriptions of data that could not be compared
 
     @property
     def same(self) -> bool:
@@ -93,7 +93,7 @@ def replay(
     Parameters
     ----------
     recording
-        What to run again.
+        The recording to run again.
     begin, end
         s; the window.
     threads
@@ -103,14 +103,14 @@ def replay(
     force
         Whether ``dense`` may replace a file.
     consent
-        Asked once, after a second of stepping, whether the time that the rest will take is all right.
+        Called once, after a second of stepping, with the time that the rest will take; returns whether to continue.
     watch
-        Called after every frame with where the run stands.
+        Called after every frame with the progress of the run.
 
     Raises
     ------
     SceneError, RecordingError, PhysicsError
-        If the recording cannot be run, or the state stops being finite.
+        If the recording cannot be run, or the state is no longer finite.
     """
     if dense is not None:
         refuse_output(dense, force)
@@ -191,7 +191,7 @@ class _Comparison:
             self.difference = _difference(self._recording, frame, self._times[frame.step])
 
     def rest(self) -> Difference | None:
-        """Compare the frames that wait to be compared."""
+        """Compare the queued frames."""
         found = self.check.finish()
         return None if found is None else self._other(found)
 
@@ -206,7 +206,7 @@ class _Comparison:
         return Difference(found.step, time, found.quantity, found.body, found.recorded, found.replayed, name)
 
     def left(self, step: int) -> int:
-        """How many steps are still to be done."""
+        """Return the number of remaining steps."""
         return max(0, self.last - step)
 
     def missing(self, space: Space) -> Difference | None:
@@ -218,7 +218,7 @@ class _Comparison:
 
 
 def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
-    """Find what differs most, in the order in which one thing follows from the other."""
+    """Find the largest difference in the first quantity that differs: time, positions, then energies."""
     if frame.time != time:
         return Difference(frame.step, time, "time (s)", None, time, frame.time)
     recorded = recording.drawn_positions(frame.step)
@@ -238,4 +238,4 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
         if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
             return Difference(frame.step, time, f"{name} energy (J)", None, value, frame.energy.term(name))
-    return Difference(frame.step, time, "bits that no drawn digit and no energy shows", None, 0.0, 0.0)
+    return Difference(frame.step, time, "bits that show in neither drawn positions nor energies", None, 0.0, 0.0)

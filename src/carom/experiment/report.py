@@ -1,4 +1,4 @@
-"""Packs a bundle for a bug report: a clip around the moment in question, the scene, versions and measurements."""
+"""Packs a bundle for a bug report: a clip around the time in question, the scene, versions and measurements."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from carom.scene.command import command
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
 
-FRAMES = 120  # of the clip, half of them before the moment
-ROOM = 7_000_000  # bytes that a clip may have before it is packed
-REPLAY_AT_MOST = 30.0  # s
-ENERGY_ERROR = 1e-3  # of the scale; from there on it is what went wrong
+FRAMES = 120  # of the clip, half of them before the time in question
+ROOM = 7_000_000  # bytes, largest size of the clip before compression
+REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
+ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
 MOST_WARNINGS = 3
-WORST = {  # where nothing went wrong
+WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value:.4g} J of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3%} of the smaller radius",
 }
@@ -39,12 +39,12 @@ LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FO
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was packed."""
+    """Description of a bundle."""
 
     path: Path
     size: int  # bytes
-    time: float  # s, the moment
-    why: str  # what is wrong there, or what is to be seen
+    time: float  # s, the time in question
+    why: str  # what happened at that time
     frames: int
     replayed: str  # a sentence
     picture: str  # empty, or why there is none
@@ -60,7 +60,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     path
         The ``.zip`` to write.
     at
-        s, the moment in question; by default the worst of the run.
+        s, the time in question; by default the worst of the run.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
-    """Return the time in s that a report is about, and what is the matter there."""
+    """Return the time in s that a report is about, and what happened then."""
     if recording.frames == 0:
         raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
     moments: dict[str, Any] = recording.summary()["moments"]
@@ -113,12 +113,12 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
 
 
 def _warnings(recording: Recording) -> list[tuple[float, str]]:
-    """Return times and texts of what was logged about the energy."""
+    """Return times and texts of the energy warnings."""
     return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith("energy")]
 
 
 def _cut(recording: Recording, moment: float, path: Path) -> None:
-    """Cut as many frames around the moment as there is room for."""
+    """Cut as many frames around the time in question as there is room for."""
     times = recording.fingerprints()["time"].to_numpy()
     middle, count = int(np.argmin(np.abs(times - moment))), FRAMES
     while True:

@@ -1,8 +1,8 @@
-"""The commit of a folder, read without running anything that the folder says.
+"""The commit of a folder, read without running any program that the folder configures.
 
-The working folder may be a stranger's. Git run in it obeys its `.git/config`, which may name programs to run: monitors,
-hooks, filters, ways to fetch. So the commit is read from the files of the repository, and Git, which is asked only
-whether tracked files differ from it, gets a repository of our own that borrows the stranger's objects and index.
+The working folder may come from a stranger. Git run in it obeys its `.git/config`, which may name programs to run:
+monitors, hooks, filters, transports. The commit is therefore read from the files of the repository. To find out whether
+tracked files differ from it, Git runs in a temporary repository that uses the objects and the index of the folder.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
 _LONGEST = 4096  # characters of a file that holds one line
-_TIME = 5  # s that Git may take
+_TIME = 5  # s, time limit of Git
 _CONFIG = "[core]\nrepositoryformatversion = 0\n"
 _CONFIG_SHA256 = "[core]\nrepositoryformatversion = 1\n[extensions]\nobjectformat = sha256\n"
 _COMPARE = ("diff", "--quiet", "--no-ext-diff", "--no-textconv", "--ignore-submodules=all", "HEAD", "--")
@@ -31,10 +31,9 @@ class _Repository:
 
 
 def git_revision(folder: Path) -> str:
-    """Return the commit that a folder is at.
+    """Return the commit that is checked out in a folder; empty if there is none.
 
-    "-dirty" is appended where tracked files differ from it, "-unchecked" where Git could not tell; nothing is returned
-    where there is no commit.
+    "-dirty" is appended if tracked files differ from it, "-unchecked" if Git could not tell.
     """
     try:
         repository = _repository_around(folder.resolve())
@@ -80,7 +79,7 @@ def _line(path: Path) -> str:
 
 
 def _changes(repository: _Repository, commit: str) -> str:
-    """Ask Git whether tracked files differ from the commit, by a repository whose configuration is ours."""
+    """Ask Git whether tracked files differ from the commit, in a repository with our own configuration."""
     try:
         with tempfile.TemporaryDirectory(prefix="carom-git-") as ours:
             (Path(ours) / "refs").mkdir()

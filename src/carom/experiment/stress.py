@@ -20,33 +20,33 @@ class Trial:
     """One extreme and how its run went."""
 
     name: str
-    title: str  # what is extreme
-    outcome: Outcome | None  # None where the scene was refused before it ran
+    title: str  # of the scene
+    outcome: Outcome | None  # None if the scene was refused before it ran
     refusal: str = ""
 
     @property
     def met(self) -> bool:
-        """Whether the run went to its end and met every criterion."""
+        """Whether the run completed and met every criterion."""
         return self.outcome is not None and self.outcome.ok
 
     @property
     def status(self) -> str:
-        """How it ended, in a word or two."""
+        """The outcome, in a word or two."""
         return self.outcome.status if self.outcome else "refused"
 
     @property
     def reason(self) -> str:
-        """Why it did not go to its end or missed a criterion; empty where it is met."""
+        """Why it did not complete or missed a criterion; empty if it met all."""
         return self.outcome.reason if self.outcome else self.refusal
 
     @property
     def verdicts(self) -> list[Verdict]:
-        """Each criterion and what was measured."""
+        """Each criterion and its measured value."""
         return self.outcome.verdicts if self.outcome else []
 
     @property
     def worst(self) -> dict[str, Extreme]:
-        """The extremes to look at, by what is wrong there; the end of a run that did not get to its own."""
+        """The times to look at, by what is wrong; the end of a run that did not complete."""
         extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
         if self.outcome and self.status == "failed":
             extremes["the end"] = Extreme(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
@@ -80,7 +80,7 @@ def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = No
     folder
         Where the recording goes.
     watch
-        Called about ten times a second with where the run stands.
+        Called about ten times a second with the progress of the run.
 
     Raises
     ------

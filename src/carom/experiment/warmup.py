@@ -1,4 +1,4 @@
-"""Compiling every kernel ahead, so that no run has to wait for it: a few tiny scenes that need all of them."""
+"""Compiles all kernels ahead of time, by running a few tiny scenes that need all of them."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ SCENES: dict[str, dict[str, Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class Warmth:
-    """What a warm-up did."""
+    """Result of a warm-up."""
 
     seconds: float
     compiled: int  # kernels; the others were in the cache

@@ -1,1 +1,1 @@
-"""Where two recordings differ, and how fast."""
+"""Comparison of two recordings."""

@@ -27,9 +27,9 @@ class Diff:
     """Two recordings compared."""
 
     paths: tuple[Path, Path]
-    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
-    defaults: dict[str, Any]  # the values of those that are not written
-    environment: dict[str, tuple[Any, Any]]  # what differs of versions, machine, command
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None if one is not written
+    defaults: dict[str, Any]  # of the keys that one scene does not write
+    environment: dict[str, tuple[Any, Any]]  # differences of versions, machine, command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
     curve: Curve
@@ -45,8 +45,8 @@ class Diff:
 def diff(a: Recording, b: Recording) -> Diff:
     """Compare two recordings.
 
-    Frames are matched by step if both have the same times, else by time; then positions and energies of the second are
-    interpolated linearly between its frames.
+    Frames are matched by step if both have the same times, otherwise by time; then positions and energies of the second
+    are interpolated linearly between its frames.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def diff(a: Recording, b: Recording) -> Diff:
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
-    """Write both into one recording to look at. RecordingError if it cannot be written."""
+    """Write both into one recording for the viewer. Raises RecordingError if it cannot be written."""
     matched = FrameAlignment(a, b)
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve

@@ -1,8 +1,7 @@
-"""How a difference between two runs grows, and what caused it.
+"""The growth of a difference between two runs, and its cause.
 
-Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A fault in the program or
-another scene shows as a difference that is larger from the start than round-off can have become in that time, or that
-grows as a power of time.
+Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A bug or a different scene
+shows as a difference that is larger than round-off can have grown to in that time, or that grows as a power of time.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-_SATURATED = 0.1  # of the size of the system: from there on the difference cannot grow freely any more
-_POINTS, _FACTOR = 5, 10.0  # the least that a rate is fitted to: so many frames, and growth by so much
+_SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
+_POINTS, _FACTOR = 5, 10.0  # least number of frames, and least growth, to which a rate is fitted
 _ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
 _GRAZING = 1000.0  # a grazing impact stretches a difference by mean free path over radius at once
-_SURE = 3.0  # standard errors that a rate must be away from 0
+_SURE = 3.0  # standard errors by which a rate must differ from 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +27,11 @@ class Curve:
     step: NDArray[np.int64]  # (k,)
     time: FloatArray  # (k,) s
     rms: FloatArray  # (k,) m, of the distances between counterparts
-    floor: FloatArray  # (k,) m; a smaller difference cannot be told from the rounding of what was recorded
+    floor: FloatArray  # (k,) m; a smaller difference may be the rounding of recorded positions
     energy: FloatArray  # (k,) J, second minus first
-    differs: NDArray[np.bool_]  # (k,) the fingerprints do
-    size: float  # m, rms distance of the bodies from their middle
-    reach: float  # m, the largest coordinate: round-off is a fraction of it
+    differs: NDArray[np.bool_]  # (k,) whether the fingerprints differ
+    size: float  # m, rms distance of the bodies from their centre
+    reach: float  # m, the largest coordinate, to which round-off is relative
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +57,7 @@ class Verdict:
     text: str
     first: int | None  # the frame (index) at which the bits differ first
     jump: float  # m, difference at that frame; 0 if it cannot be seen
-    allowed: float  # m, what round-off could have become by then
+    allowed: float  # m, largest difference that round-off could have caused
 
 
 def divergence_of(curve: Curve) -> Divergence | None:
@@ -85,7 +84,7 @@ def divergence_of(curve: Curve) -> Divergence | None:
 
 
 def verdict(curve: Curve, divergence: Divergence | None) -> Verdict:
-    """Decide whether a difference is grown round-off or a fault."""
+    """Decide whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
         return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))

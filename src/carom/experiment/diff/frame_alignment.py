@@ -19,9 +19,9 @@ _SINGLE = float(np.finfo(np.float32).eps)
 
 
 class FrameAlignment:
-    """Frames matched by step if both recordings have the same times, else by time.
+    """Frames matched by step if both recordings have the same times, otherwise by time.
 
-    By time, the second one is interpolated linearly between its frames where it has none at the same moment.
+    By time, the second one is interpolated linearly between its frames where it has none at the same time.
 
     Raises
     ------

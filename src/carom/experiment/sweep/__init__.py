@@ -1,1 +1,1 @@
-"""Many runs of one scene: what varies, who computes them, and what became of each."""
+"""Sweeps: many runs of one scene with varied values and seeds."""

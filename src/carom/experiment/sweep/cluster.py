@@ -1,4 +1,4 @@
-"""Who computes: worker processes of our own on this machine, or the user's Dask cluster. Needs `carom[cluster]`."""
+"""Workers of a sweep: own processes on this machine, or the user's Dask cluster. Needs `carom[cluster]`."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _LOCAL_SETTINGS: dict[str, list[str]] = {  # whoever is on this machine may ask 
 _PRELOAD = "carom.experiment.sweep.preload"
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
 _SETTINGS = {
-    "distributed.worker.memory.target": False,  # a run's memory is not Dask's to manage
+    "distributed.worker.memory.target": False,  # Dask does not manage the memory of runs
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": False,
     "distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s",
-    # what Dask does besides took a sixth of two cores: profiles of what runs, and looks at itself 50 times a second
+    # Dask's own profiling, and its self-monitoring 50 times a second, took a sixth of two cores
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
@@ -51,15 +51,15 @@ def connected(address: str | None, workers: int | None, runs: int) -> Iterator[C
     workers
         Processes to start here, one run at a time in each; by default one a core.
     runs
-        How many there are to make: no more processes are started.
+        Number of runs to make; no more processes are started.
 
     Raises
     ------
     ExperimentError
-        If nobody answers at the address.
+        If no scheduler answers at the address.
     """
     for logger in _LOGGERS:
-        logging.getLogger(logger).setLevel(logging.CRITICAL)  # what happens is told by the command itself
+        logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command itself reports what happens
     with dask.config.set(_SETTINGS), contextlib.ExitStack() as stack:
         if address is None:
             stack.enter_context(dask.config.set(_LOCAL_SETTINGS))
@@ -70,7 +70,7 @@ def connected(address: str | None, workers: int | None, runs: int) -> Iterator[C
 
 
 def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
-    """Refuse a cluster some of whose workers see another folder or have another carom.
+    """Refuse a cluster if some workers see another folder or have another version of carom.
 
     Raises
     ------
@@ -91,7 +91,7 @@ def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
 
 
 def _local_cluster(workers: int) -> LocalCluster:
-    """Start workers that talk by TLS with a key of this sweep: a port of the loopback is open to all users."""
+    """Start workers that use TLS with a key of this sweep, because loopback ports are open to all users."""
     return LocalCluster(  # type: ignore[no-untyped-call]
         n_workers=workers,
         threads_per_worker=1,
@@ -116,7 +116,7 @@ def _key() -> Security:
 
 
 def _client_of(address: str) -> Client:
-    """Connect to a scheduler; knock first: a client that finds nobody takes 40 s to go away."""
+    """Connect to a scheduler; test the port first, since a client without a scheduler takes 40 s to close."""
     matched = _ADDRESS.fullmatch(address)
     if matched is None:
         raise ExperimentError(f"--cluster {address}: expected the address of a Dask scheduler, as tcp://10.0.0.1:8786")

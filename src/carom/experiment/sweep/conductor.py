@@ -1,4 +1,4 @@
-"""Hands runs to a cluster and enters what comes back into the manifest. Needs `carom[cluster]`."""
+"""Submits runs to a cluster and enters their reports into the manifest. Needs `carom[cluster]`."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from carom.experiment.sweep.task import Report, Task, execute
 
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
-_TICK = 0.2  # s between two looks at a sweep under way
+_TICK = 0.2  # s between two updates of a running sweep
 _RETRIES = 3  # of a run whose report does not arrive
 _ANSWER = 60.0  # s a scheduler may take
 
 
 class Watcher(Protocol):
-    """Who is told what happens."""
+    """Receives the progress of a sweep."""
 
     def say(self, text: str) -> None:
-        """Take note of something that concerns all runs."""
+        """Receive a message that concerns all runs."""
 
     def begin(self, found: int) -> None:
-        """Take note of how many runs are there already."""
+        """Receive the number of runs that already exist."""
 
     def ended(self, run: Run) -> None:
-        """Take note of a run that ended."""
+        """Receive a run that ended."""
 
     def tick(self) -> None:
-        """Be called a few times a second."""
+        """Update the display; called a few times a second."""
 
 
 class Conductor:
-    """Sees runs through on a cluster."""
+    """Executes runs on a cluster."""
 
     def __init__(self, client: Client, manifest: Manifest, watch: Watcher) -> None:
         self._client = client
@@ -47,18 +47,18 @@ class Conductor:
         self._waiting: dict[str, Future[Report]] = {}  # by key
         self._names: dict[str, str] = {}  # of the runs, by key
         self._ended: queue.SimpleQueue[Future[Report]] = queue.SimpleQueue()
-        self._dropped = 0  # runs that the scheduler will not make
+        self._dropped = 0  # runs that the scheduler refuses to make
         self._unsaved = ""  # why the manifest could not be written
 
     def conduct(self, points: list[Point], interrupts: Interrupts) -> str:
-        """Have runs made; return why that ended early, or nothing.
+        """Make runs; return why this ended early, or an empty text.
 
-        The first interrupt lets the runs under way finish, the second drops them.
+        The first interrupt lets current runs finish, the second drops them.
 
         Raises
         ------
         OSError
-            If in the end the manifest could not be written.
+            If the final manifest could not be written.
         """
         self._submit(points)
         stopping = False
@@ -78,7 +78,7 @@ class Conductor:
         return stopped
 
     def _submit(self, points: list[Point]) -> None:
-        """Hand over all runs at once: a task is a page of text at most, and the scheduler keeps the order."""
+        """Submit all runs at once; a task is at most a page of text, and the scheduler keeps the order."""
         plan, folder = self._manifest.plan, self._manifest.folder
         version, sweep = versions()["carom"], uuid.uuid4().hex[:8]
         tasks = [Task(str(folder.root), plan.digest, version, self._manifest.command, point) for point in points]
@@ -90,7 +90,7 @@ class Conductor:
             future.add_done_callback(self._ended.put)
 
     def _take(self) -> bool:
-        """Enter all runs that ended by now; wait a tick for the first."""
+        """Enter all runs that have ended; wait a tick for the first."""
         try:
             ended = [self._ended.get(timeout=_TICK)]
             while not self._ended.empty():
@@ -101,7 +101,7 @@ class Conductor:
         return any(entered)
 
     def _settle(self, future: Future[Report]) -> bool:
-        """Enter one run; tell whether there was anything to enter."""
+        """Enter one run; tell whether there was one."""
         if self._waiting.pop(str(future.key), None) is None:
             return False
         if future.status in ("cancelled", "lost"):
@@ -111,7 +111,7 @@ class Conductor:
         return True
 
     def _save(self) -> None:
-        """Write the manifest; a disk that is full now may have room later, and the recordings are what counts."""
+        """Write the manifest; keep an error for later, since a full disk may get room again."""
         try:
             self._manifest.save()
             self._unsaved = ""
@@ -137,7 +137,7 @@ class Conductor:
 
 
 def _report(future: Future[Report]) -> Report:
-    """Return what a worker says of its run, or what is known of a run whose worker says nothing."""
+    """Return the report of a worker, or a report of what is known if the worker sent none."""
     try:
         return future.result(timeout=_ANSWER)
     except KilledWorker as error:

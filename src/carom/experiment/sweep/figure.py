@@ -15,15 +15,15 @@ from carom.experiment.sweep.plan import SEED
 from carom.experiment.sweep.table import Row
 
 MOST_LINES = 12  # in the legend
-_DECADES = 50.0  # ratio of the ends of an axis from which it is logarithmic
+_DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger
 
 Points = dict[float, list[float]]  # all y of one x
 
 
 def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, path: Path) -> None:
-    """Draw ``y`` over ``x`` into a PNG: a line for each combination of what else varies.
+    """Draw ``y`` over ``x`` into a PNG, with a line for each combination of the other varied values.
 
-    A point is the mean of the runs that differ in their seeds only; the bar goes from the least to the greatest.
+    A point is the mean of the runs that differ only in their seeds; the bar is their range.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where a sweep lives: one folder, the same for whoever starts it and for whoever computes."""
+"""The folder of a sweep, shared by the command and all workers."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class Folder:
 
     @property
     def scene(self) -> Path:
-        """The scene that all runs start from, without what varies."""
+        """The scene of all runs, without the varied values."""
         return self.root / "scene.toml"
 
     @property
     def manifest(self) -> Path:
-        """What became of each run."""
+        """The outcomes of all runs."""
         return self.root / "manifest.json"
 
     @property
     def table(self) -> Path:
-        """The summary as Parquet; the same as CSV lies beside it."""
+        """The summary as Parquet; a CSV copy is beside it."""
         return self.root / "table.parquet"
 
     @property
@@ -45,29 +45,29 @@ class Folder:
         return self.root / "partial"
 
     def whole(self, name: str) -> Path:
-        """Return where the recording of a run lies that went to its end."""
+        """Return the path of the recording of a completed run."""
         return self.root / "runs" / f"{name}.rrd"
 
     def failed(self, name: str) -> Path:
-        """Return where the recording of a run lies that failed: everything up to then."""
+        """Return the path of the recording of a failed run."""
         return self.root / "failed" / f"{name}.rrd"
 
     def attempt(self, name: str) -> Path:
-        """Return where to write a recording that nobody else writes, not even another attempt at the same run."""
+        """Return a unique path for writing a recording, different even for attempts at the same run."""
         return self.partial / f"{name}.{uuid.uuid4().hex[:8]}.rrd"
 
     def make(self) -> None:
-        """Make the folder and those in it."""
+        """Make the folder and its subfolders."""
         for part in (self.root, self.root / "runs", self.root / "failed", self.partial):
             output_folder(part)
 
     def clear_partial(self) -> None:
-        """Remove what attempts left that nobody waits for any more."""
+        """Remove leftovers of earlier attempts."""
         for path in self.partial.iterdir():
             path.unlink(missing_ok=True)
 
     def clear(self) -> None:
-        """Remove all that a sweep put here, and nothing else."""
+        """Remove all files of a sweep, and nothing else."""
         for part in ("runs", "failed", "partial"):
             shutil.rmtree(self.root / part, ignore_errors=True)
         for path in (self.manifest, self.scene, self.table, self.table.with_suffix(".csv")):
@@ -75,7 +75,7 @@ class Folder:
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[None]:
-        """Keep other sweeps out of the folder; the claim ends with the process, however it ends.
+        """Lock the folder against other sweeps; the lock ends with the process.
 
         Raises
         ------
@@ -91,7 +91,7 @@ class Folder:
 
 
 def put(path: Path, content: str | bytes) -> None:
-    """Write a file so that it is there as before or as a whole, whenever the machine stops."""
+    """Write a file atomically: after a crash it has either its old or its new content."""
     beside = path.with_name(f".{path.name}.new")
     try:
         with beside.open("wb") as file:
@@ -106,7 +106,7 @@ def put(path: Path, content: str | bytes) -> None:
 
 
 def move(path: Path, to: Path) -> None:
-    """Rename a file, in place of one that is there, and make the new name durable."""
+    """Rename a file, replacing an existing one, and make the new name durable."""
     path.replace(to)
     folder = os.open(to.parent, os.O_RDONLY)
     try:

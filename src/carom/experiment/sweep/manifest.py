@@ -1,4 +1,4 @@
-"""What became of each run of a sweep: a file that is right at every moment."""
+"""The manifest: a file with the outcome of each run of a sweep, valid at any time."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from carom.scene.nesting import DEEPEST, is_too_deep
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
 COMPLETED = "completed"
-_ENTRY = 4000  # bytes that a run's entry may have, for the reserve
+_ENTRY = 4000  # bytes reserved for the entry of a run
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run, and what became of it."""
+    """One run and its outcome."""
 
     name: str
     parameters: dict[str, Any]
     seed: int
-    status: str = PENDING  # "done": it went to its end, and its recording is whole; "failed": it did not
+    status: str = PENDING  # "done": it completed, and its recording is complete; "failed": it did not
     outcome: str = ""  # as of `Outcome.status`; or "refused", "lost" with its workers, "error"
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
     fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
     file: str = ""  # in the sweep's folder
     size: int = 0  # bytes
-    worker: str = ""  # the host that computed it
-    results: dict[str, Any] = field(default_factory=dict)  # what `carom inspect` measures, by dotted keys
+    worker: str = ""  # the host that ran it
+    results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect`, by dotted keys
 
     @property
     def ok(self) -> bool:
-        """Whether it went to its end and kept its promises."""
+        """Whether it completed and kept its promises."""
         return self.outcome == COMPLETED
 
 
 class _Stored(BaseModel):
-    """What a manifest has in it; keys that this version does not know are left alone."""
+    """Content of a manifest; unknown keys are ignored."""
 
     title: str
     scene: str
@@ -56,7 +56,7 @@ class _Stored(BaseModel):
 
 
 class Manifest:
-    """The list of all runs, on disk in a sweep's folder."""
+    """The list of all runs, stored in the folder of a sweep."""
 
     def __init__(self, folder: Folder, plan: Plan, runs: dict[str, Run], command: str) -> None:
         self.folder = folder
@@ -68,7 +68,7 @@ class Manifest:
 
     @classmethod
     def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
-        """Take up a sweep where it stands, or begin one; whatever is done stays so.
+        """Continue a sweep, or begin one; completed runs are kept.
 
         Raises
         ------
@@ -93,22 +93,22 @@ class Manifest:
 
     @property
     def asked(self) -> list[Run]:
-        """The runs of the plan; the folder may hold more, of an earlier and wider one."""
+        """The runs of the plan; the folder may have more, from an earlier and larger plan."""
         return [self.runs[point.name] for point in self.plan.points]
 
     def reset(self, points: list[Point]) -> None:
-        """Put runs back to the beginning."""
+        """Reset runs to their initial state."""
         for point in points:
             self._enter(Run(point.name, point.parameters, point.seed))
 
     def settle(self, name: str, report: dict[str, Any]) -> Run:
-        """Enter what a worker reports of a run: fields of `Run`."""
+        """Enter the report of a worker on a run: fields of `Run`."""
         run = replace(self.runs[name], **report)
         self._enter(run)
         return run
 
     def hold_room(self) -> None:
-        """Keep room on the disk for the manifest as it will be, so that a full disk is told of, too."""
+        """Reserve disk space for the final manifest, so that a full disk can still be reported."""
         self._reserve = DiskReserve(self.folder.root)
         try:
             self._reserve.grow(_ENTRY * len(self.runs))
@@ -117,7 +117,7 @@ class Manifest:
             raise ExperimentError(f"{self.folder.root}: no room for a sweep: {error.strerror}") from None
 
     def save(self) -> None:
-        """Write the file; OSError if that fails, and then the one before is still there."""
+        """Write the file. Raises OSError if that fails; the previous file then remains."""
         head = json.dumps(self._head(), indent=1, ensure_ascii=False).removesuffix("\n}")
         text = f'{head},\n "runs": [\n' + ",\n".join(self._lines.values()) + "\n]}\n"
         try:
@@ -150,12 +150,12 @@ class Manifest:
 
 
 def read(folder: Folder) -> dict[str, Any]:
-    """Read a manifest as it is stored.
+    """Read a stored manifest.
 
     Raises
     ------
     ExperimentError
-        If there is none, or it is not one of carom's.
+        If there is none, or it is not a manifest of carom.
     """
     path = folder.manifest
     if not path.is_file():
@@ -180,7 +180,7 @@ def read(folder: Folder) -> dict[str, Any]:
 
 
 def _int64(digits: str) -> int:
-    """Read a whole number that a table can hold."""
+    """Read a whole number that fits into a table."""
     value = int(digits)
     if not -(2**63) <= value < 2**63:
         raise ValueError(f"{digits[:20]}…: a whole number of more than 64 bits")
@@ -188,12 +188,12 @@ def _int64(digits: str) -> int:
 
 
 def stored_runs(folder: Folder) -> list[Run]:
-    """Return the runs of a sweep as its manifest has them."""
+    """Return the runs in the manifest of a sweep."""
     return list(_runs(read(folder)).values())
 
 
 def _line(run: Run) -> str:
-    """Write a run's entry once, not whenever another run ends."""
+    """Return the entry of a run as text, which is kept until the run changes."""
     return json.dumps(asdict(run), ensure_ascii=False)
 
 
@@ -202,7 +202,7 @@ def _runs(stored: dict[str, Any]) -> dict[str, Run]:
 
 
 def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
-    """Refuse to mix two sweeps in a folder."""
+    """Refuse to mix two sweeps in one folder."""
     remedy = "choose another folder with -o, or give --force to remove that sweep and start anew"
     if stored["scene"] != plan.digest:
         raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")

@@ -1,4 +1,4 @@
-"""What a sweep is to compute: the scene, what varies, and a name for every run."""
+"""The plan of a sweep: the scene, the varied values, and a name for every run."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 class Point:
     """One run to be made."""
 
-    name: str  # what varies, and the name of its recording
+    name: str  # from the varied values; the recording has the same name
     parameters: dict[str, Any]  # by key, without the seed
     seed: int
 
     @property
     def overrides(self) -> list[str]:
-        """What to change in the scene, as ``--set`` takes it."""
+        """The changes to the scene, as ``--set`` takes them."""
         return [override(key, value) for key, value in {**self.parameters, SEED: self.seed}.items()]
 
 
@@ -48,12 +48,12 @@ class Plan:
 
     @property
     def digest(self) -> str:
-        """What tells one scene from another."""
+        """The digest of the scene."""
         return digest(self.scene)
 
 
 def digest(scene: str) -> str:
-    """Return what tells one scene's text from another."""
+    """Return the digest of the text of a scene."""
     return hashlib.sha256(scene.encode()).hexdigest()
 
 
@@ -64,25 +64,25 @@ def plan(
     seeds: int | None = None,
     zipped: bool | None = None,
 ) -> Plan:
-    """Lay out a sweep.
+    """Plan a sweep.
 
     Parameters
     ----------
     source
-        A scene file, or the name of a bundled scene. Its ``[sweep]`` holds where the other parameters do not.
+        A scene file, or the name of a bundled scene. Its ``[sweep]`` gives the defaults of the other parameters.
     overrides
         ``key=value``, for all runs.
     vary
         ``key=values`` as `carom.scene.variation.values_of` reads them; in place of the same key of ``[sweep]``.
     seeds
-        Runs of each, with seeds from the scene's own on.
+        Runs of each combination, with seeds counted up from the scene's own.
     zipped
-        Whether the values go side by side. Seeds are crossed with them all the same.
+        Whether values are combined side by side. Seeds are crossed with them in any case.
 
     Raises
     ------
     SceneError, ExperimentError
-        If the scene cannot be loaded, or no run of the sweep can.
+        If the scene cannot be loaded, or no run of the sweep can be made.
     """
     scene = Scene.load(source, list(overrides))
     axes = {**scene.sweep.vary, **dict(_axis(text) for text in vary)}
@@ -118,14 +118,14 @@ def _seeds(first: int, row: dict[str, Any], count: int | None) -> Sequence[Any]:
 
 
 def _without_sweep(text: str) -> str:
-    """Take [sweep] out: a run is what it is, whatever else is run beside it."""
+    """Remove [sweep], because a run does not depend on the other runs."""
     document = tomlkit.parse(text)
     document.pop("sweep", None)
     return tomlkit.dumps(document).rstrip() + "\n"
 
 
 def _short_names(keys: Sequence[str]) -> dict[str, str]:
-    """Name each key by its last part where that says which it is."""
+    """Abbreviate each key to its last part where that is unique."""
     last = [key.rsplit(".", 1)[-1] for key in keys]
     return {key: short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)}
 
@@ -134,7 +134,7 @@ def _point(row: dict[str, Any], short: dict[str, str]) -> Point:
     shown = {short[key]: _shown(row[key]) for key in short}
     name = ",".join(f"{key}={value}" for key, value in shown.items())
     safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown.items())
-    if safe != name or len(safe) > _LONGEST_NAME:  # two values might look alike
+    if safe != name or len(safe) > _LONGEST_NAME:  # two values might become equal
         safe = f"{safe[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     parameters = {key: value for key, value in row.items() if key != SEED}
     return Point(safe, parameters, row[SEED])
@@ -149,7 +149,7 @@ def _shown(value: Any) -> str:
 
 
 def _refuse_hopeless(text: str, points: Sequence[Point]) -> None:
-    """Refuse a sweep of which no run can be made: a misspelt key is told at once, not once a run."""
+    """Refuse a sweep of which no run can be made, so a misspelt key is reported once, not once a run."""
     first: SceneError | None = None
     for point in points:
         try:

@@ -1,4 +1,4 @@
-"""What a local worker does before its first run; Dask calls `dask_setup`."""
+"""Preparation of a local worker before its first run; Dask calls `dask_setup`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from carom.experiment.memory import keep_freed_memory
 
 
 def dask_setup(worker: object) -> None:
-    """Leave the interrupt key to the command, which lets the runs under way finish."""
+    """Ignore the interrupt key; the command handles it and lets current runs finish."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed_memory()

@@ -21,28 +21,28 @@ class Ending:
     """How a sweep ended."""
 
     manifest: Manifest
-    found: int  # runs that were there before
+    found: int  # runs that already existed
     stopped: str  # why it ended early; empty if it did not
     untabled: str = ""  # why the table could not be written
 
     @property
     def failed(self) -> list[Run]:
-        """The runs that did not go to their end."""
+        """The runs that did not complete."""
         return [run for run in self.manifest.asked if run.status == FAILED]
 
     @property
     def missed(self) -> list[Run]:
-        """The runs that went to their end and missed a promise of their scene."""
+        """The runs that completed and missed a promise of their scene."""
         return [run for run in self.manifest.asked if run.status not in (FAILED, PENDING) and not run.ok]
 
     @property
     def left(self) -> int:
-        """How many runs have not been made."""
+        """The number of runs that have not been made."""
         return sum(run.status == PENDING for run in self.manifest.asked)
 
     @property
     def ok(self) -> bool:
-        """Whether every run went to its end and kept its promises, and the table was written."""
+        """Whether every run completed and kept its promises, and the table was written."""
         return not self.untabled and all(run.ok for run in self.manifest.asked)
 
 
@@ -56,7 +56,7 @@ def sweep(
     force: bool = False,
     command: str = "",
 ) -> Ending:
-    """Make all runs of a plan that are not there yet.
+    """Make all missing runs of a plan.
 
     Parameters
     ----------
@@ -65,15 +65,15 @@ def sweep(
     root
         The folder of the sweep; the same on all machines that compute.
     watch
-        Who is told what happens.
+        Receives the progress.
     address
         A Dask scheduler, such as ``tcp://10.0.0.1:8786``; None for processes on this machine.
     workers
-        How many of those; by default one a core.
+        Number of these processes; by default one per core.
     force
-        Whether to remove a sweep that lies in the folder, rather than to go on with it.
+        Whether to remove an existing sweep in the folder instead of continuing it.
     command
-        What was typed, for the recordings.
+        The command line, for the recordings.
 
     Raises
     ------

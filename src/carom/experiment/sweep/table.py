@@ -1,4 +1,4 @@
-"""A sweep as a table: one row a run, with what varies, what became of it, and what was measured."""
+"""A sweep as a table: one row per run, with its parameters, outcome and results."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CONDITION = re.compile(r"\s*([^<>=!\s]+)\s*(<=|>=|!=|=|<|>)\s*(.*?)\s*")
 
 
 def rows_of(runs: Sequence[Run]) -> list[Row]:
-    """Return a row a run; what a run has not got is None in it."""
+    """Return one row per run; missing values are None."""
     rows = [
         {"name": run.name, **run.parameters, SEED: run.seed, **{key: getattr(run, key) for key in _LAST}, **run.results}
         for run in runs
@@ -43,7 +43,7 @@ def columns_of(rows: Sequence[Row]) -> list[str]:
 
 
 def write(folder: Folder, runs: Sequence[Run]) -> None:
-    """Write the table as Parquet and as CSV. OSError if the disk has no room."""
+    """Write the table as Parquet and as CSV. Raises OSError if the disk is full."""
     rows = rows_of(runs)
     table = pa.table({key: _column([row[key] for row in rows]) for key in columns_of(rows)})
     parquet, text = io.BytesIO(), io.BytesIO()
@@ -59,7 +59,7 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
     Parameters
     ----------
     conditions
-        Such as ``contact.restitution>=0.5`` or ``outcome=completed``. What a run has not got meets no condition.
+        Such as ``contact.restitution>=0.5`` or ``outcome=completed``. Missing values meet no condition.
     sort
         A column; with a minus before it the largest comes first. Rows without a value come last.
 
@@ -80,7 +80,7 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
 
 
 def known(key: str, rows: Sequence[Row]) -> str:
-    """Return a column's name; ExperimentError if there is none of that name."""
+    """Return the name of a column. Raises ExperimentError if there is none."""
     columns = columns_of(rows)
     if key in columns:
         return key
@@ -113,7 +113,7 @@ def _order(value: Any) -> tuple[bool, Any]:
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """Return a column of one type; what has no common type, or is a list, is written as JSON."""
+    """Return a column of one type; lists, and values without a common type, are written as JSON."""
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str}):
         return pa.array([float(value) if kinds == {int, float} and value is not None else value for value in values])

@@ -1,4 +1,4 @@
-"""One run of a sweep, as a worker makes it: in whatever process, on whatever machine, with the same bits."""
+"""One run of a sweep, with the same bits in any worker process on any machine."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's s
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a worker has to know; the scene itself lies in the folder."""
+    """The data that a worker needs; the scene itself is in the folder."""
 
     root: str  # the sweep's folder, as the client sees it
     scene: str  # digest of the scene's text
@@ -41,7 +41,7 @@ class Task:
 
 
 def execute(task: Task) -> Report:
-    """Make a run, or find it made; whatever goes wrong with it is in the report."""
+    """Make a run, or find its recording; the report contains any error."""
     began = time.perf_counter()
     folder = Folder(Path(task.root))
     try:
@@ -52,13 +52,13 @@ def execute(task: Task) -> Report:
         report = _failure("failed", str(error))
     except (OSError, RecordingError) as error:
         report = _failure("disk", str(error))
-    except Exception as error:  # of one run: the others shall go on
+    except Exception as error:  # of one run: the others continue
         report = _failure("error", f"{type(error).__name__}: {error}")
     return {"wall_time": time.perf_counter() - began, **report, "worker": socket.gethostname()}
 
 
 def unfit(root: str, scene: str, version: str) -> str:
-    """Say why this process cannot make runs of a sweep; empty if it can."""
+    """Say why this process cannot make the runs of a sweep; empty if it can."""
     ours = versions()["carom"]
     if ours != version:
         return f"has carom {ours}, but the sweep is of {version}; results depend on the version"
@@ -85,7 +85,7 @@ def _made(task: Task, folder: Folder) -> Report:
         outcome = simulate(Space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
-        if outcome.status == "failed":  # a recording of what went wrong; other ends say nothing about the scene
+        if outcome.status == "failed":  # keeps the recording; other ends say nothing about the scene
             return _kept(attempt, folder.failed(point.name), folder)
         return _failure(outcome.status, outcome.reason)
     finally:
@@ -93,14 +93,14 @@ def _made(task: Task, folder: Folder) -> Report:
 
 
 def _kept(attempt: Path, place: Path, folder: Folder) -> Report:
-    """Give a closed recording its name, and say what is in it."""
+    """Rename a complete recording to its final name, and report its results."""
     report = _report(Recording.open(attempt))
     move(attempt, place)
     return {**report, "file": str(place.relative_to(folder.root))}
 
 
 def _found(path: Path, scene: Scene) -> Report | None:
-    """Return the report of a run that an earlier attempt has made; its client may have died before it heard of it."""
+    """Return the report of a run made by an earlier attempt, whose client may have died before receiving it."""
     if not path.exists():
         return None
     try:
@@ -141,6 +141,6 @@ def _results(summary: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def _recordable(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Write what Rerun has no component for as text."""
+    """Write values without a Rerun component as text."""
     kept = (bool, int, float, str)
     return {key: value if isinstance(value, kept) else str(value) for key, value in parameters.items()}

@@ -1,1 +1,1 @@
-"""Accuracy against cost: settings of a scene, measured and searched."""
+"""Accuracy against cost: measuring and searching the settings of a scene."""

@@ -1,14 +1,14 @@
 """The search for the cheapest setting of a scene that keeps limits on its errors: coordinate descent.
 
-It begins at the best of about a dozen settings that differ from the scene in one key each, and changes one key after
-the other, until no change is an improvement. A setting improves on another one if it keeps the limits and is cheaper,
-or while none keeps them, if it is nearer to that.
+The search begins at the best of about a dozen settings that differ from the scene in one key each. It changes one key
+after the other until no change is an improvement. A setting is an improvement if it keeps the limits and is cheaper,
+or, while no setting keeps them, if it is nearer to keeping them.
 
-After each change the step is doubled as long as that improves the setting, and halved until the limits are kept. So an
-integrator of high order is judged with the long steps that it allows, not with those of another one.
+After each change the step is doubled as long as that is an improvement, and halved until the limits are kept. An
+integrator of high order is thus judged with the long steps that it allows.
 
-What is found is the cheapest setting that was tried. Errors and costs need not be monotonic in a key, and no search
-short of all combinations proves that none is cheaper.
+The result is the cheapest setting that was tried. Errors and costs need not be monotonic in a key, so only a search of
+all combinations would prove that none is cheaper.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from carom.experiment.work_precision.settings_grid import Point, default_points,
 from carom.experiment.work_precision.tradeoff import Result, Study, Teller
 from carom.plan.auto import auto_interval
 
-FRAMES_KEPT = 0.95  # of the frames that a recording of the scene has: a longer step is not worth a jerking picture
-NEARER = 0.9  # of the factor by which limits are missed, that half the step has to come down to
-DEAREST = 16.0  # times the cost of the scene: beyond it no step is halved
+FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky
+NEARER = 0.9  # half the step must reduce the factor by which limits are missed to this fraction
+DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
 SHORTEST = 2.0**-6  # of the scene's step
 BETWEEN = 1.5  # times the step, where twice the step is too long
-CLOSE = 1.3  # times the cost of the cheapest: what is timed again before one of them is chosen
+CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
 
 
 class Search:
@@ -33,7 +33,7 @@ class Search:
     Parameters
     ----------
     study
-        Where settings are measured; what is measured in it already is not measured again.
+        The study that measures settings; existing measurements are reused.
     limits
         Of errors, by their names.
     """
@@ -44,11 +44,11 @@ class Search:
 
     @property
     def results(self) -> list[Result]:
-        """What was tried; the first is the scene as it is written."""
+        """The settings that were tried; the first is the scene as written."""
         return list(self._found.values())
 
     def run(self, repeats: int) -> None:
-        """Search; then time the scene and what is about as cheap as the cheapest as often as asked for."""
+        """Search; then time the scene and the settings near the lowest cost as often as requested."""
         points = default_points(self._study.scene)
         results = self._study.measure([point.setting(self._study.scene) for point in points], 1, self._tell)
         self._found.update(zip(points, results, strict=True))
@@ -70,7 +70,7 @@ class Search:
             best = self._better(best, best.times(BETWEEN))
 
     def _along_step(self, here: Point, best: Point | None = None) -> Point:
-        """Return the best step for the other coordinates of a point; shorter ones are not tried once they cost more."""
+        """Return the best step for the other coordinates of a point; stops at shorter steps that cost more."""
         if not self._excess(here):
             while self._better(here, here.times(2.0)) != here:
                 here = here.times(2.0)
@@ -83,7 +83,7 @@ class Search:
         return here
 
     def _too_dear(self, point: Point, best: Point | None) -> bool:
-        """Tell whether a point costs so much that it need not be tried with half the step."""
+        """Tell whether a point is too expensive to be tried with half the step."""
         if best is not None and not self._excess(best):
             return self._see(point).cost >= self._see(best).cost
         return self._see(point).cost >= DEAREST * self._see(Point()).cost
@@ -92,16 +92,16 @@ class Search:
         return other if self._rank(other) < self._rank(one) else one
 
     def _rank(self, point: Point) -> tuple[float, float]:
-        """Return what is the smaller the better: by what factor limits are missed, and the cost in s."""
+        """Return the sort key of a point: the factor by which limits are missed, then the cost in s."""
         excess = self._excess(point)
         return excess, self._see(point).cost if math.isfinite(excess) else math.inf
 
     def _excess(self, point: Point) -> float:
-        """Return by what factor the worst limit is missed; 0 if all are kept, infinite if one cannot be judged."""
+        """Return the factor by which the worst limit is missed; 0 if all are kept, infinite if one cannot be judged."""
         return excess(self._study, self._see(Point()), self._see(point), self._limits)
 
     def _see(self, point: Point) -> Result:
-        """Measure a point, unless it is measured; one run tells its errors, and one its cost."""
+        """Measure a point that is not measured yet, with one run for its errors and one for its cost."""
         if point not in self._found:
             kept = [result.cost for place, result in self._found.items() if not self._excess(place)]
             best = f"; the cheapest so far takes {min(kept):.3g} s" if kept else ""
@@ -114,9 +114,9 @@ class Search:
 
 
 def excess(study: Study, written: Result, result: Result, limits: dict[str, float]) -> float:
-    """Return by what factor a setting misses the worst of the limits and of the frames; 0 if it keeps all of them.
+    """Return the factor by which a setting misses the worst limit, the number of frames included.
 
-    It is infinite where one of them is not measured.
+    It is 0 if all are kept, and infinite if one of them is not measured.
     """
     if not result.complete:
         return math.inf
@@ -124,14 +124,14 @@ def excess(study: Study, written: Result, result: Result, limits: dict[str, floa
     factors = [found[name] / limit if limit else 1.0 + found[name] for name, limit in limits.items()]
     missed = [factor for factor, name in zip(factors, limits, strict=True) if not found[name] <= limits[name]]
     if loses_frames(study, written, result):
-        missed.append(written.frames / result.frames)  # a factor that half the step brings down
+        missed.append(written.frames / result.frames)  # half the step reduces this factor
     return max((math.inf if math.isnan(factor) else factor for factor in missed), default=0.0)
 
 
 def loses_frames(study: Study, written: Result, result: Result) -> bool:
     """Tell whether a recording has fewer frames than one of the scene as written.
 
-    Where that records every step, it is enough to have as many as a recording that chooses its frames itself.
+    If the scene records every step, the number of frames of an automatic recording is enough.
     """
     wanted = written.frames
     if study.scene.record.every == "step":
@@ -140,5 +140,5 @@ def loses_frames(study: Study, written: Result, result: Result) -> bool:
 
 
 def unsure(study: Study, limits: dict[str, float]) -> list[str]:
-    """Return the errors whose limits are below what the reference is uncertain by: nobody can tell who keeps them."""
+    """Return the errors whose limits are below the uncertainty of the reference and so cannot be checked."""
     return [name for name, limit in limits.items() if name != "missed" and limit < study.floor(name)]

@@ -15,18 +15,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """The errors of a run; NaN where nothing was measured. Each is better the smaller it is."""
+    """The errors of a run; NaN if not measured. Smaller is better for each."""
 
     position: float  # rms over bodies and samples up to the horizon, over the size of the system
     velocity: float  # likewise, over its speed
     impact: float  # s, rms over the pairs that met before the horizon, of the time of their first contact
-    missed: float  # how many of those pairs had not met by then; for `impact` they count as met at the horizon
+    missed: float  # number of those pairs that had not met by then; for `impact` they count as met at the horizon
     energy: float  # largest |integration error| over the energy scale, from the ledger
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the scale
     momentum: float  # largest error of the momentum over its scale
     angular_momentum: float
     overlap: float  # deepest overlap over the smaller radius
-    sinking: float  # mean overlap of what touches late in the run, likewise; NaN where nothing can rest
+    sinking: float  # mean overlap of contacts late in the run, likewise; NaN if nothing can rest
     impacts: float  # | number of impacts / that of the reference - 1 |
     size: float  # rms over all samples of the rms radius, over the reference's
     dispersion: float  # likewise of the rms speed about the centre
@@ -45,7 +45,7 @@ class Scale:
 
     @classmethod
     def of(cls, trajectory: Trajectory, box: FloatArray | None) -> Scale:
-        """Take the scale of a reference."""
+        """Return the scale of a reference."""
         length = float(spread(trajectory.position).max()) if box is None else float(box.min()) / 2
         speed = float(spread(trajectory.velocity).max())
         length = length or float(np.abs(trajectory.position).max()) or 1.0
@@ -71,9 +71,9 @@ def compare(run: Trajectory, reference: Trajectory, scale: Scale, samples: int, 
     Parameters
     ----------
     samples
-        Up to which trajectories are compared: the horizon.
+        Number of samples up to the horizon, at which trajectories are compared.
     whole
-        Whether the reference goes to the end of the scene, so that its statistics are those of the whole run.
+        Whether the reference reaches the end of the scene, so its statistics are those of the whole run.
     """
     position, velocity = scale.apart(run.until(samples), reference.until(samples))
     horizon = float(reference.time[samples - 1]) if samples else 0.0

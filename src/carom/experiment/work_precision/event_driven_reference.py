@@ -1,16 +1,15 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
-SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off, from contact to contact. A step
-in which two bodies may come together is searched for the first moment at which they touch by conservative advancement:
-the gap, divided by a bound of the closing speed, is a time in which they cannot meet, so no contact is stepped over.
-The moment is then refined on steps from the same beginning, and the contact is resolved by the readable form of the
-impulse law, `physics/reference_api.py`. Samples do not cut the steps: each one is a shorter step beside the one that
-passes it, which is more accurate than DOP853's interpolation.
+SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off, from contact to contact. If two
+bodies may meet in a step, conservative advancement finds the first time at which they touch: the gap divided by a bound
+of the closing speed is a time in which they cannot meet, so no contact is missed. The time is then refined on steps
+from the same beginning, and `physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample
+is a separate, shorter step, which is more accurate than DOP853's interpolation.
 
-Where infinitely many contacts follow each other, as before a body comes to rest on another, the solution ends: resting
-contacts are not events.
+The solution ends where infinitely many contacts follow each other, as before a body comes to rest on another, because
+resting contacts are not events.
 
-The tolerance bounds the error of flights only. How contacts amplify rounding is measured by a *twin*: the same scene,
+The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
 displaced by rounding errors, with simultaneous contacts resolved in the opposite order.
 """
 
@@ -33,24 +32,24 @@ from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
 
-MOST_BODIES = 20  # the pairs are looked at one by one, in Python
+MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000
-TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it takes
-SPEED_MARGIN = 1.5  # what the speed of approach within a step may be over the largest at its ends and middle
+TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
+SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
 TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact
-LOWEST_FLIGHT = 1e-11  # of the sum of radii: a bounce that is lower is none, the contact lasts
-NEWTON = 12  # iterations at most, each of them squares the error
-NUDGE = 4.0  # units of rounding by which a twin starts elsewhere: more than the arithmetic of some hundred steps loses
-LONGER = 1.25  # how much longer the steps of a twin may be: at order eight they err by six times as much
+LOWEST_FLIGHT = 1e-11  # of the sum of radii; after a lower bounce the contact counts as lasting
+NEWTON = 12  # most iterations, each of which squares the error
+NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
+LONGER = 1.25  # factor of the longest step of a twin; at order eight its error is six times as large
 EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass
 class EventDrivenSolution:
-    """The event-driven reference of a scene, up to where it ends."""
+    """The event-driven solution of a scene, up to its end."""
 
     trajectory: Trajectory
-    ended: str = ""  # why it does not go on to the end of the scene; empty if it does
+    ended: str = ""  # why it ends before the scene does; empty if it does not
     time: list[float] = field(default_factory=list)  # s, of every contact
 
 
@@ -59,9 +58,9 @@ def why_not(scene: Scene) -> str:
     if scene.count > MOST_BODIES:
         return f"{scene.count} bodies are more than {MOST_BODIES}"
     if scene.domain.boundary != "open" or scene.plane:
-        return "planes, walls and periodic boxes are not in it"
+        return "no exact solution with planes, walls or periodic boxes"
     if any(body.fixed for body in scene.body):
-        return "fixed bodies are not in it"
+        return "no exact solution with fixed bodies"
     if scene.contact.allow_overlap:
         return "bodies may overlap at the start"
     return ""
@@ -75,16 +74,16 @@ def solve(
     Parameters
     ----------
     space
-        Before its first step; it stays there.
+        A space before its first step; it is not changed.
     times
         (K,) s, at which the solution is kept.
     tolerance
-        Relative, of DOP853; absolute, of the largest coordinate and speed at the start.
+        Relative tolerance of DOP853; the absolute one is this times the largest coordinate and speed at the start.
     twin
-        0 solves the scene as it is. Any other number is the seed of a twin, which starts at the distance of rounding
-        and takes simultaneous contacts in the opposite order.
+        0 solves the scene itself. Any other number is the seed of a twin, which starts displaced by rounding and
+        resolves simultaneous contacts in the opposite order.
     budget
-        Seconds of computing, after which the solution ends where it is.
+        Seconds of computing, after which the solution ends.
     """
     return _Solver(space, times, tolerance, twin, budget).run()
 
@@ -143,9 +142,9 @@ class _Solver:
         return EventDrivenSolution(trajectory, self._ended, self._struck)
 
     def _advance(self, end: float, longest: float) -> list[int]:
-        """Advance to a time or to the first contacts before it; return which pairs those are.
+        """Advance to a time or to the first contacts before it; return the pairs in contact.
 
-        The first step is at most the longest: bodies that leave each other and fall back must first be apart.
+        The first step is at most ``longest``, because bodies that bounce and fall back must first separate.
         """
         solver = self._solver(self._time, self._state(), min(end, self._time + longest))
         while not self._ended:
@@ -170,14 +169,14 @@ class _Solver:
         return []
 
     def _sample(self, before: float, y: FloatArray, after: float) -> None:
-        """Keep the samples within a step that begins with a state."""
+        """Store the samples within a step that begins with a state."""
         while (time := self._next_sample()) < after:
             x, v = self._at(before, y, time).reshape(2, self._n, 3)
             self._position.append(x.copy())
             self._velocity.append(v.copy())
 
     def _sample_now(self) -> None:
-        """Keep the sample at the present time, if there is one: what is struck then has its new velocity."""
+        """Store the sample at the present time, if there is one; bodies struck then have their new velocities."""
         if self._next_sample() == self._time:
             self._position.append(self._bodies.position.copy())
             self._velocity.append(self._bodies.velocity.copy())
@@ -220,7 +219,7 @@ class _Solver:
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
     def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
-        """Return time and state of the first contact in the step that was just made, if there is one."""
+        """Return time and state of the first contact in the last step, if there is one."""
         dense = OdeSolution([before, solver.t], [solver.dense_output()])
         end = solver.t
         looks = [dense(before), dense((before + end) / 2), dense(end)]
@@ -235,7 +234,7 @@ class _Solver:
         return None if which < 0 else self._refined(before, y, earliest, which)
 
     def _meeting(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
-        """Return when a pair first touches, infinite if it does not before the end, by conservative advancement."""
+        """Return the time of the first contact of a pair, by conservative advancement; infinite if there is none."""
         near = TOUCHING * self._reach[pair]
         while time < end:
             gap = self._gap(dense(time), pair)
@@ -248,7 +247,7 @@ class _Solver:
         return time if self._gap(dense(end), pair) <= near else math.inf
 
     def _refined(self, before: float, y: FloatArray, time: float, pair: int) -> tuple[float, FloatArray]:
-        """Refine the moment of a contact: Newton's iteration on steps that end there."""
+        """Refine the time of a contact by Newton's iteration on steps that end there."""
         at = y
         for _ in range(NEWTON):
             at = self._at(before, y, time)
@@ -262,7 +261,7 @@ class _Solver:
         return time, at
 
     def _resolve(self, touching: list[int]) -> float:
-        """Resolve contacts; return how long the next step may be at most, in s."""
+        """Resolve contacts; return the longest allowed next step, in s."""
         rounds = 0
         while touching and not self._ended:
             for pair in touching:
@@ -290,7 +289,7 @@ class _Solver:
         self._struck.append(self._time)
 
     def _flight(self) -> float:
-        """Return the time in s after which the first of the bodies that touch are farthest apart again."""
+        """Return the shortest time in s after which a touching pair reaches its largest separation."""
         state = self._state()
         acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
         longest = math.inf
@@ -344,7 +343,7 @@ class _Solver:
 
 
 def _nudge(bodies: Bodies, duration: float, seed: int) -> None:
-    """Move bodies by what rounding makes of their coordinates, of their speeds and of the clock."""
+    """Displace bodies by the rounding of their coordinates, of their speeds and of the clock."""
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (2, len(bodies), 3))
     bodies.position[:] += NUDGE * EPS * signs[0] * (np.abs(bodies.position) + np.abs(bodies.velocity) * duration)
     bodies.velocity[:] *= 1.0 + NUDGE * EPS * signs[1]

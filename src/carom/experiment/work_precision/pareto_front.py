@@ -1,11 +1,11 @@
-"""The Pareto front: the settings that no other one beats in both cost and error.
+"""The Pareto front: the settings that no other setting beats in both cost and error.
 
-Errors are the same in every run. Costs are noisy, so each is an interval. A setting is beaten if another one is no
-worse in error and its cost interval lies wholly below. It is on the front if the intervals of all others that are no
-worse lie wholly above. Otherwise it is undecided. So two measurements whose intervals overlap, setting by setting,
-never contradict each other: no setting is on the front by one and beaten by the other. A front of medians alone would
-change with every measurement where two settings cost the same. Errors that differ by less than the uncertainty of the
-reference are not distinguished, unless they are equal.
+Errors are the same in every run. Costs are noisy, so each is an interval. A setting is beaten if another one has no
+larger error and its cost interval lies entirely below. It is on the front if the cost intervals of all others with no
+larger error lie entirely above. Otherwise it is undecided. Two measurements with overlapping intervals, setting by
+setting, therefore never contradict each other: no setting is on the front in one and beaten in the other. A front of
+medians alone would change with every measurement where two settings cost the same. Errors that differ by less than the
+uncertainty of the reference are not distinguished, unless they are equal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BoolArray = NDArray[np.bool_]
 def pareto_front(
     cost: FloatArray, error: FloatArray, noise: FloatArray, doubt: float = 0.0
 ) -> tuple[BoolArray, BoolArray]:
-    """Mark the points on the front, and those that noise or doubt leaves undecided.
+    """Mark the points on the front, and the undecided ones.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def pareto_front(
     noise
         (m,) of the cost: it lies between cost / (1 + noise) and cost (1 + noise).
     doubt
-        Of the errors: by less than that, unequal ones are not told apart.
+        Uncertainty of the errors; unequal errors that differ by less are not distinguished.
 
     Returns
     -------

@@ -1,13 +1,13 @@
-"""What the settings of a scene are measured against: the exact course of a few bodies, or the scene itself, refined.
+"""The reference against which settings of a scene are measured: an exact solution, or the scene with smaller steps.
 
 A few bodies in open space are solved exactly (`event_driven_reference.py`), and twice more as checks. Both checks start
-displaced by rounding errors, so that they show how fast chaos separates the runs; one has a tolerance ten times looser.
-Other scenes are run with ever smaller steps, each half of the one before. Where nothing pulls, flight is exact and only
+displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser. Other
+scenes are run with smaller and smaller steps, each half of the previous one. Without forces flight is exact and only
 the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one before
 it the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
-system, and there to within the largest error of a check. Beyond it only statistics can be compared.
+system. Up to there its uncertainty is the largest error of a check. Beyond it only statistics can be compared.
 """
 
 from __future__ import annotations
@@ -31,38 +31,38 @@ from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
 
-AGREEMENT = 1e-3  # of the size of the system: two refinements that are farther apart no longer agree
-LOOSER = 10.0  # the tolerance of the second exact solution over that of the first
-GAIN = 1.1  # a refinement whose horizon is not longer by so much is the last
-BUDGET = 120.0  # s of computing, for all exact solutions; beyond it no further refinement is begun after the second
-EPS = float(np.finfo(np.float64).eps)  # nothing computed in double precision is known to less than this part of it
+AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
+LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
+GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
+BUDGET = 120.0  # s of computing for all exact solutions; after it, no refinement but the second begins
+EPS = float(np.finfo(np.float64).eps)  # relative precision of double-precision numbers
 
-DIRECT_UP_TO = 20_000  # bodies whose pulls the reference of a tree sums one by one; of more it opens more boxes
-FINE_ANGLE = 0.2  # rad, at which a tree errs by a twentieth of what it does at its default
+DIRECT_UP_TO = 20_000  # bodies; up to here the reference of a tree is a direct sum, beyond it uses `FINE_ANGLE`
+FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
 
 Teller = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A reference, and how far it is to be trusted."""
+    """A reference and its range of validity."""
 
     trajectory: Trajectory
     scale: Scale
     kind: str  # "exact" or "refined"
-    fineness: float  # how many times smaller its steps are than those of the scene; infinite where it is exact
-    samples: int  # at which positions are compared: up to the horizon
-    whole: bool  # whether it goes to the end of the scene
-    uncertainty: Errors  # the errors of the checks by the same measures as any setting, the larger; at least rounding
-    text: str  # what it is, for people
+    fineness: float  # steps of the scene over its steps; infinite if it is exact
+    samples: int  # number of samples up to the horizon, at which positions are compared
+    whole: bool  # whether it reaches the end of the scene
+    uncertainty: Errors  # the larger errors of the checks, by the same measures as for settings; at least rounding
+    text: str  # description
 
     @property
     def horizon(self) -> float:
-        """Up to when trajectories are compared, in s."""
+        """The horizon in s, up to which trajectories are compared."""
         return float(self.trajectory.time[self.samples - 1]) if self.samples else 0.0
 
     def errors(self, run: Trajectory) -> Errors:
-        """Hold a run against it."""
+        """Return the errors of a run relative to this reference."""
         return compare(run, self.trajectory, self.scale, self.samples, self.whole)
 
 
@@ -74,20 +74,19 @@ def make_reference(
     Parameters
     ----------
     finest
-        How many times smaller than the scene's the smallest steps are that will be compared; a refined reference begins
-        at half of those.
+        Steps of the scene over the smallest steps that will be compared; a refined reference begins at half of those.
     threads
         For the kernels.
     budget
-        Seconds of computing: an exact course ends where a third of it is used up, and after all of it no refinement is
-        begun but the second.
+        Seconds of computing. An exact solution ends after a third of it; after all of it, no refinement but the second
+        begins.
     tell
         Called with a sentence before each solution.
 
     Raises
     ------
     SceneError, PhysicsError
-        If the scene cannot run, or a run stops being finite.
+        If the scene cannot run, or a run is no longer finite.
     """
     tell = tell or (lambda text: None)
     reason = why_not(scene)
@@ -100,7 +99,7 @@ def make_reference(
 
 
 def refined(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that make a scene's steps that many times smaller, whatever rule sets them."""
+    """Return the overrides that make the steps of a scene so many times smaller under any limit."""
     rule = scene.time
     if integrator(scene).controls_error and rule.fixed_dt is None:
         return [f"time.max_dt={rule.max_dt / factor!r}"]
@@ -116,7 +115,7 @@ def refined(scene: Scene, factor: float) -> list[str]:
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
-    """Return how many times smaller a setting's steps are than those of the scene, by the limit that shrank most."""
+    """Return the steps of the scene over those of a setting, by the limit that shrank most."""
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or base.max_dt) / (rule.fixed_dt or rule.max_dt)
@@ -129,7 +128,7 @@ def fineness(scene: Scene, setting: Scene) -> float:
 
 
 def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:
-    """Take the scale of a reference of a scene."""
+    """Return the scale of a reference of a scene."""
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
     return Scale.of(trajectory, box)
 
@@ -183,7 +182,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps, without a tree's error, and where nothing pulls with times of impact."""
+    """Return the scene with smaller steps, without the error of a tree, and without forces with times of impact."""
     overrides = refined(scene, factor) + _finer_pull(scene)[0]
     if not require(scene).pulls:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
@@ -191,7 +190,7 @@ def _space(scene: Scene, factor: float, threads: int | None) -> Space:
 
 
 def _finer_pull(scene: Scene) -> tuple[list[str], str]:
-    """Return the overrides that take a tree's error away, and what to say of it."""
+    """Return the overrides that remove the error of a tree, and their description."""
     if gravity_method(scene) != "tree":
         return [], ""
     if scene.count <= DIRECT_UP_TO:
@@ -210,14 +209,14 @@ def _reference(
 
 
 def _agreement(scale: Scale, best: Trajectory, check: Trajectory) -> int:
-    """Count the samples before two solutions part."""
+    """Count the samples before two solutions diverge."""
     apart, _ = scale.apart(best, check)
     parted = np.flatnonzero(~(apart <= AGREEMENT))
     return int(parted[0]) if len(parted) else len(apart)
 
 
 def _largest(errors: list[Errors], horizon: float) -> Errors:
-    """Return the largest of each error, at least rounding: of the time of an impact, that of the clock."""
+    """Return the largest of each error, at least rounding; for times of impacts, that of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
     return replace(

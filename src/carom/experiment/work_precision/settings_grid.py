@@ -1,4 +1,4 @@
-"""The settings of a scene that are measured against each other."""
+"""The settings of a scene to be compared."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
 
-STEP = "step"  # a key of its own: so many times the step, whatever rule sets it
-THREADS = "threads"  # likewise: for the kernels; they change the cost and no bit
+STEP = "step"  # a pseudo-key: a factor on the step under any limit
+THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
-STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator where it is all that matters
-FEW = 20  # bodies whose gravity no tree would be used for
+STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
+FEW = 20  # bodies; a tree is tried only for more
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A few keys of the scene, with other values than it has."""
+    """A few keys of the scene with changed values."""
 
-    name: str  # for people: "step × 2, integrator = euler"
+    name: str  # such as "step × 2, integrator = euler"
     overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # in place of the study's
+    threads: int | None = None  # None for those of the study
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting.
@@ -46,26 +46,26 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A setting by its coordinates: a factor on the step, and the keys that have another value than the scene's."""
+    """A setting by its coordinates: a factor on the step, and the keys with changed values."""
 
     step: float = 1.0
     values: tuple[tuple[str, str], ...] = ()  # key and value, as given to ``--set``
 
     def value(self, key: str) -> str | None:
-        """Return the value of a key; None where it is the scene's."""
+        """Return the value of a key; None if it is unchanged."""
         return dict(self.values).get(key)
 
     def having(self, key: str, value: str | None) -> Point:
-        """Return the point with another value of a key, or with the scene's."""
+        """Return the point with another value of a key; None for that of the scene."""
         others = {k: v for k, v in self.values if k != key}
         return Point(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
 
     def times(self, factor: float) -> Point:
-        """Return the point with so many times the step."""
+        """Return the point with another factor on the step."""
         return Point(self.step * factor, self.values)
 
     def setting(self, scene: Scene) -> Setting:
-        """Return it as a setting of a scene."""
+        """Return the point as a setting of a scene."""
         return _setting(scene, (*(_value(key, value) for key, value in self.values), _times(self.step)))
 
 
@@ -80,7 +80,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
-        if forces or not located:  # else next to nothing is left to the end of the step
+        if forces or not located:  # otherwise next to nothing is left to the end of the step
             found["contact.sweeps"] = ("2",)
             found["contact.stabilisation"] = ("split", "none", "baumgarte")
         found["contact.timing"] = ("end-of-step", "time-of-impact")
@@ -103,7 +103,7 @@ def _integrators(scene: Scene) -> tuple[str, ...]:
 
 
 def _in_effect(scene: Scene) -> dict[str, str]:
-    """Return the values of the knobs in a scene, with automatic ones resolved."""
+    """Return the values of the keys in a scene, with automatic ones resolved."""
     contact, gravity = scene.contact, scene.gravity
     return {
         "time.integrator": integrator(scene).name,
@@ -138,7 +138,7 @@ def default_points(scene: Scene) -> list[Point]:
 
 
 def _controls_error(scene: Scene, point: Point) -> bool:
-    """Tell whether no multiple of the step makes a difference at a point."""
+    """Tell whether a factor on the step has no effect at a point."""
     return INTEGRATORS[point.value("time.integrator") or integrator(scene).name].controls_error
 
 
@@ -153,9 +153,9 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     Parameters
     ----------
     choices
-        ``key=a,b,c`` or ``key=first:last:count`` each, as `carom sweep` takes it; every value of one is combined with
-        every value of the others. The key ``step`` multiplies whatever sets the step, and ``threads`` is not of the
-        scene: it changes the cost alone.
+        ``key=a,b,c`` or ``key=first:last:count`` each, as in `carom sweep`; every value of one is combined with every
+        value of the others. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene
+        and changes only the cost.
 
     Raises
     ------
@@ -185,14 +185,14 @@ def refusal(scene: Scene) -> str:
 class _Choice:
     """One value of one key."""
 
-    word: str = ""  # for people
+    word: str = ""  # in names of settings
     override: str = ""  # as given to ``--set``
     step: float = 1.0  # factor on the step
     threads: int | None = None
 
 
 def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
-    """Put choices together; the step is a multiple of what it is with all the others."""
+    """Combine choices; the step is a multiple of its value with all the others."""
     overrides = [choice.override for choice in picked if choice.override]
     step = math.prod(choice.step for choice in picked)
     if step != 1.0:

@@ -1,7 +1,7 @@
-"""Measures what accuracy costs on a scene: settings are run and timed in turns, their errors taken from a reference.
+"""Measures the cost of accuracy on a scene: runs and times settings in turns, with errors relative to a reference.
 
-Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so that a study can be
-interrupted and resumed.
+Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so a study can be interrupted
+and resumed.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from carom.scene.schema import Scene
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
-VERSION = 3  # of the document; 1 had no sinking, 2 no frames and references that knew nothing of rounding
+VERSION = 3  # of the document; 1 had no sinking, 2 no frames and no rounding in the uncertainty of references
 COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
 ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
-MARGIN = 2.0  # how many times smaller than the smallest steps compared those of a refined reference are at least
+MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
 
 Teller = Callable[[str], None]
 
 
 @dataclass
 class Result:
-    """A setting and what is measured of it so far."""
+    """A setting and its measurements so far."""
 
     setting: Setting
     status: str = "pending"  # "measured", "refused" or "failed"
     reason: str = ""  # why it was refused or failed
     costs: list[float] = field(default_factory=list)  # s, of each run
     steps: int = 0
-    frames: int = 0  # that a recording of it has
+    frames: int = 0  # in a recording of it
     errors: Errors | None = None
 
     @property
     def cost(self) -> float:
-        """Median cost in s; NaN where there is none."""
+        """Median cost in s; NaN if there is none."""
         return median(self.costs) if self.costs else math.nan
 
     @property
@@ -77,20 +77,20 @@ class Study:
     Parameters
     ----------
     scene
-        What is run.
+        The scene to run.
     folder
         Folder of the study. An earlier study of the same scene there is resumed.
     threads
         For the kernels.
     force
-        Whether to begin anew, in place of whatever study is there.
+        Whether to begin anew and replace an existing study.
     advice
-        What a person can do where the folder holds another study.
+        Advice in the message if the folder contains another study.
 
     Raises
     ------
     ExperimentError
-        If the folder holds a study of another scene and ``force`` is not given, or what it holds cannot be read.
+        If the folder contains a study of another scene and ``force`` is not given, or a study that cannot be read.
     """
 
     def __init__(
@@ -108,8 +108,8 @@ class Study:
     def noise(self) -> float:
         """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
 
-        Half of that is what single runs are off by; but of three runs two may be off by chance, and then the median is.
-        A setting whose costs lie farther apart is as uncertain as they are. 0 where nothing was run twice.
+        Single runs are off by half of that, but of three runs two may be off by chance, and then so is the median. A
+        setting whose costs differ by more has that larger uncertainty. 0 if nothing was run twice.
         """
         ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
         return median(ranges) if ranges else 0.0
@@ -117,16 +117,16 @@ class Study:
     def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
         """Measure what is not measured yet, and return the results of these settings.
 
-        The first run of a setting is followed for its errors, and not timed: it also compiles what is needed. Then all
-        settings are timed once, then all a second time, and so on, so that a machine that slows down for a while does
-        so for all of them.
+        The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
+        settings are timed once, then all a second time, and so on, so a temporary slowdown of the machine affects all
+        of them.
         """
         results = [self._result(setting) for setting in settings]
         finest = max([1.0, *(fineness(self.scene, s) for s in map(self._applied, results) if s is not None)])
         if self.reference is None or self.reference.fineness < MARGIN * finest:
             self.reference = make_reference(self.scene, finest, threads=self.threads, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # of an earlier study, held against a coarser reference so far
+            for result in self.results:  # of an earlier study, compared with a coarser reference so far
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
             self._save()
@@ -151,7 +151,7 @@ class Study:
         return float(np.fmax(value, ROUND_OFF))
 
     def marks(self, error: str) -> dict[str, str]:
-        """Return "front", "near" (in doubt) or "" (beaten) of each setting, by its name, for one kind of error."""
+        """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error."""
         done = [result for result in self.results if result.complete]
         cost = np.array([result.cost for result in done])
         wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
@@ -199,7 +199,7 @@ class Study:
         }
 
     def _result(self, setting: Setting) -> Result:
-        """Return the result of a setting; make one if there is none."""
+        """Return the result of a setting; creates one if there is none."""
         for result in self.results:
             if (result.setting.overrides, result.setting.threads) == (setting.overrides, setting.threads):
                 return result
@@ -207,7 +207,7 @@ class Study:
         return self.results[-1]
 
     def _applied(self, result: Result) -> Scene | None:
-        """Return the scene with a setting; None where this version refuses it."""
+        """Return the scene with a setting; None if this version refuses it."""
         if result.status == "refused":
             return None
         scene = result.setting.apply(self.scene)
@@ -231,7 +231,7 @@ class Study:
         result.steps, result.frames = run.steps, run.frames
 
     def _cost(self, result: Result) -> float:
-        """Run a setting once, with nothing recorded, and return how long it took in s."""
+        """Run a setting once without recording; return the time it took in s."""
         space = self._space(result)
         began = time.perf_counter()
         for _ in space.run(schedule=at(())):
@@ -289,12 +289,12 @@ class Study:
 
 
 def _count(number: int, results: list[Result]) -> str:
-    """Say which one it is, of more than one."""
+    """Say which of several repeats it is."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 
 def _left(results: list[Result], repeats: int) -> str:
-    """Estimate the remaining time from what has been timed; empty before anything has."""
+    """Estimate the remaining time from earlier timings; empty before the first."""
     known = [result.cost for result in results if result.costs]
     if not known:
         return ""
@@ -322,5 +322,5 @@ def _numbers(errors: Errors) -> dict[str, float | None]:
 
 
 def _number(value: float) -> float | None:
-    """JSON knows no NaN."""
+    """Return None for NaN, which JSON does not have."""
     return value if math.isfinite(value) else None

@@ -1,9 +1,8 @@
-"""The data by which runs are compared: the state at common times, first contacts and extremes.
+"""The data by which runs are compared: states at common times, first contacts and extremes.
 
-The common times are not the ends of steps, and cutting steps there would change the run. So the state is kept before
-and after the step that passes each of them and interpolated between: by a polynomial of degree five through both ends,
-of degree three where the integrator has no forces there, or, for a body that was struck, by its flight from impact to
-impact.
+The common times are not the ends of steps, and cutting steps there would change the run. The state is therefore
+interpolated between the ends of the step that passes each of them: by a polynomial of degree five, of degree three if
+the integrator has no forces at the ends, or, for a body that was struck, along its flight from impact to impact.
 """
 
 from __future__ import annotations
@@ -27,35 +26,35 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES = 200  # times at which trajectories are compared
-EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section is far from every simple ratio
-LATE = 0.9  # of the samples: from then on what was going to come to rest should have
-FEW, SAMPLES_OF_FEW = 20, 600  # so few bodies cost nothing, and their paths can be drawn
+EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
+LATE = 0.9  # of the samples, from which on bodies are assumed to have come to rest
+FEW, SAMPLES_OF_FEW = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A run's data for comparison; what was not measured is NaN."""
+    """Data of a run for comparison; NaN if not measured."""
 
     time: FloatArray  # (K,) s
     position: FloatArray  # (K, n, 3) m
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
-    met: FloatArray  # (m,) s, when they first did
-    energy_error: float  # largest |integration error| over the energy scale, or what contacts put in if that is more
+    met: FloatArray  # (m,) s, the time of their first contact
+    energy_error: float  # largest |integration error| over the energy scale, or energy put in by contacts if more
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # likewise
-    overlap: float  # deepest overlap over the smaller radius; NaN where no contact is possible
-    sinking: float  # mean overlap over the smaller radius of what touches late in the run; NaN where nothing can rest
+    overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
+    sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can rest
     impacts: int  # contacts that closed faster than at rest, summed over the steps
     steps: int
-    frames: int  # in a recording of the run; 0 of a reference, which none is made of
+    frames: int  # in a recording of the run; 0 for a reference, which is not recorded
 
     def __len__(self) -> int:
         return len(self.time)
 
     def until(self, count: int) -> Trajectory:
-        """Return the first so many samples, with everything else as it is."""
+        """Return the first ``samples`` samples, with everything else unchanged."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
@@ -67,7 +66,7 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read what `save` wrote; ValueError or OSError if it is no such file."""
+        """Read a file written by `save`. Raises ValueError or OSError if it is not one."""
         with np.load(path, allow_pickle=False) as kept:
             missing = [field.name for field in fields(cls) if field.name not in kept]
             if missing:
@@ -79,8 +78,8 @@ class Trajectory:
 def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
 
-    The fractions are computed first: the last is then exactly 1, and no time is rounded past the end of the run. The
-    others are no round numbers, as the times of impacts can be: at such a moment a velocity has two values.
+    The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The
+    others are not round numbers, because times of impacts can be, and at such a time a velocity has two values.
     """
     count = SAMPLES_OF_FEW if scene.count <= FEW else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count
@@ -89,12 +88,12 @@ def sample_times(scene: Scene) -> FloatArray:
 
 
 def follow(space: Space, times: FloatArray) -> Trajectory:
-    """Run a space to its end and keep what is compared; its steps are those of any other run.
+    """Run a space to its end and collect its data; this does not change the steps.
 
     Raises
     ------
     PhysicsError
-        If the state stops being finite.
+        If the state is no longer finite.
     """
     watch = _Watch(space, times)
     frames = space.run(schedule=watch)
@@ -142,7 +141,7 @@ class _Watch:
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Look at the state before a step: this is called when its length is known and nothing has moved yet."""
+        """Copy the state before a step: this is called when its length is known and nothing has moved yet."""
         self.see_contacts(before)
         self._began = before
         self._last_recorded = self._recorded(step, before, time)
@@ -155,7 +154,7 @@ class _Watch:
         return passes
 
     def see_contacts(self, time: float) -> None:
-        """Note which pairs touch for the first time in the step that ended at a time in s."""
+        """Store the pairs that touch for the first time in the step that ended at a time in s."""
         graph = self._space.contacts
         touching = graph.pairs[:, 0] * self._ends + graph.pairs[:, 1]
         if not np.array_equal(touching, self._touching):
@@ -168,7 +167,7 @@ class _Watch:
 
     @property
     def frames(self) -> int:
-        """How many frames a recording has of the run so far; its end is always one."""
+        """The number of frames in a recording of the run so far; its end is always one."""
         return self._frames + (not self._last_recorded)
 
     @property
@@ -219,21 +218,21 @@ class _Watch:
 
 
 class _Flight:
-    """The ways of all bodies from the beginning of a step, bent where impacts bend them."""
+    """The paths of all bodies from the beginning of a step, with their impacts."""
 
     def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray) -> None:
         self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
         self._since = np.zeros((len(v), 1))  # s, the last impact of each
 
     def at(self, h: float | FloatArray, who: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
-        """Return ways and velocities h after the beginning, in s."""
+        """Return displacements and velocities h after the beginning, in s."""
         since, v, jerk = self._since[who], self._v[who], self._jerk[who]
         s, a = h - since, self._a[who] + since * jerk
         return self._way[who] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
 
     def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
-        """Go on after an impact at a moment, in s, with the velocities of the pair right after it."""
-        moving = pair < len(self._way)  # planes stay
+        """Add an impact at a time in s, with the velocities of the pair right after it."""
+        moving = pair < len(self._way)  # planes do not move
         who = pair[moving]
         self._way[who], _ = self.at(moment, who)
         self._v[who], self._since[who] = after[moving], moment
@@ -242,7 +241,7 @@ class _Flight:
 def _between(
     s: float, dt: float, way: FloatArray, v0: FloatArray, v1: FloatArray, forces: tuple[FloatArray, FloatArray] | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return way and velocity at s in [0, 1] of the Hermite polynomial with these ends: of fifth degree, or third."""
+    """Return displacement and velocity at s in [0, 1] of the Hermite polynomial of degree five or three."""
     u0, u1 = v0 * dt, v1 * dt
     c5, c4, c3, c2 = np.zeros_like(way), np.zeros_like(way), u0 + u1 - 2 * way, 3 * way - 2 * u0 - u1
     if forces is not None:

@@ -15,24 +15,24 @@ from carom.experiment.work_precision.tradeoff import Result, Study, Teller
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 
-WORSE = 1.1  # times an error of the scene as written: what is less is not worth a word
+WORSE = 1.1  # times an error of the scene as written; smaller increases are not reported
 
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """The settings tried for some limits, and the cheapest that keeps them."""
+    """The settings that were tried for given limits, and the cheapest that keeps them."""
 
     study: Study
     limits: dict[str, float]
-    written: Result  # the scene as it is
-    tried: tuple[Result, ...]  # the scene as it is among them
+    written: Result  # the scene as written
+    tried: tuple[Result, ...]  # including the scene as written
 
     @property
     def best(self) -> Result | None:
         """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
 
-        An error that is not measured, such as a position beyond the horizon, is not kept. Nor is a limit below what the
-        reference is uncertain by: nobody can tell.
+        An unmeasured error, such as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the
+        reference is not kept either, because it cannot be checked.
         """
         if unsure(self.study, self.limits):
             return None
@@ -41,7 +41,7 @@ class Tuning:
 
     @property
     def speed(self) -> float:
-        """How many times as fast as the scene as written the best one is; NaN where one of them is not."""
+        """Speed of the best setting over that of the scene as written; NaN if one of them has no cost."""
         return math.nan if self.best is None else self.written.cost / self.best.cost
 
     def misses(self, result: Result) -> list[str]:
@@ -57,7 +57,7 @@ class Tuning:
         return missed
 
     def worse(self) -> dict[str, tuple[float, float]]:
-        """Return the errors that the best setting makes worse than they are as written: both values, by their names."""
+        """Return the errors that are worse in the best setting than as written: both values, by name."""
         if self.best is None or self.best.errors is None or self.written.errors is None:
             return {}
         before, after = asdict(self.written.errors), asdict(self.best.errors)
@@ -78,7 +78,7 @@ class Tuning:
         return f"the nearest is {best.setting.name}: {', '.join(self.misses(best))}"
 
     def document(self) -> dict[str, Any]:
-        """Return all of it as one JSON document."""
+        """Return the result as a JSON document."""
         best, speed = self.best, self.speed
         return {
             "scene": {"title": self.study.scene.title, "bodies": self.study.scene.count},
@@ -99,7 +99,7 @@ class Tuning:
 def tuned(
     study: Study, limits: dict[str, float], repeats: int, tell: Teller, settings: list[Setting] | None = None
 ) -> Tuning:
-    """Search a study for the cheapest setting that keeps limits, or take it from some settings."""
+    """Search a study for the cheapest setting that keeps limits, or choose it from given settings."""
     if settings is None:
         search = Search(study, limits, tell)
         search.run(repeats)
@@ -121,7 +121,7 @@ def limits(asked: list[str]) -> dict[str, float]:
     Raises
     ------
     SceneError
-        If one is no limit of an error that is measured.
+        If one does not limit a measured error.
     """
     found = {}
     for text in asked:
@@ -138,7 +138,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 
 
 def write(tuning: Tuning, path: Path) -> None:
-    """Write the scene with the best setting, the measurement in a comment, and the author's comments kept.
+    """Write the scene with the best setting and the measurement in a comment; keeps the comments of the scene.
 
     Raises
     ------
