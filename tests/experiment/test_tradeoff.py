@@ -207,7 +207,7 @@ def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
     assert (auto.cfl, double.cfl, both.cfl) == (0.1, 0.2, 0.2) and both.integrator == "euler"
     assert double.target_dx == both.target_dx == pytest.approx(4.0 * 0.004**2 * 0.2, rel=1e-15)
     assert auto.target_dx == second.target_dx == "auto"
-    points = cloud(4, contact={"enabled": False}, time={"cfl": "auto"})
+    points = cloud(4, contact={"enabled": False}, time={"cfl": "auto", "integrator": "yoshida4"})
     (double,) = (setting.apply(points).time for setting in vary(points, ["step=2"]))
     assert (double.cfl, double.target_dx, double.pull_fraction) == ("auto", "auto", 0.02)
     (longest,) = vary(scene, ["time.max_dt=3", "step=2"])

@@ -111,7 +111,9 @@ POINTS = {"enabled": False}
     ("scene", "chosen", "why"),
     [
         (cloud(8, contact=POINTS), "yoshida4", "8 bodies pull each other, and no contact is modelled"),
-        (cloud(100, contact=POINTS, time={"cfl": "auto"}), "yoshida4", "100 bodies pull each other"),
+        (cloud(100, contact=POINTS, time={"cfl": "auto"}), "gauss-radau15", "100 bodies pull each other"),
+        (cloud(100, contact=POINTS, time={"cfl": "auto", "pull_fraction": 0.01}), "yoshida4", "100 bodies pull"),
+        (cloud(8, contact=POINTS, time={"cfl": "auto"}, gravity={"method": "tree"}), "yoshida4", "8 bodies pull"),
         (cloud(101, contact=POINTS), "leapfrog", "101 bodies, whose encounters the step does not resolve"),
         (cloud(9, contact=POINTS, time={"fixed_dt": 0.1}), "leapfrog", "9 bodies, whose encounters"),
         (cloud(9, contact=POINTS, time={"target_dx": 0.1}), "leapfrog", "9 bodies, whose encounters"),
@@ -122,7 +124,7 @@ POINTS = {"enabled": False}
         (cloud(3, contact=POINTS, time={"fixed_dt": 0.1}), "yoshida4", "3 bodies"),
     ],
 )
-def test_the_integrator_is_of_fourth_order_where_nothing_is_sudden(scene: Scene, chosen: str, why: str) -> None:
+def test_the_integrator_is_of_a_high_order_where_nothing_is_sudden(scene: Scene, chosen: str, why: str) -> None:
     assert integrator(scene).name == chosen
     assert why in require(scene).integrator.why
 
@@ -133,7 +135,9 @@ def test_radii_limit_the_step_only_where_bodies_can_touch() -> None:
     assert target_dx(touching) == pytest.approx(0.008**2 * 0.2, rel=1e-15)
     assert (cfl(points), target_dx(points), pull_fraction(points)) == (None, None, 0.01)
     assert pull_fraction(cloud(101, contact=POINTS)) == 0.02
-    assert "pull_fraction = 0.01 of the shortest time of a pair" in require(points).adaptive_step.why
+    limited = cloud(8, time={"cfl": "auto", "integrator": "yoshida4"}, contact=POINTS)
+    assert "pull_fraction = 0.01 of the shortest time of a pair" in require(limited).adaptive_step.why
+    assert "own estimate of its error" in require(points).adaptive_step.why
 
 
 def test_limits_that_are_given_hold_wherever_they_are_given() -> None:

@@ -71,10 +71,19 @@ def why_late(scene: Scene) -> str:
 
 
 def integrator(scene: Scene) -> Integrator:
-    """Decide how the motion is integrated: fourth order where the motion is smooth (docs/trade.md)."""
+    """Decide how the motion is integrated: with a high order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:
         return INTEGRATORS[scene.time.integrator]
-    return INTEGRATORS["yoshida4" if _is_smooth(scene) else "leapfrog"]
+    if not _is_smooth(scene):
+        return INTEGRATORS["leapfrog"]
+    return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
+
+
+def _leaves_step_free(scene: Scene) -> bool:
+    """Tell whether a scene gives no key that sets its steps, so that an integrator may choose them by their error."""
+    rule = scene.time
+    keys = (rule.target_dx, rule.cfl, rule.pull_fraction, rule.smoothing)
+    return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method != "tree"
 
 
 def _is_smooth(scene: Scene) -> bool:

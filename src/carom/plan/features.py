@@ -221,6 +221,9 @@ def _integrator(scene: Scene) -> Part:
     name, chosen = "integrator", integrator(scene).name
     if scene.time.integrator != AUTO:
         return Part(name, True, f'time.integrator = "{chosen}"')
+    if chosen == "gauss-radau15":
+        why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
+        return Part(name, True, f"{chosen}: {why}")
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
     if force := pulls.damping(scene):
@@ -239,6 +242,8 @@ def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
+    if integrator(scene).controls_error:
+        return Part(name, True, "the integrator's own estimate of its error, and max_dt")
     return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")
 
 

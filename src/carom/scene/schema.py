@@ -95,8 +95,8 @@ class Time(Section):
     fixed_dt: Positive | None = Field(None, description="s, constant step in place of the adaptive one")
     integrator: IntegratorName = Field(
         AUTO,
-        description=f"{described()}; auto is Yoshida's where up to 100 bodies pull each other and cannot touch, "
-        "otherwise leapfrog",
+        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
+        "Yoshida's where such a scene also sets its step, otherwise leapfrog",
     )
 
 
