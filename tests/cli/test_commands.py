@@ -203,6 +203,14 @@ def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None
     assert document["cost"]["steps"] > 0
 
 
+def test_explain_says_that_the_error_sets_the_step_and_offers_no_key_to_raise(tmp_path: Path) -> None:
+    keys = ("time.integrator=gauss-radau15", "time.target_dx=auto", "time.cfl=auto")
+    limits = [part for key in keys for part in ("--set", key)]
+    shown = carom("explain", "extremes/pythagorean", *limits, cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert "set by: error 100 %" in shown.stdout and "for fewer steps" not in shown.stdout
+
+
 def test_explain_forces_parts_besides_those_that_the_scene_forces(tmp_path: Path) -> None:
     command = ("explain", "elastic-gas", "--set", "model.force=potential", "--model", "torque", "--json")
     parts = json.loads(carom(*command, cwd=tmp_path).stdout)["parts"]

@@ -75,8 +75,8 @@ def _steps(cost: Cost, duration: float) -> str:
             f"(seen up to t = {cost.looked_until:.4g} s)"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
-    remedy = REMEDY[next(iter(cost.limits))]
-    return f"{count}\n  set by: {shares}; for fewer steps raise {remedy}"
+    remedy = REMEDY.get(next(iter(cost.limits)))  # none where the integrator's own error sets the step
+    return f"{count}\n  set by: {shares}" + (f"; for fewer steps raise {remedy}" if remedy else "")
 
 
 def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:

@@ -443,7 +443,8 @@ class Space:
         refuse_infinities(self.state, self.names, self.step, self.time)
         if turns:
             rotate(self.state.orientation, self.state.angular_velocity, self.dt, self._team)
-        self.foreseen[self.dt_limit] = self.foreseen.get(self.dt_limit, 0.0) + taken
+        limit = "error" if self.dt_limit == "end" else self.dt_limit  # of the steps, not of the run
+        self.foreseen[limit] = self.foreseen.get(limit, 0.0) + taken
         self.profile.mark("integrate")
         due = schedule(self.step, before, self.time) or self.dt_limit == "end"
         checked = checked or due or self.step % every == 0
