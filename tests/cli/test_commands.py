@@ -301,3 +301,20 @@ def test_repair_is_offered_for_a_damaged_recording_and_not_for_what_never_was_on
     (tmp_path / "scene.toml").write_text(ONE_BODY * 20, encoding="utf-8")
     said = carom("inspect", "scene.toml", cwd=tmp_path).stderr
     assert said.startswith("carom: scene.toml is not a recording (") and "repair" not in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--plot", "body-3.zz"], 'there is no quantity "zz"; there are x, y, z (m)'),
+        (["--plot", "nobody.z"], 'has no body "nobody"'),
+        (["--plot", "3"], "expected BODY.QUANTITY"),
+        (["--view", "plot"], "--view plot shows what --plot names"),
+        (["--view", "plot", "--plot", "3.x,3.speed"], "--view plot shows one unit"),
+    ],
+)
+def test_a_plot_of_nothing_is_one_message(arguments: list[str], said: str, run_file: Path, tmp_path: Path) -> None:
+    done = carom("picture", str(run_file), *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert said in done.stderr and "Traceback" not in done.stderr
+    assert not run_file.with_suffix(".png").exists()

@@ -20,6 +20,14 @@ BodiesOption = Annotated[
     str | None,
     typer.Option("--bodies", metavar="A,B", help="Bodies of the close-up, by number or name."),
 ]
+PlotOption = Annotated[
+    str | None,
+    typer.Option(
+        "--plot",
+        metavar="BODY.QUANTITY,…",
+        help="Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega.",
+    ),
+]
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
 
@@ -30,6 +38,7 @@ class PictureView(StrEnum):
     GRAPH = "graph"
     CLOSE_UP = "close-up"
     ENERGY = "energy"
+    PLOT = "plot"
     ALL = "all"
 
 
@@ -45,6 +54,7 @@ def view(
     at: AtOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
+    plot: PlotOption = None,
     web: Annotated[bool, typer.Option("--web", help="Host it for a browser, on 127.0.0.1 only.")] = False,
     port: Annotated[
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="With --web. Default: a free one.")
@@ -58,13 +68,16 @@ def view(
 
     _refuse_both(at, event)
     announce_compilation()
+    _announce_replay(file, plot)
     if web:
-        _view_in_browser(file, at, event, bodies, port)
+        _view_in_browser(file, at, event, bodies, plot, port)
         return
-    open_window(file, at, event=event, bodies=bodies, say=_say_missing)
+    open_window(file, at, event=event, bodies=bodies, plot=plot, say=_say_missing)
 
 
-def _view_in_browser(file: Path, at: float | None, event: str | None, bodies: str | None, port: int) -> None:
+def _view_in_browser(
+    file: Path, at: float | None, event: str | None, bodies: str | None, plot: str | None, port: int
+) -> None:
     """Host a recording until the interrupt key."""
     import contextlib
     import getpass
@@ -82,7 +95,7 @@ def _view_in_browser(file: Path, at: float | None, event: str | None, bodies: st
     if recording.is_overlay:
         moment, supplement = recording.moment(at), None
     else:
-        shown = asked(recording, at, event, bodies, dense=True)
+        shown = asked(recording, at, event, bodies, plot=plot, dense=True)
         moment, supplement = shown.time, shown.supplement
         _say_missing(shown.missing)
     with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as link:
@@ -106,6 +119,7 @@ def picture(
     at: AtOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
+    plot: PlotOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="What fills the picture.")] = PictureView.ALL,
     theme: Annotated[Theme, typer.Option("--theme", help="The viewer's; the light one needs Xvfb.")] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1600x1000",
@@ -118,7 +132,8 @@ def picture(
     _refuse_both(at, event)
     announce_compilation()
     path = output or file.with_suffix(".png")
-    made = render(file, at, path, pixels, view=view.value, theme=theme.value, event=event, bodies=bodies)
+    _announce_replay(file, plot)
+    made = render(file, at, path, pixels, view=view.value, theme=theme.value, event=event, bodies=bodies, plot=plot)
     typer.echo(f"{path} written, t = {made.time:.9g} s.")
     _say_missing(made.missing)
 
@@ -128,6 +143,22 @@ def _refuse_both(at: float | None, event: str | None) -> None:
 
     if at is not None and event is not None:
         raise RecordingError("--at and --event both name a moment; give one of them")
+
+
+def _announce_replay(file: Path, plot: str | None) -> None:
+    """Say that a plot of velocities takes as long as the run did."""
+    from carom.cli.units import duration_text
+    from carom.recording.read.body_series import asked_quantities, needs_replay
+    from carom.recording.read.recording import Recording
+
+    if plot is None:
+        return
+    recording = Recording.open(file)
+    recording.refuse_overlay()
+    if needs_replay(asked_quantities(recording, plot)):
+        took = recording.closing.get("wall_time")
+        known = f", which took {duration_text(float(took))}" if took else ""
+        typer.echo(f"Velocities and spins are not recorded at every frame: running the scene again{known} …", err=True)
 
 
 def _say_missing(reason: str) -> None:

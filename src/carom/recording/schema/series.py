@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
 BLUE, RED, GREEN, PURPLE, GREY = (LINES[name] for name in ("blue", "red", "green", "purple", "grey"))
-THIN, THICK = 1.75, 3.5  # widths of curves in points of the screen: a thinner one is blended with the ground
+THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen: a thinner one is blended with the ground
 
 
 @dataclass(frozen=True, slots=True)

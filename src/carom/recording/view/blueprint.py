@@ -11,6 +11,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.bodies_view import bodies_view
+from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area, Canvas
 from carom.recording.view.close_up import CloseUp
@@ -19,7 +20,8 @@ from carom.recording.view.plot_views import Curves, energy_view, plot_views, who
 
 WINDOW = Canvas()
 ALL = "all"
-VIEWS = ("bodies", "graph", "close-up", "energy")
+PLOT = "plot"
+VIEWS = ("bodies", "graph", "close-up", "energy", PLOT)
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 
@@ -31,6 +33,7 @@ def blueprint(
     canvas: Canvas = WINDOW,
     only: str = ALL,
     close: CloseUp | None = None,
+    bodies: BodyPlots | None = None,
 ) -> rrb.Blueprint:
     """Lay out a recording of this scene, with the camera where it fits.
 
@@ -48,14 +51,20 @@ def blueprint(
         One of `VIEWS` to fill the window with, or all of them.
     close
         What the close-up view shows; without it there is none.
+    bodies
+        The plots of single bodies, above those of the whole; without them there are none.
 
     Raises
     ------
     RecordingError
         If there is nothing that the view could show.
     """
-    parts = header, camera, curves, canvas, close
-    root = _all(*parts) if only == ALL else _single(*parts, only)
+    if only == PLOT:
+        root: rrb.View | rrb.Container = _plot(bodies, canvas)
+    elif only == ALL:
+        root = _all(header, camera, curves, canvas, close, bodies)
+    else:
+        root = _single(header, camera, curves, canvas, close, only)
     panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
         root,
@@ -84,7 +93,12 @@ def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
 
 
 def _all(
-    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, close: CloseUp | None
+    header: Header,
+    camera: CameraFit,
+    curves: Curves | None,
+    canvas: Canvas,
+    close: CloseUp | None,
+    bodies: BodyPlots | None,
 ) -> rrb.Container:
     shares = _shares(header, close is not None)
     areas = _areas(canvas, shares)
@@ -93,12 +107,24 @@ def _all(
         views.append(graph_view(header, camera, areas[1]))
     if close:
         views.append(close.view(header))
+    heights = list(_ROWS)
+    if bodies is not None:
+        heights.insert(1, _ROWS[1])
+    plots = canvas.area(1.0, _ROWS[1] / sum(heights))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
-        rrb.Horizontal(*plot_views(header, curves, canvas.area(1.0, _ROWS[1] / sum(_ROWS)))),
+        *([] if bodies is None else [rrb.Horizontal(*bodies.views(plots))]),
+        rrb.Horizontal(*plot_views(header, curves, plots)),
         rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
-        row_shares=list(_ROWS),
+        row_shares=heights,
     )
+
+
+def _plot(bodies: BodyPlots | None, canvas: Canvas) -> rrb.View:
+    """Lay out the plot of single bodies alone; they are all of one unit."""
+    if bodies is None:
+        raise RecordingError("there are no bodies to plot")
+    return bodies.view(bodies.units[0], canvas.area())
 
 
 def _single(

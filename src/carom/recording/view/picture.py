@@ -42,6 +42,7 @@ def render(
     theme: str = "dark",
     event: str | None = None,
     bodies: str | None = None,
+    plot: str | None = None,
     watch: Watcher = lambda _: None,
 ) -> Picture:
     """Render a recording at a simulated time (s) into a PNG.
@@ -64,6 +65,8 @@ def render(
         Its name; the close-up view shows its bodies.
     bodies
         The bodies of the close-up view, by numbers or names with a comma between them.
+    plot
+        Quantities of bodies to plot, such as ``top.z,top.omega``.
     watch
         Called while steps that have no frame are run again.
 
@@ -78,7 +81,7 @@ def render(
     if recording.is_overlay:
         moment, extra, missing = recording.moment(at), None, ""
     else:
-        shown = asked(recording, at, event, bodies, Canvas(*size, framed=whole), view, watch=watch)
+        shown = asked(recording, at, event, bodies, Canvas(*size, framed=whole), view, plot=plot, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     window = size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
     with _viewer(window, theme) as viewer:

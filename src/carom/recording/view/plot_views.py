@@ -56,13 +56,20 @@ def _speaks(series: Series, curves: Curves) -> bool:
 
 def _plot(plot: Plot, series: Sequence[Series], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
     known = [curves[each.path] for each in series] if curves is not None else []
+    return time_series_view(plot.name, [each.path for each in series], [each.legend for each in series], known, area)
+
+
+def time_series_view(
+    title: str, paths: Sequence[str], legends: Sequence[str], curves: Sequence[Curve], area: Area
+) -> rrb.TimeSeriesView:
+    """Lay out a plot whose legend covers no curve; ``curves`` are empty while nothing is known of them."""
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
-    place = place_legend([each.legend for each in series], known, between_axes)
+    place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
-        name=plot.name,
+        name=title,
         origin="/",
-        contents=[each.path for each in series],
-        plot_legend=rrb.PlotLegend(place.corner, visible=len(series) > 1),
+        contents=list(paths),
+        plot_legend=rrb.PlotLegend(place.corner, visible=len(legends) > 1),
         axis_x=whole_time(),
         axis_y=rrb.ScalarAxis(range=place.range),
     )

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carom.recording.errors import RecordingError
+from carom.recording.read.body_series import asked_quantities, body_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.blueprint import ALL, WINDOW, blueprint, close_up_area
+from carom.recording.view.blueprint import ALL, PLOT, WINDOW, blueprint, close_up_area
+from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
@@ -44,10 +47,11 @@ def asked(
     canvas: Canvas = WINDOW,
     only: str = ALL,
     *,
+    plot: str | None = None,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
-    """Show what a person asked for: a time (s) or an event, and two bodies; see `presentation`.
+    """Show what a person asked for: a time (s) or an event, two bodies, and plots of bodies; see `presentation`.
 
     Raises
     ------
@@ -56,7 +60,21 @@ def asked(
     """
     moment, pair = (recording.moment(at), None) if event is None else event_of(recording, event)
     pair = pair if bodies is None else named_pair(recording, bodies)
-    return presentation(recording, moment, canvas, only, pair=pair, dense=dense, watch=watch)
+    plots = _body_plots(recording, plot, only, watch)
+    return presentation(recording, moment, canvas, only, pair=pair, plots=plots, dense=dense, watch=watch)
+
+
+def _body_plots(recording: Recording, text: str | None, only: str, watch: Watcher) -> BodyPlots | None:
+    """Compute the plots of single bodies that are asked for."""
+    if text is None:
+        if only == PLOT:
+            raise RecordingError("--view plot shows what --plot names, such as --plot 0.speed")
+        return None
+    quantities = asked_quantities(recording, text)
+    units = dict.fromkeys(quantity.unit for _, quantity in quantities)
+    if only == PLOT and len(units) > 1:
+        raise RecordingError(f"--view plot shows one unit, and --plot asks for {' and '.join(units)}")
+    return BodyPlots(body_series(recording, quantities, watch))
 
 
 def presentation(
@@ -66,6 +84,7 @@ def presentation(
     only: str = ALL,
     *,
     pair: Pair | None = None,
+    plots: BodyPlots | None = None,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
@@ -83,6 +102,8 @@ def presentation(
         The one view to show, or all.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
+    plots
+        Of single bodies.
     dense
         Whether all steps up to the next recorded frame are wanted.
     watch
@@ -100,8 +121,11 @@ def presentation(
     aspect = close_up_area(header, canvas, only).aspect
     close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
-    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, close)
+    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, close, plots)
     statics = list(close.statics(header)) if close else []
+    if plots is not None:
+        rows += plots.rows()
+        statics += plots.statics()
     clock = Clock(float(recording.info["time_scale"]))
     return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
 

@@ -16,6 +16,7 @@ def open_window(
     *,
     event: str | None = None,
     bodies: str | None = None,
+    plot: str | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
@@ -30,19 +31,21 @@ def open_window(
         Its name; the close-up view shows its bodies.
     bodies
         The bodies of the close-up view, by numbers or names with a comma between them.
+    plot
+        Quantities of bodies to plot, such as ``top.z,top.omega``.
     say
         Called with the reason where the step of that moment cannot be shown.
 
     Raises
     ------
     RecordingError
-        If the recording cannot be read, there is no such moment, event or body, or no screen.
+        If the recording cannot be read, there is no such moment, event, body or quantity, or no screen.
     """
     recording = Recording.open(path)
     shown: Presentation | None = None
     moment = at
     if not recording.is_overlay:
-        shown = asked(recording, at, event, bodies, dense=True)
+        shown = asked(recording, at, event, bodies, plot=plot, dense=True)
         moment = shown.time
     with Viewer() as viewer:
         viewer.show(recording)

@@ -1,0 +1,68 @@
+"""Plots of single bodies: the rows that a viewer is given for them, and their views, one for each unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carom.recording.read.body_series import BodySeries
+from carom.recording.schema.palette import LINES
+from carom.recording.view.canvas import Area
+from carom.recording.view.curve import Curve
+from carom.recording.view.plot_views import time_series_view
+from carom.recording.write.encoder import Rows
+from carom.recording.write.statics import curve_style
+
+TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}
+
+
+@dataclass(frozen=True, slots=True)
+class BodyPlots:
+    """The series that somebody asked for."""
+
+    series: Sequence[BodySeries]
+
+    @property
+    def units(self) -> list[str]:
+        """The units of the plots, from left to right."""
+        return [unit for unit in TITLES if any(each.quantity.unit == unit for each in self.series)]
+
+    def rows(self) -> Iterator[Rows]:
+        """Yield the values."""
+        for each in self.series:
+            columns = rr.Scalars.columns(scalars=each.value)
+            yield Rows(_path(each), each.step.tolist(), each.time.tolist(), columns, each.value.nbytes)
+
+    def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield how the curves look: the colours of each plot are different."""
+        colours = list(LINES.values())
+        for unit in self.units:
+            for k, each in enumerate(self._of(unit)):
+                yield _path(each), curve_style(_legend(each), colours[k % len(colours)])
+
+    def views(self, row: Area) -> list[rrb.View]:
+        """Lay out a plot for each unit, side by side in a row."""
+        area = Area(row.width / max(1, len(self.units)), row.height)
+        return [self.view(unit, area) for unit in self.units]
+
+    def view(self, unit: str, area: Area) -> rrb.View:
+        """Lay out the plot of a unit."""
+        series = self._of(unit)
+        legends = [_legend(each) for each in series]
+        title = legends[0] if len(series) == 1 else TITLES[unit]
+        curves = [Curve.of(each.time, each.value) for each in series]
+        return time_series_view(f"{title} ({unit})", [_path(each) for each in series], legends, curves, area)
+
+    def _of(self, unit: str) -> list[BodySeries]:
+        return [each for each in self.series if each.quantity.unit == unit]
+
+
+def _path(series: BodySeries) -> str:
+    return f"plot/body{series.body}/{series.quantity.name}"
+
+
+def _legend(series: BodySeries) -> str:
+    return f"{series.name} {series.quantity.name}"
