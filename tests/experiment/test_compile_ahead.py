@@ -89,7 +89,15 @@ def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tm
     taken = {path.name.split("-")[0].rpartition(".")[2] for path in tmp_path.rglob("*.nbc")}
     run = subprocess.run([sys.executable, "-c", RUN], env=environment, stdout=subprocess.PIPE, check=True)
     fingerprint, compiled = json.loads(run.stdout)
-    phases = {"project", "conjugate_step", "conjugate_direction", "measure_violation", "audit", "solve", "warm_start"}
+    phases = {
+        "project",
+        "conjugate_step",
+        "conjugate_direction",
+        "measure_violation",
+        "audit",
+        "solve_turning",
+        "warm_start",
+    }
     assert phases | {"search", "_pull", "turn"} <= taken
     assert not phases & set(compiled)
     space = Space(Scene.from_dict(PILE))

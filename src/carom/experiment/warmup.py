@@ -27,6 +27,13 @@ SCENES: dict[str, dict[str, Any]] = {
         "expect": {"contact_audit": 1e-12},
         "record": {"every": "step", "check_every": 2},
     },
+    "a pile without friction": {
+        "body": _PAIR,
+        "plane": [{"point": [0.0, 0.0, -1.0]}],
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
+        "contact": {"allow_overlap": True, "static_friction": 0.0},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
     "points that pull each other": {
         "body": _PAIR,
         "gravity": {"constant": 1.0},

@@ -109,7 +109,8 @@ SETTINGS = np.dtype(
     CONJUGATE_STEP,
     CONJUGATE_DIRECTION,
     PROJECT,
-) = range(12)  # phases: what is done with each piece
+    SCALE_BACK,
+) = range(13)  # phases: what is done with each piece
 
 
 class ConstraintSystem(NamedTuple):

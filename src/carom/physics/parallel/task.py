@@ -11,11 +11,13 @@ import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numba
 from llvmlite import ir
 from numba import types
 from numba.core import callconv, cgutils
 
 from carom.physics.parallel.intrinsics import instruction
+from carom.physics.parallel.jit import compile_for
 
 WORD = ir.IntType(64)
 PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does a piece: address of the job, number of the piece
@@ -29,6 +31,18 @@ def address_of(kernel: Callable[..., None], kind: int) -> int:
             address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
             return address
     raise TypeError(f"{kernel} has never been called with such arguments")
+
+
+def code_for(kernel: Callable[..., None], *arguments: Any) -> int:
+    """Compile a kernel for (lo, hi, *arguments), or load it; return the address of its machine code."""
+    compile_for(kernel, 0, 0, *arguments)
+    return address_of(kernel, kind_for(*arguments))
+
+
+def kind_for(*arguments: Any) -> int:
+    """Return what `kind_of` returns in a kernel."""
+    type_of: Any = numba.typeof
+    return _kind([type_of(argument) for argument in arguments])
 
 
 def _kind(kinds: Sequence[Any]) -> int:
@@ -115,6 +129,18 @@ def raise_fault(typing: Any, job: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64), generate
+
+
+@instruction
+def assign(typing: Any, job: Any, kernel: Any) -> Any:
+    """Give a job another kernel, which takes the same arguments."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        words = builder.inttoptr(args[0], WORD.as_pointer())
+        builder.store(args[1], builder.gep(words, [WORD(KERNEL)]))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
 
 
 @instruction

@@ -31,8 +31,9 @@ PART_WHEN_DEEP = 1e-2  # of the speed at rest only
 
 
 @inner
-def measure_violation(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
     """Find by how much, in m/s, a contact misses its condition by more than is tolerated; 0 if none does."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
     count = len(system.bodies) - (len(system.materials) - 1)
@@ -66,8 +67,9 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 
 
 @inner
-def conjugate_step(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
     """Go α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     settings = system.settings[0]
     alpha = settings.alpha
     if settings.iteration == 0:
@@ -132,8 +134,9 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
 
 
 @inner
-def conjugate_direction(lo: int, hi: int, system: ConstraintSystem) -> None:
+def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
@@ -149,8 +152,9 @@ def conjugate_direction(lo: int, hi: int, system: ConstraintSystem) -> None:
 
 
 @inner
-def project(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def project(piece: int, end: int, system: ConstraintSystem) -> None:
     """Let go of contacts that would pull, and lay out what is left of the change for a line search."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     spins, slope = system.settings[0].spins, 0.0
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]

@@ -27,7 +27,8 @@ from carom.physics.contact.islands import Islands
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
-from carom.physics.contact.solver.phases import HELP, IMPACTS, POSITIONS, RESTING, compile_phases, work
+from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
+from carom.physics.contact.solver.phases import HELP, work
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
@@ -98,6 +99,7 @@ class ContactSolver:
         self._island_sums = np.empty(count, ISLAND)
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
+        self._code = PhaseCode(friction)
 
     def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
         """Lay out contacts, with nothing done to them yet, and find where they meet.
@@ -223,7 +225,7 @@ class ContactSolver:
 
     def compile_phases(self) -> None:
         """Compile the phases of holding contacts, without doing any."""
-        compile_phases(self._system)
+        self._code.compile_ahead(RESTING, self._system)
 
     def update_geometry(self) -> None:
         """Find the geometry of the contacts at the present positions."""
@@ -324,10 +326,12 @@ class ContactSolver:
 
     def _work(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Do a job, with the team if it is worth it; return the number of iterations."""
+        self._code.require(job, system)
+        code = self._code.addresses, self._code.kind
         if len(system.pairs) < SHARED_FROM:
-            return work(ALONE, job, system, max_iterations)
-        with self._team.gathered(work, HELP, system, 0) as board:
-            return work(board, job, system, max_iterations)
+            return work(ALONE, job, *code, system, max_iterations)
+        with self._team.gathered(work, HELP, *code, system, 0) as board:
+            return work(board, job, *code, system, max_iterations)
 
 
 @long_kernel

@@ -18,8 +18,9 @@ from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 
 @inner
-def audit(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def audit(piece: int, end: int, system: ConstraintSystem) -> None:
     """Write into the ledger what the impulses of a piece did, and the sums over the piece."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins = settings.spins

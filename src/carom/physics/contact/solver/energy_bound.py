@@ -20,7 +20,7 @@ from carom.physics.parallel.jit import inner
 
 
 @inner
-def scale_back(system: ConstraintSystem) -> None:
+def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island back to where they take out most."""
     pairs, bodies, active = system.pairs, system.bodies, system.active
     island, islands, spins = system.island, system.islands, len(system.spin) > 0

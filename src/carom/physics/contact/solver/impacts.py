@@ -38,12 +38,13 @@ CONVERGED = 1e-9  # the last iteration is the one whose largest velocity change 
 
 
 @inner
-def resolve_impacts(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     """Resolve the impacts of a piece, once; note the largest change of a velocity.
 
     In the first iteration note the approach of each contact, too, the fastest one, and whether a contact is at rest. An
     impulse from a neighbour may make a contact close faster in a later iteration: that is then its approach.
     """
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only

@@ -18,13 +18,16 @@ by 0.1 radii at 10², and 100 of them at 10³. A stack of 20 that begins without
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
 from carom.physics.parallel.jit import inner
 
+Records = NDArray[np.void]
+
 
 @inner
-def line_search(block: int, system: ConstraintSystem) -> None:
+def line_search(block: int, end: int, system: ConstraintSystem) -> None:
     """Sum m p·v + I t·ω, and m p² + I t², over a block of bodies."""
     spins, active = system.settings[0].spins, system.active
     slope, curvature = 0.0, 0.0
@@ -43,22 +46,22 @@ def line_search(block: int, system: ConstraintSystem) -> None:
 
 
 @inner
-def step_length(system: ConstraintSystem) -> float:
+def step_length(found: Records, sums: Records) -> float:
     """Return how many times over what an iteration changed should be changed again: α, or 0 if that would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
-    for k in range(len(system.pieces)):
-        slope += system.found[k].slope
-        step_limit = min(step_limit, system.found[k].step_limit)
-    for k in range(len(system.sums)):
-        slope += system.sums[k].slope
-        curvature += system.sums[k].curvature
+    for k in range(len(found)):
+        slope += found[k].slope
+        step_limit = min(step_limit, found[k].step_limit)
+    for k in range(len(sums)):
+        slope += sums[k].slope
+        curvature += sums[k].curvature
     if slope >= 0.0 or curvature <= 0.0:
         return 0.0
     return min(-slope / curvature, step_limit)
 
 
 @inner
-def extrapolate(block: int, system: ConstraintSystem) -> None:
+def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities of a block of bodies by α p and α t, and begin to sum those anew."""
     spins, alpha, active = system.settings[0].spins, system.settings[0].alpha, system.active
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):

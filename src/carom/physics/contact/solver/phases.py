@@ -8,6 +8,8 @@ last colour, where contacts share bodies.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,25 +24,17 @@ from carom.physics.contact.constraints import (
     PREPARE,
     PROJECT,
     RESOLVE_IMPACTS,
+    SCALE_BACK,
     SOLVE,
     WARM_START,
     ConstraintSystem,
 )
-from carom.physics.contact.solver.conjugate_gradients import (
-    conjugate_direction,
-    conjugate_step,
-    measure_violation,
-    project,
-)
-from carom.physics.contact.solver.energy_audit import audit
-from carom.physics.contact.solver.energy_bound import scale_back
-from carom.physics.contact.solver.impacts import CONVERGED, resolve_impacts
-from carom.physics.contact.solver.line_search import extrapolate, line_search, step_length
-from carom.physics.contact.solver.position_correction import correct_positions
-from carom.physics.contact.solver.prepare import prepare
-from carom.physics.contact.solver.solve import HELD, solve
-from carom.physics.contact.solver.warm_start import warm_start
-from carom.physics.parallel.jit import compile_for, inline, inner, long_kernel
+from carom.physics.contact.solver.impacts import CONVERGED
+from carom.physics.contact.solver.line_search import step_length
+from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
+from carom.physics.contact.solver.solve import HELD
+from carom.physics.parallel.jit import inline, inner, long_kernel
+from carom.physics.parallel.task import assign, do, kind_of, lay_out, raise_fault
 from carom.physics.parallel.thread_team import (
     END,
     PATIENCE,
@@ -57,8 +51,9 @@ from carom.physics.parallel.thread_team import (
 )
 
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
-POSITIONS, IMPACTS, RESTING, HELP = range(4)  # jobs
+HELP = -1  # in the place of a job
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # of them in a round
 BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
@@ -66,9 +61,23 @@ WORTH = 0.5  # of what was missed before; a round that leaves more is the last
 SOLVED = 1e-3  # of the first residual, squared and preconditioned
 
 
+class Phases(NamedTuple):
+    """What it takes to do phases of a system, and what is read of the system between them."""
+
+    addresses: IntArray  # of the machine code, by phase
+    doer: int  # address of what does a piece of a task
+    task: int  # address of the task: a phase's code and the system, see `lay_out`
+    edges: IntArray  # this and the rest as in `ConstraintSystem`
+    found: Records
+    sums: Records
+    settings: Records
+
+
 @long_kernel
-def work(board: IntArray, job: int, system: ConstraintSystem, max_iterations: int) -> int:
-    """Lead a job, or help with whatever is on the board; one kernel, since each takes seconds to compile.
+def work(
+    board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
+) -> int:
+    """Lead a job, or help with whatever is on the board.
 
     Parameters
     ----------
@@ -76,31 +85,37 @@ def work(board: IntArray, job: int, system: ConstraintSystem, max_iterations: in
         Of the team; empty if the leader works alone.
     job
         `POSITIONS`, `IMPACTS`, `RESTING` or `HELP`.
+    addresses, kind
+        Of the phases' code and of the systems it is for, see `PhaseCode`.
 
     Returns
     -------
     iterations
         How many there were; of `HELP`, when to call again: `END`, `YIELD` or `REST`.
     """
+    if kind != kind_of((system,)):
+        raise TypeError("the phases are compiled for systems of another kind")
+    doer, task = lay_out(0, 1, 1, (system,))  # piece k is the range [k, k + 1)
+    phases = Phases(addresses, doer, task, system.edges, system.found, system.sums, system.settings)
     if job == HELP:
-        return _help_out(board, system)
+        return _help_out(board, phases)
     if job == POSITIONS:
-        iterations = _correct_positions(board, system, max_iterations)
+        iterations = _correct_positions(board, phases, max_iterations)
     elif job == IMPACTS:
-        iterations = _resolve_impacts(board, system, max_iterations)
+        iterations = _resolve_impacts(board, phases, max_iterations)
     else:
-        iterations = _hold(board, system, max_iterations)
+        iterations = _hold(board, phases, max_iterations)
     dismiss(board)
     return iterations
 
 
 @inline
-def _help_out(board: IntArray, system: ConstraintSystem) -> int:
+def _help_out(board: IntArray, phases: Phases) -> int:
     """Do pieces until the leader is done; return early where there are none for a while, or after many."""
     idle, done = 0, 0
     while not is_over(board):
         if claim(board):
-            _do_piece(system, system.settings[0].first_piece + last_piece(board))
+            _do_piece(phases, phases.settings[0].first_piece + last_piece(board))
             finish(board)
             idle = 0
             done += 1
@@ -114,24 +129,24 @@ def _help_out(board: IntArray, system: ConstraintSystem) -> int:
 
 
 @inline
-def _correct_positions(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
+def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Push contacts at rest apart, until nothing overlaps."""
     iterations, again = 0, 1.0
     while iterations < max_iterations and again > 0.0:
-        _share_colours(board, system, CORRECT_POSITIONS)
-        again = _largest_residual(system)
+        _share_colours(board, phases, CORRECT_POSITIONS)
+        again = _largest_residual(phases)
         iterations += 1
     return iterations
 
 
 @inline
-def _resolve_impacts(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
+def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Resolve impacts, until an iteration changes next to nothing."""
     iterations, first_change, change = 0, 0.0, 1.0
     while iterations < max_iterations and (iterations == 0 or change > CONVERGED * first_change):
-        system.settings[0].iteration = iterations
-        _share_colours(board, system, RESOLVE_IMPACTS)
-        change = _largest_residual(system)
+        phases.settings[0].iteration = iterations
+        _share_colours(board, phases, RESOLVE_IMPACTS)
+        change = _largest_residual(phases)
         if iterations == 0:
             first_change = change
         iterations += 1
@@ -139,182 +154,142 @@ def _resolve_impacts(board: IntArray, system: ConstraintSystem, max_iterations: 
 
 
 @inline
-def _hold(board: IntArray, system: ConstraintSystem, max_iterations: int) -> int:
+def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Find the impulses of contacts that last, beginning with those given, and book them."""
-    pieces, settings = len(system.pieces), system.settings[0]
-    _share(board, system, PREPARE, 0, pieces, True)
-    largest = _largest_residual(system)
-    _share_colours(board, system, WARM_START)
+    pieces, settings = len(phases.found), phases.settings[0]
+    _share(board, phases, PREPARE, 0, pieces, True)
+    largest = _largest_residual(phases)
+    _share_colours(board, phases, WARM_START)
     settings.alpha, settings.negligible = 0.0, HELD * largest
     iterations, change = 0, np.inf
     while iterations < max_iterations and change > HELD * largest:
-        change = _iterate(board, system, iterations > 0)
+        change = _iterate(board, phases, iterations > 0)
         iterations += 1
     if change > HELD * largest and settings.refines:
-        iterations += _refine(board, system)
+        iterations += _refine(board, phases)
     if change > HELD * largest:
-        scale_back(system)
-    _share(board, system, AUDIT, 0, pieces, True)
+        _share(board, phases, SCALE_BACK, 0, 1, False)
+    _share(board, phases, AUDIT, 0, pieces, True)
     return iterations
 
 
 @inner
-def _iterate(board: IntArray, system: ConstraintSystem, again: bool) -> float:
+def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
     """Take each contact to where it neither closes nor pulls; first go on in the direction of the iteration before."""
     if again:
-        blocks = len(system.sums)
-        _share(board, system, LINE_SEARCH, 0, blocks, True)
-        system.settings[0].alpha = step_length(system)
-        _share(board, system, EXTRAPOLATE, 0, blocks, True)
-    _share_colours(board, system, SOLVE)
-    return _largest_residual(system)
+        blocks = len(phases.sums)
+        _share(board, phases, LINE_SEARCH, 0, blocks, True)
+        phases.settings[0].alpha = step_length(phases.found, phases.sums)
+        _share(board, phases, EXTRAPOLATE, 0, blocks, True)
+    _share_colours(board, phases, SOLVE)
+    return _largest_residual(phases)
 
 
 @inner
-def _refine(board: IntArray, system: ConstraintSystem) -> int:
-    """Solve for the contacts that carry a system, until none misses its condition by more than is tolerated."""
-    pieces, passes, rounds = len(system.pieces), 0, 0
-    system.settings[0].tolerance = BAD_ENOUGH
-    _share(board, system, MEASURE_VIOLATION, 0, pieces, True)
-    system.settings[0].tolerance = 1.0
-    before, missed = np.inf, _largest_residual(system)
+def _refine(board: IntArray, phases: Phases) -> int:
+    """Solve for the contacts that carry a load, until none misses its condition by more than is tolerated."""
+    pieces, passes, rounds = len(phases.found), 0, 0
+    phases.settings[0].tolerance = BAD_ENOUGH
+    _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
+    phases.settings[0].tolerance = 1.0
+    before, missed = np.inf, _largest_residual(phases)
     while rounds < MAX_ROUNDS and 0.0 < missed < WORTH * before:
-        passes += _conjugate_gradients(board, system)
-        _iterate(board, system, True)
-        _iterate(board, system, True)
+        passes += _conjugate_gradients(board, phases)
+        _iterate(board, phases, True)
+        _iterate(board, phases, True)
         passes += 2
         rounds += 1
-        _share(board, system, MEASURE_VIOLATION, 0, pieces, True)
-        before, missed = missed, _largest_residual(system)
+        _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
+        before, missed = missed, _largest_residual(phases)
     return passes
 
 
 @inner
-def _conjugate_gradients(board: IntArray, system: ConstraintSystem) -> int:
+def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     """Find what to change of the impulses that are free; return the number of iterations."""
-    pieces, settings = len(system.pieces), system.settings[0]
+    pieces, settings = len(phases.found), phases.settings[0]
     settings.beta = 0.0
-    _forget_changes(board, system)
+    _forget_changes(board, phases)
     settings.iteration = 0
-    _share(board, system, CONJUGATE_STEP, 0, pieces, True)
-    first = rho = _residual_norm(system)
+    _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
+    first = rho = _residual_norm(phases)
     iterations = 0
     while rho > SOLVED * first and iterations < MAX_ITERATIONS:
-        _share_colours(board, system, CONJUGATE_DIRECTION)
-        _share(board, system, LINE_SEARCH, 0, len(system.sums), True)
+        _share_colours(board, phases, CONJUGATE_DIRECTION)
+        _share(board, phases, LINE_SEARCH, 0, len(phases.sums), True)
         curvature = 0.0
-        for k in range(len(system.sums)):
-            curvature += system.sums[k].curvature
+        for k in range(len(phases.sums)):
+            curvature += phases.sums[k].curvature
         if not curvature > 0.0:
             break
         iterations += 1
         settings.alpha, settings.iteration = rho / curvature, iterations
-        _share(board, system, CONJUGATE_STEP, 0, pieces, True)
-        before, rho = rho, _residual_norm(system)
+        _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
+        before, rho = rho, _residual_norm(phases)
         settings.beta = rho / before
         push, pull = 0.0, 0.0
         for k in range(pieces):
-            push, pull = max(push, system.found[k].largest_push), max(pull, system.found[k].largest_pull)
-        _forget_changes(board, system)
+            push, pull = max(push, phases.found[k].largest_push), max(pull, phases.found[k].largest_pull)
+        _forget_changes(board, phases)
         if pull > push:  # a residual that no impulse can remove makes them grow without end
             break
-    _share_colours(board, system, PROJECT)
+    _share_colours(board, phases, PROJECT)
     return iterations
 
 
 @inner
-def _forget_changes(board: IntArray, system: ConstraintSystem) -> None:
+def _forget_changes(board: IntArray, phases: Phases) -> None:
     """Begin to sum up anew what changes of the velocities."""
-    system.settings[0].alpha = 0.0
-    _share(board, system, EXTRAPOLATE, 0, len(system.sums), True)
+    phases.settings[0].alpha = 0.0
+    _share(board, phases, EXTRAPOLATE, 0, len(phases.sums), True)
 
 
 @inner
-def _share_colours(board: IntArray, system: ConstraintSystem, phase: int) -> None:
+def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
     """Do a phase colour by colour."""
-    edges, independent = system.edges, system.settings[0].independent
+    edges, independent = phases.edges, phases.settings[0].independent
     for colour in range(len(edges) - 1):
-        _share(board, system, phase, edges[colour], edges[colour + 1], colour < independent)
+        _share(board, phases, phase, edges[colour], edges[colour + 1], colour < independent)
 
 
 @inner
-def _share(board: IntArray, system: ConstraintSystem, phase: int, first: int, end: int, independent: bool) -> None:
+def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, independent: bool) -> None:
     """Do the pieces of a phase, with the team if they are independent."""
-    settings = system.settings[0]
+    settings = phases.settings[0]
     settings.phase, settings.first_piece = phase, first
-    k = settings.first_piece  # not the literal 0 that it may be, for which Numba would compile all pieces again
+    k = first
     if len(board) == 0 or end - first == 1 or not independent:
         while k < end:
-            _do_piece(system, k)
+            _do_piece(phases, k)
             k += 1
     else:
         post(board, end - first)
         while claim(board):
-            _do_piece(system, k)
+            _do_piece(phases, k)
             finish(board)
             k += 1
         wait(board, end - first)
 
 
-@inner
-def _do_piece(system: ConstraintSystem, k: int) -> None:
-    """Do one piece."""
-    phase = system.settings[0].phase
-    if phase == LINE_SEARCH:
-        line_search(k, system)
-    elif phase == EXTRAPOLATE:
-        extrapolate(k, system)
-    else:
-        lo, hi = system.pieces[k, 0], system.pieces[k, 1]
-        if phase == CORRECT_POSITIONS:
-            correct_positions(lo, hi, k, system)
-        elif phase == RESOLVE_IMPACTS:
-            resolve_impacts(lo, hi, k, system)
-        elif phase == PREPARE:
-            prepare(lo, hi, k, system)
-        elif phase == WARM_START:
-            warm_start(lo, hi, system)
-        elif phase == SOLVE:
-            if system.settings[0].spins:
-                solve(lo, hi, k, system, (1,))
-            else:
-                solve(lo, hi, k, system, ())
-        elif phase == AUDIT:
-            audit(lo, hi, k, system)
-        elif phase == MEASURE_VIOLATION:
-            measure_violation(lo, hi, k, system)
-        elif phase == CONJUGATE_STEP:
-            conjugate_step(lo, hi, k, system)
-        elif phase == CONJUGATE_DIRECTION:
-            conjugate_direction(lo, hi, system)
-        elif phase == PROJECT:
-            project(lo, hi, k, system)
-
-
-def compile_phases(system: ConstraintSystem) -> None:
-    """Compile the phases that `_do_piece` calls, the last first: another process may begin with the others."""
-    compile_for(project, 0, 0, 0, system)
-    compile_for(conjugate_direction, 0, 0, system)
-    compile_for(conjugate_step, 0, 0, 0, system)
-    compile_for(measure_violation, 0, 0, 0, system)
-    compile_for(audit, 0, 0, 0, system)
-    compile_for(solve, 0, 0, 0, system, ())
-    compile_for(solve, 0, 0, 0, system, (1,))
-    compile_for(warm_start, 0, 0, system)
-    compile_for(scale_back, system)
+@inline
+def _do_piece(phases: Phases, k: int) -> None:
+    """Do one piece of the phase."""
+    assign(phases.task, phases.addresses[phases.settings[0].phase])
+    do(phases.doer, phases.task, k)
+    raise_fault(phases.task)
 
 
 @inner
-def _largest_residual(system: ConstraintSystem) -> float:
+def _largest_residual(phases: Phases) -> float:
     largest = 0.0
-    for k in range(len(system.pieces)):
-        largest = max(largest, system.found[k].residual)
+    for k in range(len(phases.found)):
+        largest = max(largest, phases.found[k].residual)
     return largest
 
 
 @inner
-def _residual_norm(system: ConstraintSystem) -> float:
+def _residual_norm(phases: Phases) -> float:
     norm = 0.0
-    for k in range(len(system.pieces)):
-        norm += system.found[k].residual_norm
+    for k in range(len(phases.found)):
+        norm += phases.found[k].residual_norm
     return norm

@@ -57,11 +57,12 @@ def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, sta
 
 
 @inner
-def correct_positions(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
     """Push the contacts at rest of a piece apart, once; note whether an overlap was worth it.
 
     A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
     """
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
     inverse_mass, radius = system.inverse_mass, system.radius
     n, last, again = len(x), len(pairs) - 1, 0.0

@@ -13,8 +13,9 @@ LOADED = 1e-5  # how much the velocity counts that an impulse gives to the light
 
 
 @inner
-def prepare(lo: int, hi: int, piece: int, system: ConstraintSystem) -> None:
+def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
     """Write what does not change during the iterations, and v_n and u before them; leave impacts alone."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins

@@ -41,7 +41,19 @@ HELD = 1e-8  # the last iteration changes no velocity by more than this part of 
 
 
 @inner
-def solve(lo: int, hi: int, piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
+def solve_turning(piece: int, end: int, system: ConstraintSystem) -> None:
+    """Take contact after contact to where it neither closes nor pulls, with impulses that turn bodies."""
+    solve(piece, system, (1,))
+
+
+@inner
+def solve_straight(piece: int, end: int, system: ConstraintSystem) -> None:
+    """Take contact after contact to where it neither closes nor pulls, with impulses that turn nothing."""
+    solve(piece, system, ())
+
+
+@inner
+def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
     """Take contact after contact to where it neither closes nor pulls, at the velocities as they are.
 
     Parameters
@@ -49,6 +61,7 @@ def solve(lo: int, hi: int, piece: int, system: ConstraintSystem, turning: tuple
     turning
         Of one element where impulses turn bodies, empty elsewhere: the kernel is compiled for each.
     """
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift = len(turning) > 0, settings.alpha, settings.drift

@@ -112,8 +112,9 @@ def _carry(
 
 
 @inner
-def warm_start(lo: int, hi: int, system: ConstraintSystem) -> None:
+def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
     """Apply the impulses as they are."""
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     last = len(pairs) - 1
     for c in range(lo, hi):

@@ -1,0 +1,98 @@
+"""The machine code of the solver's phases, by address.
+
+Each phase is a kernel ``(piece, end, system)``, where ``end`` is ``piece + 1``. The kernels that lead a job call it by
+its address, for two reasons. To call all phases by name they would have to contain them, and to hand on the 24 arrays
+of a `ConstraintSystem` from one to the other takes each of them a second to compile. By address, each phase is compiled
+once, by itself, by whichever process comes first, and only if a scene needs it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from carom.physics.contact.constraints import (
+    AUDIT,
+    CONJUGATE_DIRECTION,
+    CONJUGATE_STEP,
+    CORRECT_POSITIONS,
+    EXTRAPOLATE,
+    LINE_SEARCH,
+    MEASURE_VIOLATION,
+    PREPARE,
+    PROJECT,
+    RESOLVE_IMPACTS,
+    SCALE_BACK,
+    SOLVE,
+    WARM_START,
+    ConstraintSystem,
+)
+from carom.physics.contact.solver.conjugate_gradients import (
+    conjugate_direction,
+    conjugate_step,
+    measure_violation,
+    project,
+)
+from carom.physics.contact.solver.energy_audit import audit
+from carom.physics.contact.solver.energy_bound import scale_back
+from carom.physics.contact.solver.impacts import resolve_impacts
+from carom.physics.contact.solver.line_search import extrapolate, line_search
+from carom.physics.contact.solver.position_correction import correct_positions
+from carom.physics.contact.solver.prepare import prepare
+from carom.physics.contact.solver.solve import solve_straight, solve_turning
+from carom.physics.contact.solver.warm_start import warm_start
+from carom.physics.parallel.task import code_for, kind_for
+
+Phase = Callable[[int, int, ConstraintSystem], None]
+
+POSITIONS, IMPACTS, RESTING = range(3)  # jobs
+PHASES: dict[int, dict[int, Phase]] = {  # of each job
+    POSITIONS: {CORRECT_POSITIONS: correct_positions},
+    IMPACTS: {RESOLVE_IMPACTS: resolve_impacts},
+    RESTING: {
+        PREPARE: prepare,
+        WARM_START: warm_start,
+        SOLVE: solve_turning,
+        LINE_SEARCH: line_search,
+        EXTRAPOLATE: extrapolate,
+        MEASURE_VIOLATION: measure_violation,
+        CONJUGATE_STEP: conjugate_step,
+        CONJUGATE_DIRECTION: conjugate_direction,
+        PROJECT: project,
+        SCALE_BACK: scale_back,
+        AUDIT: audit,
+    },
+}
+
+
+class PhaseCode:
+    """Where the code of each phase is, for systems of one kind.
+
+    Parameters
+    ----------
+    spins
+        Whether impulses turn bodies.
+    """
+
+    def __init__(self, spins: bool) -> None:
+        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=np.int64)  # by phase
+        self.kind = 0  # of the systems, see `kind_of`
+        self._spins = spins
+        self._ready: set[int] = set()
+
+    def require(self, job: int, system: ConstraintSystem) -> None:
+        """Compile or load the phases of a job, if that has not been done."""
+        if job not in self._ready:
+            self._compile(job, PHASES[job], system)
+
+    def compile_ahead(self, job: int, system: ConstraintSystem) -> None:
+        """Compile the phases of a job, the last first: another process may begin with the others."""
+        self._compile(job, reversed(PHASES[job]), system)
+
+    def _compile(self, job: int, phases: Iterable[int], system: ConstraintSystem) -> None:
+        self.kind = kind_for(system)
+        for phase in phases:
+            kernel = solve_straight if phase == SOLVE and not self._spins else PHASES[job][phase]
+            self.addresses[phase] = code_for(kernel, system)
+        self._ready.add(job)
