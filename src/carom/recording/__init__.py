@@ -1,1 +1,1 @@
-"""What is kept of a run: writing it, reading it back, looking at it. The one package that imports rerun."""
+"""Recordings: writing, reading, editing and viewing them. The only package that imports Rerun."""

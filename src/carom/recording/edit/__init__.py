@@ -1,1 +1,1 @@
-"""Files made of other files: clips, repairs, continuations, bundles."""
+"""Files made from recordings: clips, repairs, continuations, bundles."""

@@ -1,7 +1,7 @@
 """Writes and reads the zip file that is attached to a bug report.
 
-A bundle may come from a stranger: only its recording is written to disk, under a name of our own, and no more bytes
-than it declares.
+A bundle may come from a stranger. Only its recording is written to disk, under a name that carom chooses, and no more
+bytes than it declares.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.write.claim import Claim
 
 CLIP = "clip.rrd"
-LARGEST = 10_000_000  # bytes of a bundle that one may attach
+LARGEST = 10_000_000  # bytes of a bundle, a common limit of attachments
 MOST_UNPACKED = 1_000_000_000  # bytes
 MOST_TIMES = 1000  # highest compression ratio of deflate; more is a zip bomb
 MOST_MEMBERS = 100
@@ -77,7 +77,7 @@ def opened(path: Path) -> Iterator[Path]:
     Raises
     ------
     RecordingError
-        If a bundle is damaged, has no recording in it, or one that is not what it says it is.
+        If a bundle is damaged, or contains no recording or a malformed one.
     """
     if not is_bundle(path):
         yield path

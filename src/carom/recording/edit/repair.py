@@ -1,4 +1,4 @@
-"""Repairs a recording that was cut off, lacks its footer or has wrong bytes, as far as it can be read."""
+"""Repairs a recording that was cut off, lacks its footer or has wrong bytes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Repaired:
 
 
 def repair(source: str | Path, out: str | Path) -> Repaired:
-    """Write what can be read of a recording into a new one, with a footer, a layout and an outcome that says so.
+    """Write the readable parts of a recording into a new one, with a footer, a layout and an outcome that says so.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
 
 
 def _recording(source: Path, found: Salvage) -> Store:
-    """Choose the recording with most of the chunks: a wrong byte may have created others."""
+    """Choose the recording with the most chunks; a wrong byte may have created others."""
     stores = [store for store in found.stores if store.kind == RECORDING]
     store = max(stores, key=lambda store: len(store.entries), default=None)
     if store is None or not store.entries:
@@ -118,7 +118,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
 
 
 def _reach(recording: Recording) -> tuple[int, int | None, float | None]:
-    """Return how many frames there are, and step and time (s) of the last one."""
+    """Return the number of frames, and step and time (s) of the last one."""
     try:
         prints = recording.fingerprints()
         steps, times = prints[STEP].to_pylist(), prints["time"].to_pylist()
@@ -128,7 +128,7 @@ def _reach(recording: Recording) -> tuple[int, int | None, float | None]:
 
 
 def _ending(recording: Recording) -> str:
-    """Say how the run ended, if that was not lost."""
+    """Say how the run ended, if its end was not lost."""
     ended = recording.outcome
     return "unfinished: the run was killed, or its end lost" if ended == UNFINISHED else ended
 
@@ -141,7 +141,7 @@ def _told(lost: list[str]) -> str:
 
 
 def _lost(recording: Recording, found: Salvage) -> list[str]:
-    """Describe what cannot be read: by entity if the footer lists it, else by its bytes."""
+    """Describe an unreadable part: by entity if the footer lists it, otherwise by its bytes."""
     if found.missing or found.layout_lost:
         return [_named(entry) for entry in found.missing] + (["the layout"] if found.layout_lost else [])
     size = recording.path.stat().st_size

@@ -1,4 +1,4 @@
-"""Finds the body that somebody means, by its number or its name."""
+"""Finds a body by its number or its name."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def body_number(recording: Recording, body: int | str) -> int:
 
 
 def _others(text: str, names: Sequence[str]) -> str:
-    """Say which bodies there are, and which name is nearest."""
+    """List the bodies, and suggest the nearest name."""
     count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
     own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
     near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)

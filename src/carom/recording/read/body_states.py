@@ -1,4 +1,4 @@
-"""The exact state of the bodies at a moment, as a table: from a checkpoint, or by running the steps up to it again."""
+"""The exact state of the bodies at a time, as a table: from a checkpoint, or by a replay of the steps up to it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AXES = {
 
 
 def bodies_at(recording: Recording, at: float | None) -> pa.Table:
-    """Return the state of all bodies at the end of the step that a time (s) is in; see `BodyTable`."""
+    """Return the state of all bodies at the end of the step that contains a time (s); see `BodyTable`."""
     at = recording.moment(at)
     checkpoint, source = _checkpoint_of(recording, at), "checkpoint"
     if checkpoint is None:

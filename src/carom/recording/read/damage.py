@@ -1,4 +1,4 @@
-"""Turns whatever goes wrong in reading a file into one sentence that names the file and the remedy."""
+"""Turns every error in reading a file into one sentence with the file and the remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carom.recording.errors import DamageError, RecordingError
 from carom.recording.rrd.framing import looks_recorded
 from carom.scene.command import command
 
-# What a wrong name, type or length in a file may raise. Files come from anywhere.
+# Exceptions that a wrong name, type or length in a file may raise.
 _SURPRISES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
     pa.ArrowException,
@@ -21,12 +21,12 @@ _SURPRISES = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Raise RecordingError with the file's name and the remedy, whatever is wrong with it.
+    """Replace exceptions by a RecordingError with the name of the file and the remedy.
 
     Raises
     ------
     RecordingError
-        In place of what was raised inside.
+        In place of an exception raised inside.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""The moment of a run to look at: its hardest impact, or where that is not known the fullest frame."""
+"""The default time to look at: the hardest impact of a run or, if unknown, the frame with the most contacts."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def moment(recording: Recording, at: float | None) -> float:
 
 
 def tolerance(time: float) -> float:
-    """Return by how much (s) a time that was printed and typed again may be off."""
+    """Return the error in s of a time that was printed and typed again."""
     return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
 
 
 def frame_of(recording: Recording, at: float) -> int | None:
-    """Return the row of the frame that ends the step which a time (s) is in; None if that step has no frame.
+    """Return the row of the frame at the end of the step that contains a time (s); None if that step has no frame.
 
     Times after the last frame belong to it, and times before the first one to that.
     """

@@ -1,4 +1,4 @@
-"""What the bodies, planes and walls of a recording are called."""
+"""Names of the bodies, planes and walls of a recording."""
 
 from __future__ import annotations
 

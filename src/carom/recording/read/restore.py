@@ -1,6 +1,6 @@
 """Restores a space from a recording, for replays and resumed runs.
 
-A recording may come from a stranger. Everything in it is looked at before it is computed with.
+A recording may come from a stranger, so everything in it is checked before it is used.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     Raises
     ------
     SceneError
-        If this version does not understand it.
+        If this version cannot read it.
     RecordingError
-        If it is not one of as many bodies as the recording has.
+        If it has another number of bodies than the recording.
     """
     text, bodies = recording.scene_toml, len(recording.bodies.mass)
     if len(text) > longest_text(bodies):
@@ -55,8 +55,8 @@ def space_of(
     Parameters
     ----------
     restored
-        Whether to restore what the checkpoint has besides positions and velocities. At the start of a run a space has
-        all that by itself, and the contacts of frame 0, too.
+        Whether to restore the rest of the checkpoint besides positions and velocities. At the start of a run a space
+        already has the rest, and the contacts of frame 0.
     record_contacts
         Whether frames carry what contacts did.
 
@@ -80,7 +80,7 @@ def space_of(
 
 
 def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
-    """Return the last checkpoint at or before a time, else the first that there is.
+    """Return the last checkpoint at or before a time, otherwise the first one.
 
     Raises
     ------

@@ -53,7 +53,7 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def _clip(recording: Recording) -> dict[str, Any]:
-    """Say what a clip is a clip of; empty for a whole run."""
+    """Describe the part of the run in a clip; empty for a whole run."""
     if not recording.clip:
         return {}
     first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
@@ -71,7 +71,7 @@ def _energy(energy: pa.Table) -> dict[str, float]:
 
 
 def _largest(momenta: pa.Table, name: str) -> float | None:
-    """Return the largest error of the recorded frames; None where it is not defined, as in a periodic box."""
+    """Return the largest error of the recorded frames; None if it is not defined, as in a periodic box."""
     errors = np.concatenate([np.zeros(1), *(np.ravel(value) for value in momenta[name].to_numpy())])
     worst = float(np.max(errors))
     return None if np.isnan(worst) else worst
@@ -110,7 +110,7 @@ def _numbers(text: Any) -> list[int]:
 
 
 def _complete(entries: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
-    """Refuse entries of which a part is missing."""
+    """Refuse incomplete entries."""
     for name, entry in entries.items():
         if missing := [key for key in keys if not isinstance(entry, dict) or key not in entry]:
             raise DamageError(f"its property outcome has {name} without {missing[0]}")

@@ -1,6 +1,6 @@
 """Reads the rows of an entity into a table, chunk by chunk, and checks their types and order.
 
-Only the columns asked for are copied out of a chunk, so that a table takes no more memory than its rows.
+Only the requested columns are copied out of a chunk, so a table takes no more memory than its rows.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def table(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], opt
     Raises
     ------
     DamageError
-        If a row has not what it should, or rows are not in the order of their steps.
+        If a row has wrong or missing values, or rows are not in the order of their steps.
     """
     steps: list[NDArray[np.int64]] = []
     times: list[NDArray[np.int64]] = []
@@ -90,7 +90,7 @@ def table(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], opt
 
 
 def optional_text(chunk: Chunk, name: str) -> pa.Array:
-    """Copy the texts of a component, "" where rows of older recordings lack it. DamageError if they are no texts."""
+    """Copy the texts of a component, "" if older recordings lack it. Raises DamageError if they are not texts."""
     if name not in chunk.components:
         return pa.array([""] * chunk.batch.num_rows, pa.string())
     if chunk.batch[name].type.value_type != pa.string():
@@ -99,7 +99,7 @@ def optional_text(chunk: Chunk, name: str) -> pa.Array:
 
 
 def flat(chunk: Chunk, name: str, column: Column) -> pa.Array:
-    """Copy the values of a component, row after row. DamageError if a row has not what it should."""
+    """Copy the values of a component, row after row. Raises DamageError if a row has wrong or missing values."""
     rows = chunk.batch[name]
     if rows.type.value_type != column.type:
         raise DamageError(f"{name} of /{chunk.entity_path} of type {rows.type}")

@@ -1,1 +1,1 @@
-"""The .rrd container format: framing, messages, index and salvage. Bytes only; knows nothing of carom."""
+"""The .rrd container format: framing, messages, index and salvage. Handles bytes only, independent of carom."""

@@ -11,11 +11,11 @@ import pyarrow as pa
 from carom.recording.errors import DamageError
 from carom.recording.rrd.flatbuffer import Claims, claims
 
-LARGEST = 1 << 29  # bytes of a chunk; carom's have some 4 MB, and one frame of a million bodies has 50
+LARGEST = 1 << 29  # bytes of a chunk; carom writes some 4 MB, and 50 MB for a frame of a million bodies
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
-_LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot pack more tightly
-_DEEPEST = 8  # types in types; Rerun's layouts go five deep
+_LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot compress more
+_DEEPEST = 8  # nested types; Rerun's layouts have five levels
 _WIDEST = 16  # values of a list of fixed size: a quaternion has 4, an identifier 16
 _MOST_COLUMNS = 10_000  # of an index: four a component
 _BITS = 8  # no value takes less than one bit
@@ -39,7 +39,7 @@ def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordB
     Raises
     ------
     DamageError
-        If it is not whole, claims more than its bytes can hold, or has a type that carom does not write.
+        If it is incomplete, claims more than its bytes can hold, or has a type that carom does not write.
     """
     if compression == _LZ4:
         if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
@@ -74,7 +74,7 @@ def _decoded(stream: pa.Buffer) -> pa.RecordBatch:
 
 
 def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
-    """Refuse a batch that claims more than lies in its body."""
+    """Refuse a batch that claims more data than its body has."""
     size = 0 if body is None else body.size
     if claimed.compressed:
         raise DamageError("a chunk whose buffers are packed a second time")
@@ -85,7 +85,7 @@ def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
 
 
 def _admit(column: pa.Field, depth: int = 0) -> None:
-    """Refuse a type that carom does not write, and names that are no text, over which Rerun would panic."""
+    """Refuse types that carom does not write, and names that are not text, on which Rerun would panic."""
     names = [column.name.encode(), *(word for pair in (column.metadata or {}).items() for word in pair)]
     for name in names:
         name.decode()

@@ -1,8 +1,8 @@
-"""How an .rrd file is cut into messages, so that a writer can stop at the end of one.
+"""The messages of an .rrd file, so that a writer can stop at the end of one.
 
 A stream header of 12 bytes (``RRF2``, version, options) is followed by messages: kind and length as little-endian
 uint64, then so many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
-A file that ends inside a message is refused by every reader; one that ends between two messages opens.
+Every reader refuses a file that ends inside a message; a file that ends between two messages opens.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def is_rrd(file: BinaryIO) -> bool:
 
 
 def looks_recorded(path: Path) -> bool:
-    """Tell whether a file begins like a recording, in whatever version, or has its footer: some of it may be saved."""
+    """Tell whether a file begins like a recording of any version, or has its footer, so that it may be repaired."""
     try:
         with path.open("rb") as file:
             begins = file.read(len(_MAGIC))
@@ -70,7 +70,7 @@ def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
     Raises
     ------
     DamageError
-        Where the file goes on with something else, or ends inside a message.
+        If something other than a message follows, or the file ends inside a message.
     """
     size = os.fstat(file.fileno()).st_size
     while start < size:
@@ -98,7 +98,7 @@ def read_footer(file: BinaryIO) -> bytes | None:
     Raises
     ------
     DamageError
-        If there is one, but it is not as it was written.
+        If there is one, but it is damaged.
     """
     size = os.fstat(file.fileno()).st_size
     file.seek(max(0, size - STREAM_FOOTER))
@@ -127,7 +127,7 @@ class MessageSplitter:
         self._ended = False
 
     def feed(self, piece: bytes) -> list[bytes]:
-        """Take a piece; hand out every message that it completes."""
+        """Add a piece; yield every message that it completes."""
         self._pending += piece
         whole: list[bytes] = []
         while (length := self._next_length()) is not None and length <= len(self._pending):
@@ -136,7 +136,7 @@ class MessageSplitter:
         return whole
 
     def _next_length(self) -> int | None:
-        """Bytes of the next message, None while too little of it is there to tell."""
+        """Size of the next message in bytes; None if too little of it has arrived."""
         if not self._in_messages:
             self._in_messages = len(self._pending) >= STREAM_HEADER
             return STREAM_HEADER

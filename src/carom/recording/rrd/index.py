@@ -1,4 +1,4 @@
-"""The index of an .rrd file: its stores, their chunks and where they lie. A chunk is read when it is asked for."""
+"""The index of an .rrd file: its stores, and the positions of their chunks. Chunks are read on demand."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Container:
         Raises
         ------
         DamageError
-            If a message of it, or its footer, is not whole.
+            If a message or the footer is incomplete.
         OSError
             If it cannot be read.
         """
@@ -64,7 +64,7 @@ class Container:
             )
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
-        """Read chunks in order. DamageError if one is not what the index says."""
+        """Read chunks in order. Raises DamageError if one differs from the index."""
         with self.path.open("rb") as file:
             for entry in entries:
                 file.seek(entry.offset)
@@ -90,7 +90,7 @@ class Index:
         self._activated: set[str] = set()
 
     def add(self, message: Message, body: bytes) -> None:
-        """Add a message. DamageError if it cannot be decoded."""
+        """Add a message. Raises DamageError if it cannot be decoded."""
         match message.kind:
             case framing.STORE:
                 self._known(store_of(body))
@@ -109,7 +109,7 @@ class Index:
 
 
 def _manifests(footer: bytes, size: int) -> list[Store]:
-    """Read what the footer says of each store's chunks, in the order in which they lie in the file of this size."""
+    """Read the footer's entries of each store's chunks, in the order of the file."""
     stores = []
     for manifest in protobuf.fields(memoryview(footer)).get(1, []):
         if not isinstance(manifest, memoryview):

@@ -1,8 +1,8 @@
 """The messages of an .rrd file: chunks of rows and the stores they belong to, decoded and checked.
 
-Rerun's own reader trusts a file: with one wrong byte it may end the process, or ask for more memory than there is
-(about one file in sixty with a few bytes changed). Recordings come from strangers and from torn disks, so they are
-decoded here, and everything is checked before it is used.
+Rerun's own reader trusts a file. With one wrong byte it may end the process, or request more memory than there is
+(about one file in sixty with a few bytes changed). Recordings may come from strangers and damaged disks, so carom
+decodes them itself and checks everything before use.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _entity_path(batch: pa.RecordBatch) -> str:
 
 
 def _check(chunk: Chunk) -> None:
-    """Check what the readers of a chunk rely on."""
+    """Check the properties that readers of a chunk rely on."""
     batch = chunk.batch
     timelines = {STEP: pa.int64(), SIM_TIME: pa.duration("ns")}
     for column in batch.schema:

@@ -16,7 +16,7 @@ from carom.recording.rrd.messages import RECORDING, Entry, Store, read_body
 
 _WINDOW = 1 << 22  # bytes that are searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
-_PATIENCE = 4  # times the file's size: the most bytes read in search of messages
+_PATIENCE = 4  # times the size of the file: the most bytes to read in search of messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def _listed(path: Path) -> list[Store] | None:
 
 
 class _Pass:
-    """One pass through a file, from message to message, skipping what is not one."""
+    """One pass through a file, from message to message, skipping everything else."""
 
     def __init__(self, file: BinaryIO, size: int, found: Salvage) -> None:
         self._file = file
@@ -111,7 +111,7 @@ class _Pass:
         self._found.stores = self._index.stores()
 
     def _message(self, at: int) -> Message:
-        """Decode and index the message at an offset. DamageError if there is none."""
+        """Decode and index the message at an offset. Raises DamageError if there is none."""
         message = next(framing.messages(self._file, at))
         self._index.add(message, self._body(message))
         return message

@@ -1,1 +1,1 @@
-"""What a recording holds: entities, timelines, properties, series and their versions."""
+"""The schema of a recording: entities, timelines, properties, series, and their version."""

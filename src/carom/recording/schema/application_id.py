@@ -17,14 +17,14 @@ _PATTERN = re.compile(r"carom-([0-9]{1,9})-[0-9a-f]+")
 def application_id(header: Header) -> str:
     """``carom-<schema>-<layout>``.
 
-    A viewer keeps one layout per application id, the eye's place included: so a layout is one scene's. Slashes would be
-    nicer, but Rerun replaces them.
+    A viewer keeps one layout, with its camera, per application id. The id therefore includes a hash of the scene.
+    Rerun replaces slashes, so it has none.
     """
     layout = hashlib.sha256(f"{header.scene_toml}\n{header.bodies} {header.spins}".encode()).hexdigest()
     return f"carom-{SCHEMA_VERSION}-{layout[:12]}"
 
 
 def schema_version(identity: str) -> int | None:
-    """Read the schema version from an application id; None if the recording is not carom's."""
+    """Read the schema version from an application id; None if carom did not make the recording."""
     match = _PATTERN.fullmatch(identity)
     return None if match is None else int(match.group(1))

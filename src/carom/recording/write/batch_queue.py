@@ -1,7 +1,7 @@
 """A bounded queue between the physics thread and the recorder, read in batches.
 
 The reader sleeps until a batch is full or due. `queue.Queue` would wake it for every frame, and each time it would take
-the interpreter lock from the physics: a tenth of the run for 1000 bodies (benchmarks/recording.py).
+the interpreter lock from the physics, which costs a tenth of a run of 1000 bodies (benchmarks/recording.py).
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class BatchQueue(Generic[_Item]):
                 self._changed.notify_all()
 
     def close(self) -> None:
-        """Let the reader take the remaining items; after them `take` returns an empty batch."""
+        """Close the queue: after the remaining items, `take` returns an empty batch."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def fail(self, error: Exception) -> None:
-        """Make every later `put` raise this error: the reader has stopped."""
+        """Make every later `put` raise this error, because the reader has stopped."""
         with self._changed:
             self._error = error
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""An exclusive lock on an output file: two processes that wrote one file would destroy both recordings."""
+"""An exclusive lock on an output file, since two processes that write one file would destroy both recordings."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
 
 class Claim:
-    """Keeps other programs from writing a path, until it is released or the process ends, however it ends.
+    """Keeps other carom processes from writing a path, until it is released or the process ends.
 
-    The lock is on a file beside the output, ``.NAME.lock``: the output itself may be replaced by another file while it
-    is claimed. A killed process leaves that file, which no longer locks anything. A file system without locks (some
-    network ones) does not refuse the second writer.
+    The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced by another file
+    while it is claimed. A killed process leaves that file, which then locks nothing. File systems without locks, such
+    as some network ones, do not refuse the second writer.
 
     Raises
     ------
     RecordingError
-        If somebody else writes the path, or nothing can be written there.
+        If another process writes the path, or it cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -51,7 +51,7 @@ class Claim:
         self.release()
 
     def release(self) -> None:
-        """Let others write the path."""
+        """Release the path."""
         with contextlib.suppress(OSError):
             self._lock.unlink()  # while still locked: a process that opened it meanwhile notices that it is gone
         os.close(self._descriptor)

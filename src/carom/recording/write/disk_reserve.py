@@ -1,4 +1,4 @@
-"""Room kept free on the disk, so that a recording can still be closed properly when the disk is full."""
+"""Reserved disk space, so that a recording can still be closed properly when the disk is full."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ class DiskReserve:
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Reserve at least ``size`` bytes. OSError (ENOSPC) if the disk is too full."""
+        """Reserve at least ``size`` bytes. Raises OSError (ENOSPC) if the disk is too full."""
         if size > self.size:
             self._allocate(size - self.size)
             self.size = size
 
     def release(self) -> None:
-        """Give the room back to the disk."""
+        """Release the reserved space."""
         self._file.close()
 
     def _allocate(self, more: int) -> None:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._file.fileno(), self.size, more)
-        else:  # macOS: only written bytes are surely allocated
+        else:  # macOS: only written bytes are certain to be allocated
             self._file.seek(self.size)
             self._file.write(bytes(more))
             self._file.flush()

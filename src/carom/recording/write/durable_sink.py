@@ -28,7 +28,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 class DurableSink:
-    """Copies a pipe into a file; keeps the file readable whatever happens."""
+    """Copies a pipe into a file, and keeps the file readable after any failure."""
 
     def __init__(self, path: Path, reserve: int) -> None:
         self.path = path
@@ -72,14 +72,14 @@ class DurableSink:
 
     @property
     def gone(self) -> bool:
-        """Whether the file no longer has its name: it was removed, renamed or replaced."""
+        """Whether the file was removed, renamed or replaced."""
         try:
             return not os.path.samestat(os.fstat(self._file), self.path.stat())
         except FileNotFoundError:
             return True
 
     def settle(self) -> None:
-        """Wait until all that was flushed into the pipe is in the file."""
+        """Wait until all flushed data is in the file."""
         while self._thread.is_alive():
             with self._turn:
                 if _bytes_waiting(self._source) == 0:
