@@ -1,1 +1,1 @@
-"""What a scene requires, what "auto" chooses, and what is refused: decided from the scene alone."""
+"""Decisions from the scene alone: its required parts, the values of "auto", and refusals."""

@@ -1,12 +1,12 @@
 """No body passes through a plane within a step.
 
-Planes are tested where bodies are at the end of a drift. What drifts farther than its radius may end behind a plane;
-so may what has more impacts in a drift than are resolved, and what a much larger body is pushed against. A body whose
-centre is behind a plane, and was in front of it when the step began, is put back on the straight line between both
-places, to where it first touches a plane. Bodies are in front of all planes, which is a convex region, so one place on
-that line is in front of all of them, also in a corner. The impact follows at the end of the step, like any other.
+Planes are tested at the positions at the end of a drift. A body that drifts farther than its radius may end behind a
+plane. So may a body with more impacts than a drift resolves, or one that a position correction moves off a much larger
+body. If the centre of a body is behind a plane and was in front of it when the step began, the body is put back on the
+straight line between both positions, to where it first touches a plane. The region in front of all planes is convex, so
+this position is in front of each of them, also in a corner. The impact follows at the end of the step, like any other.
 
-Its potential changes by -m a·Δx, which is booked as stabilisation, like that of a push.
+The potential of the body changes by -m a·Δx, which is booked as stabilisation, like that of a position correction.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from carom.scene.half_space import HalfSpaces
 FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TASK = 5000
-DEPTH = 1e-6  # of the radius, to which a body that is stopped overlaps: enough to be found, and not to be seen
+DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be found, too small to be visible
 ROUNDING = 8  # units in the last place of the coordinates; it overlaps by these, too
 DEEPEST = 0.5  # of the radius, however coarse the coordinates are
 
 
 class PlaneGuard:
-    """Keeps bodies in front of the planes that they were in front of when a step began.
+    """Keeps bodies from passing through planes within a step.
 
     Parameters
     ----------
     bodies, planes
-        What moves, and what it must not pass through.
+        The bodies, and the planes that they must not pass through.
     team
-        Threads that look for what is behind a plane.
+        Threads that look for bodies behind a plane.
     """
 
     def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
@@ -49,7 +49,7 @@ class PlaneGuard:
         self._stopped.clear()
 
     def stop(self) -> bool:
-        """Put back what has passed through a plane since the step began; tell whether anything had."""
+        """Put back bodies that have passed through a plane since the step began; tell whether there were any."""
         position, planes = self._bodies.position, self._planes
         found = np.zeros(1, dtype=np.bool_)
         self._team.divide(
@@ -59,7 +59,7 @@ class PlaneGuard:
             return False
         crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
-        if len(stopped) == 0:  # what is behind a plane began there
+        if len(stopped) == 0:  # bodies behind a plane began there
             return False
         places = self._first_touch(stopped, crossed[stopped])
         self._stopped.append((stopped, places - position[stopped]))
@@ -72,7 +72,7 @@ class PlaneGuard:
         return bool(self._stopped)
 
     def work(self) -> FloatArray:
-        """Return what stopping bodies did to the energy, (k, 3) J, at the present accelerations."""
+        """Return the energy changes of stopped bodies, (k, 3) J, at the present accelerations."""
         rows = []
         for stopped, moved in self._stopped:
             a, mass = self._bodies.acceleration[stopped], self._bodies.mass[stopped]
@@ -81,7 +81,7 @@ class PlaneGuard:
         return np.concatenate(rows)
 
     def _first_touch(self, stopped: NDArray[np.intp], crossed: NDArray[np.bool_]) -> FloatArray:
-        """Return where bodies first touched one of the planes that they crossed, (k, 3) m."""
+        """Return the positions where bodies first touched a plane that they crossed, (k, 3) m."""
         start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
         before, after = self._heights(start), self._heights(end)
         largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
@@ -94,7 +94,7 @@ class PlaneGuard:
         return places
 
     def _heights(self, position: FloatArray) -> FloatArray:
-        """Return the heights of centres above each plane, (k, p) m; summed by hand, since BLAS rounds as it likes."""
+        """Return the heights of centres above each plane, (k, p) m; summed here, since rounding in BLAS varies."""
         N = self._planes.normal
         heights = -self._planes.offset + position[:, :1] * N[:, 0]
         return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
@@ -104,7 +104,7 @@ class PlaneGuard:
 def _look_behind(
     lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: NDArray[np.bool_]
 ) -> None:
-    """Say so if the centre of one of the bodies [lo, hi) is behind a plane."""
+    """Set a flag if the centre of one of the bodies [lo, hi) is behind a plane."""
     for k in range(len(offset)):
         N, o = normal[k], offset[k]
         for i in range(lo, hi):

@@ -1,4 +1,4 @@
-"""The extremes of a run: its hardest impact, deepest overlap, most contacts and largest errors, and when they were."""
+"""The extremes of a run: its hardest impact, deepest overlap, most contacts and largest errors, with their times."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from carom.scene.names import Names
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """One extreme: its value, when it was, and which bodies it was of."""
+    """One extreme: its value, its time, and the bodies involved."""
 
     value: float
     step: int
     time: float  # s
     bodies: tuple[int, ...] = ()  # while the run goes on the ends of a contact: from n on they count planes
-    planes: tuple[int, ...] = ()  # that a body touched, see `Extremes.named`
+    planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
 
@@ -31,13 +31,13 @@ NOTHING = Extreme(0.0, 0, 0.0)
 class Extremes:
     """Extremes so far: of energy and momentum at the steps where they were computed, of contacts at every step.
 
-    An extreme is None where nothing was measured. Contacts dissipate and gravity is conservative, so the total energy
-    can only fall: a rise from its lowest value is an error, whether the ledger has an entry for it or not.
+    An extreme is None if nothing was measured. Contacts dissipate and gravity is conservative, so the total energy can
+    only fall. A rise from its lowest value is an error, whether or not the ledger explains it.
     """
 
     energy_error: Extreme | None = None  # |integration error| / scale
     energy_gain: Extreme = NOTHING  # rise of the total energy from its lowest so far / scale
-    contact_gain: Extreme = NOTHING  # what impulses of contacts gave back of what they took, or more / scale
+    contact_gain: Extreme = NOTHING  # energy that impulses of contacts put in or gave back / scale
     kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last step, not the largest
     impact: Extreme | None = None  # J, largest ½ μ v_n² of a contact that was closing
     overlap: Extreme | None = None  # deepest overlap / smaller radius
@@ -45,7 +45,7 @@ class Extremes:
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Extreme | None = NOTHING  # likewise
     total_contacts: int = 0  # contact-steps: contacts, summed over the steps
-    impacts: int = 0  # those on the way through a step each; those found at its end once a contact and step
+    impacts: int = 0  # each impact during a drift; those found at the end of a step once per contact and step
     lowest_energy: float = float("inf")  # J
     energy_scale: float = 0.0  # J, of the last step
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
@@ -54,13 +54,13 @@ class Extremes:
 
     @property
     def energy_fault(self) -> Extreme | None:
-        """The larger of the integration error and of what impulses of contacts put in: none of it may be."""
+        """The larger of the integration error and of the energy that impulses of contacts put in; both are errors."""
         if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
             return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
         return self.energy_error
 
     def see_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
-        """Take note of a step's contacts."""
+        """Update with the contacts of a step."""
         self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
         self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)
         if self.contacts is None or tally.contacts > self.contacts.value:
@@ -77,7 +77,7 @@ class Extremes:
         return Extremes(**found)
 
     def highlights(self, names: Names) -> tuple[Event, ...]:
-        """Put the extremes of contacts and energy into words, in order of time."""
+        """Return the extremes of contacts and energy as events, in order of time."""
         known = self.named(names)
         wordings = (
             (known.impact, "Hardest impact of the run, {value:.4g} J of approach (½ μ v_n²)"),
@@ -93,7 +93,7 @@ class Extremes:
         return tuple(sorted(events, key=lambda event: event.step))
 
     def see_energy(self, step: int, time: float, energy: Energy) -> None:
-        """Take note of the energy of a step."""
+        """Update with the energy of a step."""
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
         self.lowest_energy = min(self.lowest_energy, energy.undamped)
@@ -114,12 +114,12 @@ class Extremes:
             self.contact_audit = Extreme(error, step, time, bodies)
 
     def see_warning(self, kind: str) -> None:
-        """Take note that a warning was given."""
+        """Update with a warning."""
         if kind not in self.warned:
             self.warned += (kind,)
 
     def see_momentum(self, step: int, time: float, momentum: Momentum) -> None:
-        """Take note of the momenta of a step."""
+        """Update with the momenta of a step."""
         linear, angular = momentum.linear_error, momentum.angular_error
         self.momentum_error = None if linear is None else _worse(self.momentum_error, linear, step, time)
         self.angular_momentum_error = (

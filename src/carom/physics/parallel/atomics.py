@@ -11,7 +11,7 @@ from carom.physics.parallel.intrinsics import element_address, instruction
 
 @instruction
 def atomic_load(typing: Any, words: Any, word: Any) -> Any:
-    """Return a word of an (n,) int64 array, with all that was written before it was."""
+    """Return a word of an (n,) int64 array; all writes before it are then visible."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.load_atomic(element_address(context, builder, signature, args[0], args[1:]), "seq_cst", 8)
@@ -21,7 +21,7 @@ def atomic_load(typing: Any, words: Any, word: Any) -> Any:
 
 @instruction
 def atomic_store(typing: Any, words: Any, word: Any, value: Any) -> Any:
-    """Write a word of an (n,) int64 array after all that was to be written before it."""
+    """Write a word of an (n,) int64 array after all earlier writes."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.store_atomic(args[2], element_address(context, builder, signature, args[0], args[1:2]), "seq_cst", 8)

@@ -1,4 +1,4 @@
-"""Instructions of the processor that Numba does not offer: what the modules that add them share."""
+"""Shared code of the modules that add processor instructions to Numba."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 
 
 def instruction(define: Callable[..., Any]) -> Any:
-    """Make a function for kernels out of what generates its code; Numba fills in the first argument."""
+    """Make a function for kernels from its code generator; Numba supplies the first argument."""
     return intrinsic(define)
 
 
@@ -25,7 +25,7 @@ def element_address(context: Any, builder: Any, signature: Any, array: Any, indi
 
 @instruction
 def lowest_bit(typing: Any, word: Any) -> Any:
-    """Return which bit of a uint64 is the lowest that is set, or 64 if none is."""
+    """Return the position of the lowest set bit of a uint64, or 64 if there is none."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.cttz(args[0], ir.IntType(1)(0))

@@ -22,21 +22,21 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def kernel(function: Function) -> Function:
     """Compile a short function on its first call, or load it from the cache. It keeps the interpreter's lock.
 
-    To release the lock for microseconds costs more than it gives: the recorder takes it, and the physics waits. (When
-    all kernels released it, recording every step of 1000 bodies cost 19 % instead of 11 %.)
+    Releasing the lock for microseconds does not pay: the recorder takes it, and the physics waits. (When all kernels
+    released it, recording every step of 1000 bodies cost 19 % instead of 11 %.)
     """
     return _compiled(function)
 
 
 def long_kernel(function: Function) -> Function:
-    """Compile a function that runs for tens of microseconds or more, and releases the interpreter's lock meanwhile."""
+    """Compile a function that runs for tens of microseconds or more; it releases the interpreter's lock."""
     return _compiled(function, nogil=True)
 
 
 def inner(function: Function) -> Function:
     """Compile a function that only kernels call, without the wrapper that Python would need.
 
-    With many arrays among the arguments that wrapper takes longest to compile. A call from Python would crash.
+    With many array arguments that wrapper takes most of the compilation. A call from Python would crash.
     """
     return _compiled(function, no_cpython_wrapper=True)
 
@@ -47,8 +47,8 @@ def inline(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    """Compile for Python and for other kernels, not for C; once for all numbers that are written where it is called."""
-    compile_as: Any = numba.njit  # whose stub does not know all options
+    """Compile for Python and other kernels, not for C; once for all literal arguments."""
+    compile_as: Any = numba.njit  # its stub lacks some options
     compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     hasten(compiled)
     kept = kernel_cache.cache_of(function)
@@ -57,7 +57,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     template_for = compiled.get_call_template
 
     def get_call_template(args: Sequence[Any], kws: dict[str, Any]) -> Any:
-        """Find or compile what a kernel calls; Numba would compile it anew for each literal among the arguments."""
+        """Find or compile a called kernel; Numba would compile it anew for each literal argument."""
         unliteral: Any = types.unliteral
         return template_for([unliteral(arg) for arg in args], kws)
 
@@ -66,19 +66,19 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 
 def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
-    """Compile a kernel for such arguments, or load it, without calling it."""
+    """Compile a kernel for the types of these arguments, or load it, without calling it."""
     compiled: Any = function
     kind_of: Any = numba.typeof
     compiled.compile(tuple(kind_of(argument) for argument in arguments))
 
 
 def cache_folder() -> str:
-    """Return the folder in which the compiled kernels of this package are kept; empty if none is writable."""
+    """Return the folder of the compiled kernels of this package; empty if none is writable."""
     return str(kernel_cache.cache_folder(Path(__file__).parents[1]) or "")
 
 
 class Compilations(event.Listener):
-    """Counts the kernels that are compiled while it is entered; those from the cache do not count."""
+    """Counts the kernels that are compiled while it is active; kernels from the cache do not count."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -95,11 +95,11 @@ class Compilations(event.Listener):
         self.count += 1
 
     def on_end(self, event: object) -> None:
-        """Do nothing; Numba wants it."""
+        """Do nothing; Numba requires this method."""
 
 
 class _FirstCompilation(event.Listener):
-    """Calls back when a kernel is compiled that no cache has, the first time only."""
+    """Calls back once, when the first kernel that is not in the cache is compiled."""
 
     def __init__(self, callback: Callable[[], None]) -> None:
         self._callback: Callable[[], None] | None = callback
@@ -114,5 +114,5 @@ class _FirstCompilation(event.Listener):
 
 
 def on_compilation(callback: Callable[[], None]) -> None:
-    """Call back once, before the first kernel is compiled; never where all of them are in the cache."""
+    """Call back once, before the first kernel is compiled; never if all are in the cache."""
     event.register("numba:compile", _FirstCompilation(callback))  # type: ignore[no-untyped-call]

@@ -1,10 +1,9 @@
 """Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
 
-Numba's own cache unpickles and links whatever lies in its folder, and knows a kernel by the file it is written in. Here
-each file begins with a checksum of what it holds, of the kernel and the types it is for, and of all sources that the
-kernel may be made of: what is damaged, exchanged or out of date is compiled anew. One file for each kernel and types;
-no index that two processes would write at once. A process that is about to compile a kernel claims it, so that others
-wait for the result instead of compiling it, too.
+Numba's own cache unpickles and links any file in its folder, and identifies a kernel by its source file. Here each file
+begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
+depend on. Damaged, exchanged or outdated files are compiled anew. There is one file per kernel and types, and no index
+that two processes could write at once. A process that compiles a kernel claims it, so that others wait for the result.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ from carom.physics.parallel.sources import sources_of
 
 CHECKSUM = 16  # bytes, before the others
 CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
-PATIENCE = 120.0  # s, to wait for another process, which takes a few seconds if it works at all
-POLL = 0.02  # s, between two looks at a claim
+PATIENCE = 120.0  # s, longest wait for another process, which normally takes a few seconds
+POLL = 0.02  # s, between two checks of a claim
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3])
 
 
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
-    """Return the cache of a kernel, or None where there is no folder for it or its sources cannot be read."""
+    """Return the cache of a kernel, or None if there is no folder for it or its sources cannot be read."""
     file = Path(function.__code__.co_filename)
     folder = cache_folder(file.parent)
     if folder is None:
@@ -53,7 +52,7 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
 
 @cache
 def cache_folder(package: Path) -> Path | None:
-    """Return the folder for the compiled kernels of a package, or None if there is none that we may write to.
+    """Return the folder for the compiled kernels of a package, or None if none is writable.
 
     The first of these: below ``NUMBA_CACHE_DIR``; beside the sources, where their byte code is; in the user's cache; in
     the system's temporary folder. The last two must be the user's own, and closed to others.
@@ -72,7 +71,7 @@ def cache_folder(package: Path) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Make a folder if it is not there; tell whether we may write to it."""
+    """Make a folder if it does not exist; tell whether it is writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -81,7 +80,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _is_private(folder: Path) -> bool:
-    """Make a folder if it is not there; tell whether only this user can have put something into it."""
+    """Make a folder if it does not exist; tell whether only this user can write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         with contextlib.suppress(FileExistsError):
@@ -95,13 +94,13 @@ def _is_private(folder: Path) -> bool:
 
 
 def _is_replaceable(parent: os.stat_result) -> bool:
-    """Tell whether another user could put a folder in the place of one in here; a sticky bit forbids it."""
+    """Tell whether another user could replace a folder in this one; a sticky bit prevents it."""
     open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
     return parent.st_uid not in (0, os.getuid()) or bool(open_to_all)
 
 
 class KernelCache(caching._Cache):
-    """The compiled forms of one kernel, in the place of Numba's own cache."""
+    """The compiled forms of one kernel; replaces Numba's own cache."""
 
     def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
         code = function.__code__
@@ -116,11 +115,11 @@ class KernelCache(caching._Cache):
         return str(self._folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is compiled for a signature, or None where there is nothing that holds what it should."""
+        """Return the code for a signature, or None if there is no valid file."""
         target_context.refresh()
         types = _types(sig, target_context.codegen())
         data = self._read(types)
-        if data is None and _claim(self._path(types)):  # somebody else may have compiled it meanwhile
+        if data is None and _claim(self._path(types)):  # another process may have compiled it meanwhile
             data = self._read(types)
             if data is not None:
                 _release(self._path(types))
@@ -129,7 +128,7 @@ class KernelCache(caching._Cache):
         return CompileResult._rebuild(target_context, *pickle.loads(data))  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled for a signature; where it cannot be kept, it is compiled again next time."""
+        """Store the code for a signature; if that fails, it is compiled again next time."""
         types = _types(sig, data.codegen)
         try:
             self._write(types, data)
@@ -137,7 +136,7 @@ class KernelCache(caching._Cache):
             _release(self._path(types))
 
     def _read(self, types: bytes) -> memoryview | None:
-        """Return what the file for some types holds; None if there is none, or not what it should be."""
+        """Return the content of the file for some types; None if it does not exist or is not valid."""
         try:
             content = self._path(types).read_bytes()
         except OSError:

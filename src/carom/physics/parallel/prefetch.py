@@ -1,8 +1,8 @@
 """Prefetching: cache lines fetched before they are needed.
 
-The two bodies of a contact lie anywhere in memory, and the processor cannot guess where those of the next contacts do.
-Told sixteen contacts ahead, it has them in time: 10⁵ bodies of random numbering cost 40 instead of 150 ns a contact and
-iteration, as little as bodies in the order of a lattice.
+The two bodies of a contact may be anywhere in memory, and the processor cannot predict those of the next contacts.
+Prefetched sixteen contacts ahead, they arrive in time. 10⁵ bodies in random order then cost 40 instead of 150 ns per
+contact and iteration, as little as bodies in the order of a lattice.
 
 Rejected: sorting the bodies along a space-filling curve, which gains nothing more.
 """
@@ -18,24 +18,24 @@ from numba import types
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.parallel.intrinsics import element_address, instruction
 
-AHEAD = 16  # contacts; 8 are as good in the cache, and cost 45 instead of 38 ns where the bodies do not fit into it
+AHEAD = 16  # contacts; 8 cost the same in the cache, and 45 instead of 38 ns if the bodies do not fit into it
 
 
 @instruction
 def prefetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
-    """Fetch the cache line of an element of a (k, l) array, which will be written to."""
+    """Fetch the cache line of an element of a (k, l) array, to be written."""
     return types.void(rows, types.intp, types.intp), _fetch(to_write=True)
 
 
 @instruction
 def prefetch_to_read(typing: Any, records: Any, record: Any) -> Any:
-    """Fetch the first cache line of a record in a (k,) array; other cores keep it, too."""
+    """Fetch the first cache line of a record in a (k,) array, to be read; other cores keep it."""
     return types.void(records, types.intp), _fetch(to_write=False)
 
 
 @instruction
 def prefetch_record(typing: Any, records: Any, record: Any, line: Any) -> Any:
-    """Fetch a cache line, 0 or 1, of a record in a (k,) array, which will be written to."""
+    """Fetch a cache line, 0 or 1, of a record in a (k,) array, to be written."""
     return types.void(records, types.intp, types.intp), _fetch(to_write=True, by_line=True)
 
 

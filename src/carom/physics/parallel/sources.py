@@ -1,4 +1,4 @@
-"""What a kernel may be made of: the file it is written in, and all that this one imports from its package."""
+"""The sources of a kernel: its file, and all files of carom and its package that it imports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CAROM = "carom"
 
 @cache
 def sources_of(module: str, file: Path) -> bytes:
-    """Return a checksum of a module and of all that it imports, itself or through others, from its package and carom.
+    """Return a checksum of a module and of all that it imports, directly or not, from its package and carom.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def sources_of(module: str, file: Path) -> bytes:
 
 @cache
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
-    """Return the files of a package and of carom that a file imports; a word too many does no harm."""
+    """Return the files of a package and of carom that a file imports; too many do no harm."""
     text = _text(file)
     names = [name for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)]
     for name, members in _FROM.findall(text):

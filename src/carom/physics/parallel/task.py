@@ -1,7 +1,7 @@
 """A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
-A helper that asks the interpreter what to call waits for its lock: 10 to 30 µs for half a dozen pieces. Numba can pass
-a kernel to another kernel as a value, but then compiles the other one again for each kernel and each set of arguments.
+A helper that calls through the interpreter waits for its lock: 10 to 30 µs for half a dozen pieces. Numba can pass a
+kernel to another kernel as a value, but then compiles the other one again for each kernel and each set of arguments.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job; error code
 
 
 def address_of(kernel: Callable[..., None], kind: int) -> int:
-    """Return the address of a kernel's machine code for (lo, hi, *arguments) of some kind, see `kind_of`."""
+    """Return the address of a kernel's machine code for (lo, hi, *arguments) of a kind, see `kind_of`."""
     for compiled in kernel.overloads.values():  # type: ignore[attr-defined]
         if _kind(compiled.signature.args[2:]) == kind:
             address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)
@@ -116,7 +116,7 @@ def _member(builder: Any, job: Any, k: int) -> Any:
 
 @instruction
 def raise_fault(typing: Any, job: Any) -> Any:
-    """Raise the exception that a piece of a job raised, if one did; all pieces must be done."""
+    """Raise the exception of a piece of a job, if there was one; all pieces must be done."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         words = builder.inttoptr(args[0], WORD.as_pointer())

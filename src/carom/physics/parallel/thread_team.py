@@ -1,14 +1,14 @@
 """A team of threads that divides the work of a kernel: a leader and helpers.
 
 The leader posts a phase of independent pieces on a board, takes pieces itself, and posts the next phase when all are
-done. Helpers take pieces while there are any. Chance decides which thread does which piece, so the pieces of a phase
-must be independent: then the bits do not depend on the number of threads.
+done. Helpers take pieces while there are any. Any thread may do any piece, so the pieces of a phase must be
+independent. The bits then do not depend on the number of threads.
 
-The leader waits for pieces that somebody has taken, never for a helper to start. If another process keeps a helper from
-running, the leader does the work alone. Helpers yield their core between pieces, so they are rarely interrupted within
-one.
+The leader waits only for pieces that a helper has already taken, never for a helper to start. If another process keeps
+a helper from running, the leader does the work alone. Helpers yield their core between pieces, so they are rarely
+interrupted within one.
 
-Rejected, with what was measured:
+Rejected, with measurements:
 
 - Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, 2 µs on a quiet machine and
   7.8 ms beside two busy processes with libgomp's defaults. Its threading layer differs from machine to machine.
@@ -42,11 +42,11 @@ FAILED = OVER + 1  # not 0 if a helper raised an exception
 JOB = DOER + 1  # written by the leader only, like DOER
 WORDS = 48
 PATIENCE = 5000  # looks at the board, about 20 µs, before an idle helper yields its core
-LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; a fifth of it gained 1.38 instead of 1.53
+LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; with a fifth, two threads gain 1.38, not 1.53
 SHIFT = 32  # pieces, about half a millisecond, before a busy helper yields its core
 END, YIELD, REST = range(3)  # what a helper does next
 SHARED = 0  # returned by `_lead` when the job is done; otherwise the kind of arguments that it needs code for
-PIECES = 16  # for each thread, at most: enough for all threads to finish at about the same time
+PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 NAP = 50e-6  # s, between two looks of a helper that rests
 
 
@@ -59,7 +59,7 @@ class Team:
         Including the leader.
     """
 
-    least = 2  # grains of work; less is not shared
+    least = 2  # grains; smaller work is not shared
 
     def __init__(self, threads: int) -> None:
         self.size = threads
@@ -74,10 +74,9 @@ class Team:
 
     @contextmanager
     def gathered(self, help_out: Callable[..., int], *work: Any) -> Iterator[IntArray]:
-        """Call the helpers to a board of its own, which is yielded; it is empty if there are no helpers.
+        """Call the helpers to a new board, which is yielded; it is empty if there are no helpers.
 
-        They are dismissed at the end of the block, if the leader has not done so. An exception that a helper raises is
-        raised here.
+        The end of the block dismisses them, if the leader has not done so. An exception in a helper is raised here.
 
         Parameters
         ----------
@@ -102,7 +101,7 @@ class Team:
     def divide(self, count: int, grain: int, work: Callable[..., None], *arguments: Any) -> None:
         """Call ``work(lo, hi, *arguments)`` on pieces that make up [0, count).
 
-        An exception that it raises in a piece is raised here when all pieces are done.
+        An exception in a piece is raised here when all pieces are done.
 
         Parameters
         ----------
@@ -111,7 +110,7 @@ class Team:
         work
             A `long_kernel`, which releases the interpreter's lock.
         """
-        if self._pool is None or count < self.least * grain:  # first: with few bodies, calls are most of a step's time
+        if self._pool is None or count < self.least * grain:  # first, because with few bodies calls take most of a step
             work(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
@@ -132,12 +131,12 @@ class Team:
             _lead(self._board, code, kind, count, pieces, arguments)
 
     def _lead_alone(self) -> None:
-        """Become the leader. RuntimeError while another thread is: the two would share one board."""
+        """Become the leader. Raises RuntimeError while another thread is, since both would share one board."""
         if not self._leading.acquire(blocking=False):
             raise RuntimeError("two threads use one team at once: a Space may be used by one thread at a time")
 
     def _rouse(self) -> None:
-        """Wake the helpers that are asleep."""
+        """Wake sleeping helpers."""
         assert self._pool is not None
         with self._falling_asleep:  # a helper either sees what was posted before it sleeps, or is seen asleep here
             for who, awake in enumerate(self._awake):
@@ -165,7 +164,7 @@ SOLO = Team(1)
 
 
 class _Call:
-    """Work that helpers are called to, with a board of its own."""
+    """Work for helpers, with a board of its own."""
 
     def __init__(self, help_out: Callable[..., int], work: tuple[Any, ...]) -> None:
         self.board: IntArray = np.zeros(WORDS, dtype=np.int64)
@@ -173,7 +172,7 @@ class _Call:
         self._fault: BaseException | None = None
 
     def help(self) -> None:
-        """Help until dismissed. An exception is kept for the leader, who is told not to wait for its piece."""
+        """Help until dismissed. Stores an exception for the leader, and tells it not to wait for the piece."""
         try:
             while (then := self._help_out(self.board, *self._work)) != END:
                 if then == REST:
@@ -206,7 +205,7 @@ def cores() -> int:
 
 @kernel
 def post(board: IntArray, pieces: int) -> None:
-    """Post a phase of so many pieces. Write what helpers read of it first."""
+    """Post a phase of ``pieces`` pieces. Write the data that helpers read before."""
     atomic_store(board, DONE, 0)
     atomic_store(board, BACK, pieces)
     atomic_store(board, LEFT, pieces)
@@ -237,7 +236,7 @@ def finish(board: IntArray) -> None:
 
 @kernel
 def wait(board: IntArray, pieces: int) -> None:
-    """Wait until all pieces of the phase are done. RuntimeError if a helper failed and will not finish its piece."""
+    """Wait until all pieces of the phase are done. Raises RuntimeError if a helper failed."""
     while atomic_load(board, DONE) < pieces:
         if atomic_load(board, FAILED) != 0:
             raise RuntimeError("a helper failed")
@@ -245,7 +244,7 @@ def wait(board: IntArray, pieces: int) -> None:
 
 @long_kernel
 def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
-    """Do the pieces of [0, count) with a kernel's code; return `SHARED`, or the kind that it should be for."""
+    """Do the pieces of [0, count) with the code of a kernel; return `SHARED`, or the kind of code that it needs."""
     needed: int = kind_of(arguments)
     if kind != needed:
         return needed
@@ -257,7 +256,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 
 @kernel
 def _take_part(board: IntArray, pieces: int) -> None:
-    """Post the pieces of the job and do them with the helpers. Compiled once, unlike `_lead`, for all arguments."""
+    """Post the pieces of the job and do them with the helpers; compiled once for all arguments, unlike `_lead`."""
     post(board, pieces)
     k = 0
     while claim(board):
@@ -269,7 +268,7 @@ def _take_part(board: IntArray, pieces: int) -> None:
 
 @long_kernel
 def _look(board: IntArray, calls: int, offer: int) -> bool:
-    """Help with jobs until there is a call, True, or until there has been nothing to do for a while, False.
+    """Help with jobs; return True at a call, and False after some time without work.
 
     Parameters
     ----------
@@ -294,7 +293,7 @@ def _look(board: IntArray, calls: int, offer: int) -> bool:
 
 @contextmanager
 def sharing_all() -> Iterator[None]:
-    """Share even the smallest work, so that the kernels for sharing are compiled or loaded."""
+    """Share even the smallest work, to compile or load the kernels for sharing."""
     least, Team.least = Team.least, 0
     try:
         yield
