@@ -16,6 +16,7 @@ from carom.cli import (
     diff,
     explain,
     inspect,
+    movie,
     publish,
     repair,
     replay,
@@ -76,6 +77,7 @@ app.command("tradeoff", cls=Command)(tradeoff.tradeoff)
 app.command("tune", cls=Command)(tune.tune)
 app.command("view", cls=Command)(view.view)
 app.command("picture", cls=Command)(view.picture)
+app.command("movie", cls=Command)(movie.movie)
 app.command("clip", cls=Command)(clip.clip)
 app.command("diff", cls=Command)(diff.diff)
 app.command("repair", cls=Command)(repair.repair)

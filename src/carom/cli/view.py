@@ -128,7 +128,7 @@ def picture(
     from carom.cli.compiling import announce_compilation
     from carom.recording.view.picture import render
 
-    pixels = _pixels(size)
+    pixels = pixels_of(size)
     _refuse_both(at, event)
     announce_compilation()
     path = output or file.with_suffix(".png")
@@ -166,7 +166,7 @@ def _say_missing(reason: str) -> None:
         typer.echo(f"Shown is the frame before that moment, since its step could not be run again: {reason}", err=True)
 
 
-def _pixels(size: str) -> tuple[int, int]:
+def pixels_of(size: str) -> tuple[int, int]:
     """Read WIDTHxHEIGHT."""
     from carom.recording.errors import RecordingError
 

@@ -83,13 +83,12 @@ def render(
     else:
         shown = asked(recording, at, event, bodies, Canvas(*size, framed=whole), view, plot=plot, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
-    window = size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
-    with _viewer(window, theme) as viewer:
+    with headless(window_of(size, whole), theme) as viewer:
         viewer.show(recording)
         viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
-        png = _settled(viewer, None if whole else viewer.only_view())
+        png = settled(viewer, None if whole else viewer.only_view())
         reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:
         raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
@@ -110,8 +109,14 @@ def _refuse_unwritable(path: Path) -> None:
         raise RecordingError(f"cannot write {path}: permission denied")
 
 
+def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
+    """Return the size (pixels) of the window in which all of it, or its only view, has a size."""
+    return size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
+
+
 @contextmanager
-def _viewer(size: tuple[int, int], theme: str) -> Iterator[Viewer]:
+def headless(size: tuple[int, int], theme: str = "dark") -> Iterator[Viewer]:
+    """Start a viewer of this size (pixels) without a screen; end it when the context is left."""
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark":
         with Viewer("--headless", *window) as viewer:
@@ -121,7 +126,7 @@ def _viewer(size: tuple[int, int], theme: str) -> Iterator[Viewer]:
         yield viewer
 
 
-def _settled(viewer: Viewer, view: str | None) -> bytes:
+def settled(viewer: Viewer, view: str | None) -> bytes:
     """Take pictures until they stay the same: the viewer loads what it shows bit by bit."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT

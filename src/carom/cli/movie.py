@@ -1,0 +1,103 @@
+"""`carom movie`: a recording as a video."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.cli.options import ForceOption, RecordingArgument, seconds
+from carom.cli.text import say
+from carom.cli.view import pixels_of
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
+LONGEST = 3600.0  # s, of a movie
+FASTEST = 120.0  # pictures a second
+GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers of GIFs slow down what is faster
+
+
+class MovieView(StrEnum):
+    """What a movie shows."""
+
+    BODIES = "bodies"
+    GRAPH = "graph"
+    ENERGY = "energy"
+    ALL = "all"
+
+
+def movie(
+    file: RecordingArgument,
+    start: Annotated[
+        float | None, typer.Option("--from", parser=seconds, metavar="T", help="First simulated time in seconds.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option("--to", parser=seconds, metavar="T", help="Last simulated time in seconds.")
+    ] = None,
+    length: Annotated[
+        float, typer.Option("--seconds", parser=seconds, metavar="S", help="How long the movie takes.")
+    ] = 10.0,
+    fps: Annotated[
+        float | None,
+        typer.Option("--fps", parser=seconds, metavar="N", help="Pictures a second. Default: 30, of a GIF 20."),
+    ] = None,
+    view: Annotated[MovieView, typer.Option("--view", help="What fills the picture.")] = MovieView.BODIES,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1280x720",
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .mp4 or .gif. Default: FILE with .mp4.")
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """Make a movie of a recording, without a screen."""
+    from carom.cli.extras import needing
+    from carom.cli.movie_progress import MovieProgress
+    from carom.cli.units import bytes_text
+    from carom.experiment.output import claimed_output
+    from carom.recording.read.recording import Recording
+    from carom.recording.view.movie import frame_times, pictures
+
+    path = output or file.with_suffix(".mp4")
+    pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
+    _check(path, pixels, length, rate)
+    with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
+        from carom.recording.view.movie_file import require_encoder, write_movie
+
+    recording = Recording.open(file)
+    first, last = _ends(recording, start, end)
+    times = frame_times(recording, first, last, max(2, round(length * rate)))
+    with claimed_output(path, force):
+        require_encoder(path)
+        with MovieProgress(path, times) as progress:
+            shots = progress.watched(pictures(recording, times, pixels, view.value))
+            write_movie(path, shots, len(times), pixels, rate)
+        say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")
+
+
+def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None:
+    """Refuse what no movie can be made of."""
+    from carom.recording.errors import RecordingError
+    from carom.recording.view.movie import FORMATS
+
+    if path.suffix not in FORMATS:
+        raise RecordingError(f"{path}: a movie is a {' or a '.join(FORMATS)}")
+    if path.suffix == ".mp4" and (size[0] % 2 or size[1] % 2):
+        raise RecordingError(f"--size {size[0]}x{size[1]}: width and height of an .mp4 are even numbers")
+    if not 0.0 < length <= LONGEST:
+        raise RecordingError(f"--seconds {length:g}: expected more than 0 and at most {LONGEST:g}")
+    if not 0.0 < fps <= FASTEST:
+        raise RecordingError(f"--fps {fps:g}: expected more than 0 and at most {FASTEST:g}")
+
+
+def _ends(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return the times (s) of the first and the last picture."""
+    from carom.recording.errors import RecordingError
+
+    times = recording.fingerprints()["time"].to_numpy()
+    if len(times) < 2:
+        raise RecordingError(
+            f"{recording.path} has {len(times)} frames, too few for a movie; `carom picture` takes one"
+        )
+    return float(times[0]) if start is None else start, float(times[-1]) if end is None else end

@@ -1,0 +1,169 @@
+"""Movies of recordings."""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.view.movie import frame_times
+from carom.recording.view.movie_file import delays_of, require_encoder, write_movie
+from carom.recording.write.recorder import Recorder
+from command import carom
+from merry import Merry
+
+SIZE = (64, 48)
+COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]
+
+
+def pngs(count: int) -> Iterator[bytes]:
+    for number in range(count):
+        file = io.BytesIO()
+        Image.new("RGB", SIZE, COLOURS[number % 3]).save(file, "PNG")
+        yield file.getvalue()
+
+
+def frames_of(path: Path) -> NDArray[np.int64]:
+    """Read a movie back, (frames, height, width, 3)."""
+    if path.suffix == ".gif":
+        with Image.open(path) as movie:
+            return np.array([_frame(movie, number) for number in range(getattr(movie, "n_frames", 1))])
+    frames = imageio_ffmpeg.read_frames(str(path))
+    width, height = next(frames)["size"]
+    return np.array([np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in frames], dtype=np.int64)
+
+
+def _frame(movie: Image.Image, number: int) -> NDArray[np.int64]:
+    movie.seek(number)
+    return np.asarray(movie.convert("RGB"), dtype=np.int64)
+
+
+@pytest.mark.parametrize("name", ["movie.mp4", "movie.gif"])
+def test_a_movie_has_each_picture_once_and_in_order(tmp_path: Path, name: str) -> None:
+    write_movie(tmp_path / name, pngs(12), 12, SIZE, 10.0)
+    frames = frames_of(tmp_path / name)
+    assert frames.shape == (12, SIZE[1], SIZE[0], 3)
+    for number, frame in enumerate(frames):
+        assert np.abs(frame - COLOURS[number % 3]).max() < 12, "colours are rounded when they become YUV"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("fps", [7.0, 20.0, 24.0, 30.0])
+def test_the_delays_of_a_gif_add_up_to_its_length(fps: float) -> None:
+    delays = delays_of(60, fps)
+    assert len(delays) == 60 and all(delay % 10 == 0 for delay in delays)
+    assert abs(sum(delays) - 60_000 / fps) <= 5, "half of its unit of 10 ms"
+
+
+@pytest.mark.parametrize("name", ["movie.mp4", "movie.gif"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RecordingError("the viewer has ended")])
+def test_what_ends_in_the_middle_leaves_no_torn_file_and_the_old_movie(
+    tmp_path: Path, name: str, error: BaseException
+) -> None:
+    def torn() -> Iterator[bytes]:
+        yield from pngs(3)
+        raise error
+
+    (tmp_path / name).write_bytes(b"the old movie")
+    with pytest.raises(type(error)):
+        write_movie(tmp_path / name, torn(), 6, SIZE, 10.0)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"the old movie"
+
+
+def test_without_ffmpeg_one_sentence_names_the_remedies(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> str:
+        raise RuntimeError("No ffmpeg exe could be found.")
+
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", missing)
+    with pytest.raises(RecordingError, match=r"apt-get install ffmpeg.*IMAGEIO_FFMPEG_EXE.*write a \.gif"):
+        require_encoder(Path("movie.mp4"))
+    require_encoder(Path("movie.gif"))
+
+
+def test_without_the_extra_one_sentence_names_it(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    monkeypatch.delitem(sys.modules, "carom.recording.view.movie_file", raising=False)
+    done = carom("movie", str(recorded), "-o", "movie.mp4", cwd=tmp_path)
+    assert done.returncode == 2 and 'pip install "carom[movie]"' in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-o", "movie.avi"], "movie.avi: a movie is a .mp4 or a .gif"),
+        (["--size", "641x400"], "even numbers"),
+        (["--size", "big"], "expected WIDTHxHEIGHT"),
+        (["--seconds", "0"], "--seconds 0: expected more than 0"),
+        (["--fps", "1000"], "--fps 1000: expected more than 0"),
+        (["--from", "3", "--to", "2"], "from an earlier time to a later one"),
+        (["--to", "99"], "99 s is not in it"),
+        (["-o", "taken.gif"], "taken.gif: exists; give --force"),
+        (["-o", "no/folder.gif"], "there is no folder no"),
+    ],
+)
+def test_a_mistake_is_one_sentence(recorded: Path, tmp_path: Path, arguments: list[str], said: str) -> None:
+    (tmp_path / "taken.gif").touch()
+    output = [] if "-o" in arguments else ["-o", "movie.mp4"]
+    done = carom("movie", str(recorded), *output, *arguments, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.gif"]
+
+
+def test_a_picture_shows_the_last_recorded_frame_before_its_time(recorded: Path) -> None:
+    recording = Recording.open(recorded)  # frames 0.05 s apart
+    assert np.allclose(frame_times(recording, 1.0, 1.2, 9), [1.0, 1.0, 1.05, 1.05, 1.1, 1.1, 1.15, 1.15, 1.2])
+
+
+@pytest.mark.slow
+def test_the_command_makes_a_movie_in_which_the_bodies_move(tmp_path: Path) -> None:
+    merry = Merry(12)
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(60):
+            recorder.put(frame)
+        recorder.finish("completed")
+    asked = ["--seconds", "0.5", "--fps", "10", "--size", "480x300", "--to", "2"]
+    done = carom("movie", "run.rrd", *asked, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "5 pictures" in done.stdout and "from 0 to 2 s" in done.stderr
+    frames = frames_of(tmp_path / "run.mp4")
+    assert frames.shape == (5, 300, 480, 3)
+    for frame in frames:
+        coloured = np.ptp(frame, axis=2) > 40
+        assert coloured.mean() > 0.05, "bodies in the colours of their groups"
+        assert np.ptp(np.nonzero(coloured.any(axis=1))) > 100, "they fill a third of the height"
+    for before, after in pairwise(frames):
+        assert np.mean(np.abs(after - before).max(axis=2) > 40) > 0.02, "they move"
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_movie_without_leaving_a_file(recorded: Path, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "carom", "movie", str(recorded), "-o", "movie.mp4"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:  # the second line comes after 5 s, when pictures are taken
+        if "picture " in line:
+            break
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130 and "Traceback" not in said
+    assert not list(tmp_path.iterdir())
