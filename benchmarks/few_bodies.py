@@ -1,0 +1,182 @@
+"""Gauss–Radau integration beside REBOUND's IAS15: time and error of whole runs, on one thread.
+
+    python benchmarks/few_bodies.py [--repeats N] [--periods N] [--output FILE.json]
+
+Both take the same scenes and run in turns; times are medians over the repeats, without the start of the program. The
+error of a binary is that of its phase, as a time over the period: the root mean square over 24 places on the orbit at
+which it begins, since a single run may err little by luck. Elsewhere it is the relative error of the energy, summed in
+extended precision.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rebound
+from numpy.typing import NDArray
+
+from carom.physics.schedule import at
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+PHASES = np.linspace(0.3, 6.0, 24)  # rad, true anomalies
+AXES = (0.387, 0.723, 1.0, 1.524, 5.203, 9.537, 19.19, 30.07)  # of the planets, in au
+MASSES = (1.66e-7, 2.447e-6, 3.04e-6, 3.22e-7, 9.55e-4, 2.86e-4, 4.37e-5, 5.15e-5)  # of the Sun's
+
+
+class Problem(NamedTuple):
+    """Bodies with G = 1."""
+
+    name: str
+    mass: FloatArray  # (n,)
+    position: FloatArray  # (n, 3)
+    velocity: FloatArray  # (n, 3)
+    duration: float
+
+
+class Run(NamedTuple):
+    """What a run ended with."""
+
+    seconds: float
+    steps: int
+    position: FloatArray
+    velocity: FloatArray
+
+
+def binary(eccentricity: float, phase: float, periods: float) -> Problem:
+    """Put two equal masses on an orbit of semi-major axis 1 and period 2π."""
+    p = 1.0 - eccentricity**2
+    way = np.array([np.cos(phase), np.sin(phase), 0.0]) * p / (1.0 + eccentricity * np.cos(phase))
+    speed = np.array([-np.sin(phase), eccentricity + np.cos(phase), 0.0]) / np.sqrt(p)
+    half = np.array([[-0.5], [0.5]])
+    return Problem(f"binary, e = {eccentricity:g}", np.full(2, 0.5), half * way, half * speed, 2.0 * np.pi * periods)
+
+
+def pythagorean(duration: float = 60.0) -> Problem:
+    """Put masses 3, 4 and 5 at rest at the corners of a triangle of these sides (Burrau 1913)."""
+    position = np.array([[1.0, 3.0, 0.0], [-2.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
+    return Problem(f"Pythagorean, t = {duration:g}", np.array([3.0, 4.0, 5.0]), position, np.zeros((3, 3)), duration)
+
+
+def planets(periods: float) -> Problem:
+    """Put the Sun and eight planets on circles, for so many periods of the innermost."""
+    angle = np.random.default_rng(8).uniform(0.0, 2.0 * np.pi, len(AXES))
+    ray = np.stack((np.cos(angle), np.sin(angle), 0.02 * np.sin(3.0 * angle)), axis=1)
+    ahead = np.stack((-np.sin(angle), np.cos(angle), np.zeros_like(angle)), axis=1)
+    axes, mass = np.array(AXES)[:, None], np.array((1.0, *MASSES))
+    position = np.vstack((np.zeros(3), axes * ray))
+    velocity = np.vstack((np.zeros(3), ahead / np.sqrt(axes)))
+    position -= mass @ position / mass.sum()
+    velocity -= mass @ velocity / mass.sum()
+    return Problem(f"1 + 8 planets, {periods:g} periods", mass, position, velocity, periods * 2.0 * np.pi * 0.387**1.5)
+
+
+def with_carom(problem: Problem) -> Run:
+    """Run it with ``gauss-radau15``."""
+    rows = zip(problem.mass.tolist(), problem.position.tolist(), problem.velocity.tolist(), strict=True)
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": problem.duration, "max_dt": 1e9, "integrator": "gauss-radau15"},
+            "gravity": {"constant": 1.0},
+            "contact": {"enabled": False},
+            "record": {"check_every": 1_000_000},
+            "body": [{"mass": m, "position": x, "velocity": v, "radius": 1e-9} for m, x, v in rows],
+        }
+    )
+    space = Space(scene, threads=1)
+    began = time.perf_counter()
+    for _ in space.run(schedule=at(())):
+        pass
+    return Run(time.perf_counter() - began, space.step, space.state.position.copy(), space.state.velocity.copy())
+
+
+def with_rebound(problem: Problem) -> Run:
+    """Run it with IAS15 at its defaults."""
+    simulation = rebound.Simulation()
+    simulation.integrator = "ias15"
+    for m, (x, y, z), (vx, vy, vz) in zip(problem.mass, problem.position, problem.velocity, strict=True):
+        simulation.add(m=m, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+    began = time.perf_counter()
+    simulation.integrate(problem.duration)
+    seconds = time.perf_counter() - began
+    position = np.array([particle.xyz for particle in simulation.particles])
+    velocity = np.array([particle.vxyz for particle in simulation.particles])
+    return Run(seconds, simulation.steps_done, position, velocity)
+
+
+def phase_error(problem: Problem, run: Run) -> float:
+    """Return by how much of a period a binary is late or early after whole periods."""
+    apart = (run.position[1] - run.position[0]) - (problem.position[1] - problem.position[0])
+    speed = problem.velocity[1] - problem.velocity[0]
+    return float(np.linalg.norm(apart) / np.linalg.norm(speed) / (2.0 * np.pi))
+
+
+def energy(mass: FloatArray, position: FloatArray, velocity: FloatArray) -> Any:
+    """Return the energy in extended precision."""
+    m, x, v = (values.astype(np.longdouble) for values in (mass, position, velocity))
+    total = 0.5 * (m * (v * v).sum(axis=1)).sum()
+    for i in range(len(m)):
+        for j in range(i):
+            total -= m[i] * m[j] / np.sqrt(((x[i] - x[j]) ** 2).sum())
+    return total
+
+
+def energy_error(problem: Problem, run: Run) -> float:
+    """Return the relative error of the energy at the end of a run."""
+    before = energy(problem.mass, problem.position, problem.velocity)
+    return abs(float((energy(problem.mass, run.position, run.velocity) - before) / before))
+
+
+def compare(problems: list[Problem], error: Callable[[Problem, Run], float], repeats: int) -> dict[str, Any]:
+    """Run problems in turns with both, and return medians of the times and the root mean square of the errors."""
+    found: dict[str, Any] = {"problem": problems[0].name}
+    for name, solve in (("carom", with_carom), ("IAS15", with_rebound)):
+        found[name] = {"seconds": [], "errors": [], "steps": 0}
+        solve(problems[0]._replace(duration=0.01 * problems[0].duration))  # loads the kernels
+    for _ in range(repeats):
+        for problem in problems:
+            for name, solve in (("carom", with_carom), ("IAS15", with_rebound)):
+                run = solve(problem)
+                found[name]["seconds"].append(run.seconds)
+                found[name]["errors"].append(error(problem, run))
+                found[name]["steps"] = run.steps
+    for name in ("carom", "IAS15"):
+        found[name]["seconds"] = statistics.median(found[name]["seconds"])
+        found[name]["error"] = float(np.sqrt(np.mean(np.square(found[name].pop("errors")))))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--periods", type=float, default=1e4, help="of the innermost planet")
+    parser.add_argument("--output", type=Path)
+    asked = parser.parse_args()
+    rows = [
+        compare([binary(e, phase, 100.0) for phase in PHASES], phase_error, 1) for e in (0.1, 0.5, 0.9, 0.999, 0.9999)
+    ]
+    rows.append(compare([pythagorean()], energy_error, asked.repeats))
+    rows += [compare([planets(n)], energy_error, 3) for n in (asked.periods / 100, asked.periods / 10, asked.periods)]
+    print("| problem | steps: carom, IAS15 | error: carom | IAS15 | time: carom | IAS15 | ratio |")
+    print("|---|---|---|---|---|---|---|")
+    for row in rows:
+        own, peer = row["carom"], row["IAS15"]
+        print(
+            f"| {row['problem']} | {own['steps']}, {peer['steps']} | {own['error']:.1e} | {peer['error']:.1e} | "
+            f"{own['seconds']:.4f} s | {peer['seconds']:.4f} s | {own['seconds'] / peer['seconds']:.2f} |"
+        )
+    if asked.output:
+        asked.output.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
