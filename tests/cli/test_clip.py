@@ -35,8 +35,8 @@ def test_clip_prints_json_that_a_script_can_use(run_file: Path, tmp_path: Path) 
     [
         (["--around", "1"], "--around T --window W"),
         (["--around", "1", "--window", "1", "--from", "0"], "--around T --window W"),
-        (["--around", "1", "--window", "-1"], "cannot be negative"),
-        (["--from", "2", "--to", "1"], "the end lies before the beginning"),
+        (["--around", "1", "--window", "-1"], "must not be negative"),
+        (["--from", "2", "--to", "1"], "the end is before the start"),
         (["--from", "9"], "no frame between 9 and inf s; it goes from 0 to 4.95 s"),
         (["--bodies", "3,x"], 'has no body "x"'),
         (["--bodies", "3,99"], 'has no body "99"'),

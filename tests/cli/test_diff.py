@@ -61,7 +61,7 @@ def test_diff_prints_json_that_a_script_can_use(run_file: Path, other: Path, tmp
         (["run.rrd", "nothing.rrd"], "no recording at nothing.rrd"),
         (["taken.rrd", "run.rrd"], "taken.rrd is not a recording"),
         (["run.rrd", "run.rrd", "-o", "taken.rrd"], "exists; give --force"),
-        (["run.rrd", "run.rrd", "-o", "run.rrd", "--force"], "is one of the recordings"),
+        (["run.rrd", "run.rrd", "-o", "run.rrd", "--force"], "is one of the two recordings"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(

@@ -106,7 +106,7 @@ def test_a_run_without_a_screen_is_recorded_and_says_that_nothing_can_be_shown(
         pytest.skip("a screen cannot be taken away here")
     done = carom(*QUICK, "--live", "-o", "x.rrd", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "carom: nothing can be shown live, and the run is recorded all the same: there is no screen" in done.stderr
+    assert "carom: the run is recorded, but cannot be shown live: there is no screen" in done.stderr
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 

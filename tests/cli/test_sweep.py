@@ -136,7 +136,7 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"], "expected the address of a Dask scheduler"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers"),
         (["spheres.toml", *VARY, "--plot", "x=a", "z=b"], "expected x=KEY y=KEY"),
-        ([], "expected one of SCENE, --table DIR and --catalog DIR"),
+        ([], "give one of SCENE, --table DIR and --catalog DIR"),
         (["--table", "nowhere"], "no sweep here"),
         (["--table", "out", "--sort", "energy.finl"], 'did you mean "energy.final"'),
         (["--table", "out", "--filter", "energy.final"], "expected a comparison"),

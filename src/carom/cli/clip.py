@@ -16,15 +16,19 @@ Seconds = float | None
 def clip(
     file: RecordingArgument,
     start: Annotated[
-        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First simulated time (s) to keep.")
+        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time (s) on.")
     ] = None,
     end: Annotated[
-        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last simulated time (s) to keep.")
+        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time (s).")
     ] = None,
     around: Annotated[
-        Seconds, typer.Option("--around", parser=seconds, metavar="T", help="Middle of what to keep (s).")
+        Seconds,
+        typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time (s); needs --window."),
     ] = None,
-    window: Annotated[Seconds, typer.Option("--window", parser=seconds, metavar="W", help="Its length (s).")] = None,
+    window: Annotated[
+        Seconds,
+        typer.Option("--window", parser=seconds, metavar="W", help="Length of time (s) to keep, with --around."),
+    ] = None,
     bodies: Annotated[
         str | None,
         typer.Option(
@@ -37,7 +41,7 @@ def clip(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Cut a piece out of a recording: it opens, inspects and replays like the whole."""
+    """Cut an interval out of a recording; the clip can be viewed, inspected and replayed like the whole."""
     import json
     from dataclasses import asdict
 
@@ -61,24 +65,26 @@ def clip(
         f"{made.start:.6g} to {made.end:.6g} s{shown}, {bytes_text(made.size)}."
     )
     if made.replays_from is None:
-        say(f"{file} has no exact state before that: the clip cannot be replayed.", err=True)
+        say(f"{file} has no exact state before that time, so the clip cannot be replayed.", err=True)
 
 
 def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) -> tuple[float, float]:
-    """Turn either way of naming an interval into its ends."""
+    """Return the start and the end of the interval, from either pair of options."""
     from math import inf
 
     from carom.recording.errors import RecordingError
 
     if (around is None) != (window is None) or (around is not None and (start is not None or end is not None)):
-        raise RecordingError("say which part to keep: --from T --to T (one is enough), or --around T --window W")
+        raise RecordingError(
+            "choose what to keep with --from T and --to T (one is enough), or with --around T --window W"
+        )
     if around is not None and window is not None:
         if not window >= 0:
-            raise RecordingError(f"--window {window:g}: a length of time cannot be negative")
+            raise RecordingError(f"--window {window:g}: the length must not be negative")
         return around - window / 2, around + window / 2
     first, last = -inf if start is None else start, inf if end is None else end
     if not first <= last:
-        raise RecordingError(f"--from {first:g} --to {last:g}: the end lies before the beginning")
+        raise RecordingError(f"--from {first:g} --to {last:g}: the end is before the start")
     return first, last
 
 
@@ -97,4 +103,4 @@ def _refuse_itself(file: Path, path: Path) -> None:
     from carom.recording.errors import RecordingError
 
     if path.exists() and file.exists() and path.samefile(file):
-        raise RecordingError(f"{path}: is the recording itself; name another file with -o")
+        raise RecordingError(f"{path} is the recording itself; choose another file with -o")

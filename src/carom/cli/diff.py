@@ -20,19 +20,19 @@ ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
 
 FirstArgument = Annotated[Path, typer.Argument(metavar="A", help="A recording (.rrd).")]
-SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.")]
+SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another recording (.rrd).")]
 
 
 def diff(
     a: FirstArgument,
     b: SecondArgument,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="BOTH", help="Write both into one .rrd, to look at.")
+        Path | None, typer.Option("-o", "--output", metavar="BOTH", help="Write both into one .rrd for the viewer.")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare two recordings: same bits? Where do they part, and is it chaos or a fault? Exit code 1 if they differ."""
+    """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ."""
     import json
 
     from carom.experiment.diff.diff import diff as compare
@@ -43,7 +43,7 @@ def diff(
 
     if output is not None:
         if any(output.exists() and path.exists() and output.samefile(path) for path in (a, b)):
-            raise RecordingError(f"{output}: is one of the recordings; name another file with -o")
+            raise RecordingError(f"{output} is one of the two recordings; choose another file with -o")
         refuse_output(output, force)
     recordings = Recording.open(a), Recording.open(b)
     found = compare(*recordings)

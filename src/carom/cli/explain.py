@@ -21,13 +21,13 @@ def explain(
     parts: Annotated[
         list[str] | None,
         typer.Option(
-            "--model", metavar="PART", help="Model a part though the scene does not require it; may be given again."
+            "--model", metavar="PART", help="Switch on a part of the model that the scene does not need. Repeatable."
         ),
     ] = None,
     forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a scene requires and why, and what each part, each entity and the whole run will cost."""
+    """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
     import json
     from dataclasses import asdict
 

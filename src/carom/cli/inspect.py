@@ -20,7 +20,7 @@ def inspect(
     file: RecordingArgument,
     as_json: JsonOption = False,
 ) -> None:
-    """Say what is in a recording: outcome, energies, worst moments, where the time went, versions."""
+    """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions."""
     import json
 
     from carom.recording.edit.bundle import opened

@@ -37,7 +37,7 @@ from carom.experiment.memory import keep_freed_memory
 app = typer.Typer(
     name="carom",
     cls=Group,
-    help="A flight recorder for colliding spheres: simulate a scene, record every collision, look at it.",
+    help="A flight recorder for colliding spheres: simulate a scene, record it, and look at every collision.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -59,7 +59,7 @@ def _root(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Print versions and exit."),
     ] = False,
 ) -> None:
-    """Simulate a scene, record every collision, look at it."""
+    """Simulate a scene, record it, and look at every collision."""
 
 
 app.command("run", cls=Command)(run.run)
@@ -85,7 +85,7 @@ app.command("warmup", cls=Command)(warmup.warmup)
 
 
 def _say_old_names_once() -> None:
-    """Let a warning of an old name in a scene be one line, once; other warnings look as Python shows them."""
+    """Print a warning about an old key of a scene once, in one line; leave other warnings to Python."""
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
@@ -104,8 +104,8 @@ def _say_old_names_once() -> None:
 def main() -> None:
     """Run the command.
 
-    A person's mistake is one message and exit code 2, a system that fails one message and exit code 1; neither has a
-    traceback.
+    A mistake of the user ends with one message and exit code 2, a failure of the system with one message and exit
+    code 1. Neither prints a traceback.
     """
     keep_freed_memory()
     _say_old_names_once()
@@ -123,7 +123,7 @@ def main() -> None:
         from carom.scene.error import SceneError
 
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
-            typer.echo("carom: out of memory; take fewer bodies, or allow more memory (`ulimit -v`)", err=True)
+            typer.echo("carom: out of memory; use fewer bodies or raise the memory limit (`ulimit -v`)", err=True)
             sys.exit(1)
         if not isinstance(error, (SceneError, RecordingError, ExperimentError, PhysicsError)):
             raise

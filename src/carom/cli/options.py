@@ -10,7 +10,7 @@ import typer
 
 
 def seconds(text: str) -> float:
-    """Read a time; anything but NaN, of which no question has an answer."""
+    """Read a time. NaN is refused."""
     try:
         value = float(text)
     except ValueError:
@@ -21,7 +21,7 @@ def seconds(text: str) -> float:
 
 
 def bundled(incomplete: str) -> list[str]:
-    """Complete the name of a bundled scene; where none fits, the shell completes files."""
+    """Complete the name of a bundled scene; if none fits, the shell completes files."""
     from carom.scene.bundled import bundled_scenes, extreme_scenes
 
     return [name for name in (*bundled_scenes(), *extreme_scenes()) if name.startswith(incomplete)]
@@ -30,21 +30,24 @@ def bundled(incomplete: str) -> list[str]:
 SceneArgument = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE", help="A scene file (.toml), or the name of a bundled scene.", autocompletion=bundled
+        metavar="SCENE", help="A scene file (.toml) or the name of a bundled scene.", autocompletion=bundled
     ),
 ]
 RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).")]
 ThreadsOption = Annotated[
     int | None,
-    typer.Option("--threads", metavar="N", help="Default: one a core. The bits are the same.", min=1),
+    typer.Option(
+        "--threads", metavar="N", help="Number of threads; results do not depend on it. Default: one per core.", min=1
+    ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the scene; may be given again."),
+    typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the scene. Repeatable."),
 ]
 OutputOption = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: beside FILE, named after it.")
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="File to write. Default: beside FILE, named after it."),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that exists.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
-LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer while it is written.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer window while it is recorded.")]

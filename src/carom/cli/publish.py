@@ -14,12 +14,13 @@ from carom.cli.text import say
 def publish(
     file: RecordingArgument,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: FILE-page, beside FILE.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder to write. Default: FILE-page, beside FILE."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published before.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a folder for any static web host: a page with pictures of the moments, the viewer and the recording."""
+    """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve."""
     import json
     import shlex
     from dataclasses import asdict

@@ -15,12 +15,13 @@ def repair(
     file: RecordingArgument,
     output: OutputOption = None,
     in_place: Annotated[
-        bool, typer.Option("--in-place", help="Let the repaired file take FILE's name; keep the other as FILE.torn.")
+        bool,
+        typer.Option("--in-place", help="Give the repaired file FILE's name and rename the damaged one to FILE.torn."),
     ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Save what can be read of a torn or damaged recording, or of a run that was killed."""
+    """Write what can be read of a damaged recording, or of a run that was killed, to a new file."""
     import json
     from contextlib import nullcontext
     from dataclasses import asdict
@@ -54,8 +55,8 @@ def _path(file: Path, output: Path | None, in_place: bool) -> Path:
     from carom.recording.errors import RecordingError
 
     if in_place and output is not None:
-        raise RecordingError("--in-place and -o: give one of them")
+        raise RecordingError("give --in-place or -o, not both")
     path = output or file.with_name(f"{file.stem}-repaired.rrd")
     if path.exists() and file.exists() and path.samefile(file):
-        raise RecordingError(f"{path}: is the damaged recording itself; name another file, or give --in-place")
+        raise RecordingError(f"{path} is the damaged recording itself; choose another file or give --in-place")
     return path

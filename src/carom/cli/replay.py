@@ -22,25 +22,25 @@ def replay(
     file: RecordingArgument,
     begin: Annotated[
         float,
-        typer.Option(
-            "--from", parser=seconds, metavar="T", help="Begin at the last checkpoint before this time, in s."
-        ),
+        typer.Option("--from", parser=seconds, metavar="T", help="Start at the last checkpoint before this time (s)."),
     ] = 0.0,
-    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="End at this time, in s.")] = float(
+    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="Stop at this time (s).")] = float(
         "inf"
     ),
     every: Annotated[
-        str | None, typer.Option("--every", metavar="step", help="Record every step of the window to a new file.")
+        str | None,
+        typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: FILE-dense.rrd, with --every step.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="File for --every step. Default: FILE-dense.rrd."),
     ] = None,
     threads: ThreadsOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before a replay of more than a minute.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before replays that take more than a minute.")] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a recording again; say whether every frame has the same bits, else which is the first that has not.
+    """Run a recording again and check that every frame has the same bits; exit with 1 at the first that differs.
 
     FILE may be the zip that `carom report` made.
     """
@@ -82,7 +82,7 @@ def replay(
 
 
 def _agreed(seconds: float) -> bool:
-    """Ask a person whether a long replay is meant; without one to ask, refuse."""
+    """Ask whether to go on with a long replay; refuse if there is no terminal to ask on."""
     if seconds <= ASKS_ABOVE:
         return True
     text = f"The rest will take about {duration_text(seconds)}"

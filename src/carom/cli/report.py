@@ -15,15 +15,15 @@ def report(
     file: RecordingArgument,
     at: Annotated[
         float | None,
-        typer.Option("--at", parser=seconds, metavar="T", help="The moment, in s. Default: the worst of the run."),
+        typer.Option("--at", parser=seconds, metavar="T", help="Moment to report (s). Default: the worst of the run."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Default: FILE-report.zip.")
+        Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Zip to write. Default: FILE-report.zip.")
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Pack what a bug report needs into one zip below 10 MB: clip, scene, picture, versions, a summary to paste."""
+    """Pack a bug report into a zip of less than 10 MB: clip, scene, picture, versions and a summary to paste."""
     import json
     from dataclasses import asdict
 
@@ -46,4 +46,4 @@ def report(
     say(made.replayed.replace("**", ""))
     if made.picture:
         say(f"Without a picture: {made.picture}", err=True)
-    say("Its README.md can be pasted into an issue; `carom replay` takes the zip as it is.")
+    say("Paste its README.md into an issue and attach the zip; `carom replay` accepts the zip.")

@@ -19,19 +19,24 @@ def resume(
             "--until",
             parser=seconds,
             metavar="T",
-            help="Simulated time to go on to, in s. Default: the scene's duration.",
+            help="Continue to this simulated time (s). Default: the scene's duration.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Default: FILE, replaced once the new one has more in it."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Recording to write. Default: replace FILE when the new one is complete.",
+        ),
     ] = None,
     live: LiveOption = False,
     threads: ThreadsOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on with a run that was stopped, was killed or has ended: the bits are those of one uninterrupted run."""
+    """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
     from carom.experiment.resume import claimed_target, resumable_run, under_way
@@ -39,7 +44,7 @@ def resume(
     from carom.recording.read.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
-        raise typer.BadParameter(f"{until:g} is no time to simulate to", param_hint="--until")
+        raise typer.BadParameter(f"{until:g}: expected a time above 0 s", param_hint="--until")
     with claimed_target(file, output, force) as claim:
         run = resumable_run(Recording.open(file), until)
         progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")

@@ -23,19 +23,26 @@ RECORDINGS = Path("recordings")
 def run(
     scene: SceneArgument,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: recordings/SCENE.rrd.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Recording to write. Default: recordings/SCENE.rrd."),
     ] = None,
     overrides: SetOption = None,
     check_every: Annotated[
         int | None,
-        typer.Option("--check-every", "--log-freq", metavar="N", help="Steps between energy checks.", min=1),
+        typer.Option(
+            "--check-every",
+            "--log-freq",
+            metavar="N",
+            help="Check energy and momentum every N steps. Default: as the scene says.",
+            min=1,
+        ),
     ] = None,
     live: LiveOption = False,
     threads: ThreadsOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a scene and record it to a file that the Rerun viewer opens."""
+    """Simulate a scene and record it to an .rrd file."""
     from carom.scene.schema import Scene
 
     changes = list(overrides or [])
@@ -63,7 +70,7 @@ def run(
 
 @contextmanager
 def telling_of(path: Path) -> Iterator[None]:
-    """Say what becomes of a recording whose run is ended at once, by the interrupt key pressed twice."""
+    """Name the repair command if a second interrupt ends the run at once."""
     try:
         yield
     except KeyboardInterrupt:
@@ -94,14 +101,14 @@ def _default_path(scene: str) -> Path:
 
 
 def live_viewer() -> str | None:
-    """Start a viewer that listens and return its address; say why there is none, where there can be none."""
+    """Start a viewer and return its address; without a screen, say so and return None."""
     from carom.recording.errors import RecordingError
     from carom.recording.view.viewer import start_live_viewer
 
     try:
         return start_live_viewer()
     except RecordingError as error:
-        typer.echo(f"carom: nothing can be shown live, and the run is recorded all the same: {error}", err=True)
+        typer.echo(f"carom: the run is recorded, but cannot be shown live: {error}", err=True)
         return None
 
 

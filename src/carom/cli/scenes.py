@@ -12,7 +12,9 @@ from carom.scene.command import command
 
 
 def scenes(
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of a scene, for editors.")] = False,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON schema of scene files, for editors.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the bundled scenes."""
@@ -41,22 +43,24 @@ def scenes(
         table.add_row(name, scene.title, str(scene.count))
     Terminal().print(table)
     typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
-    typer.echo(f"The numerical extremes, which `carom stress` runs: {', '.join(extreme_scenes())}.")
+    typer.echo(f"`carom stress` runs the numerical extremes: {', '.join(extreme_scenes())}.")
 
 
 def new(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added where it is missing.")],
-    source: Annotated[str, typer.Option("--from", help="A bundled scene to copy, in place of the starter.")] = "",
+    name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added if missing.")],
+    source: Annotated[
+        str, typer.Option("--from", metavar="SCENE", help="Copy this bundled scene instead of the commented starter.")
+    ] = "",
     force: ForceOption = False,
 ) -> None:
-    """Write a commented scene to start from."""
+    """Write a scene file with comments on every key, to start from."""
     from carom.scene.bundled import bundled_scenes, extreme_scenes, starter
     from carom.scene.error import SceneError
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes()
     if source and source not in bundled:
-        raise SceneError(f"--from {source}: no bundled scene of that name; there are {', '.join(bundled)}")
+        raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
     if path.exists() and not force:
         raise SceneError(f"{path}: exists; give --force to replace it, or another name")
     text = bundled[source].read_text(encoding="utf-8") if source else starter()

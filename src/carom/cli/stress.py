@@ -22,14 +22,14 @@ PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
 
 
 def stress(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One extreme; all of them if left out.")] = None,
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="One of the extremes. Default: all.")] = None,
     folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where the recordings go, in place of earlier ones.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the recordings; replaces earlier ones.")
     ] = Path("recordings/stress"),
     overrides: SetOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Run the numerical extremes and hold each against its criteria."""
+    """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
     import json
 
     from carom.cli.compiling import announce_compilation

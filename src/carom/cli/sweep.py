@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 SWEEPS = Path("recordings")
 PlotOption = Annotated[
     tuple[str, str] | None,
-    typer.Option("--plot", metavar="x=KEY y=KEY", help="Draw one column over another into the sweep's folder."),
+    typer.Option("--plot", metavar="x=KEY y=KEY", help="Plot column y against column x into the sweep's folder."),
 ]
 
 
@@ -32,57 +32,81 @@ def sweep(
         typer.Option(
             "--vary",
             metavar="KEY=VALUES",
-            help="a,b,c · first:last:count · first:last:countlog. May be given again. Default: \\[sweep] of the scene.",
+            help="Values a,b,c, first:last:count or first:last:countlog. Repeatable. Default: \\[sweep] of the scene.",
         ),
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option("--seeds", metavar="N", help="Runs of each, with seeds from the scene's on.", min=1)
+        int | None,
+        typer.Option(
+            "--seeds", metavar="N", help="Run each combination N times, with seeds counting up from the scene's.", min=1
+        ),
     ] = None,
     zipped: Annotated[
-        bool | None, typer.Option("--zip/--cross", help="Values of all keys side by side, or each with each (default).")
+        bool | None,
+        typer.Option("--zip/--cross", help="Pair the values of all keys, or combine each with each (default)."),
     ] = None,
     overrides: SetOption = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder of the sweep. Default: recordings/SCENE-sweep."),
+        typer.Option("-o", "--output", metavar="DIR", help="Folder to write. Default: recordings/SCENE-sweep."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option("--workers", metavar="N", help="Processes here. Default: one a core.", min=1)
+        int | None,
+        typer.Option(
+            "--workers", metavar="N", help="Number of processes on this machine. Default: one per core.", min=1
+        ),
     ] = None,
     cluster: Annotated[
-        str | None, typer.Option("--cluster", metavar="ADDRESS", help="A Dask scheduler, as tcp://host:8786.")
+        str | None,
+        typer.Option("--cluster", metavar="ADDRESS", help="Run on this Dask scheduler, such as tcp://host:8786."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Remove the sweep in the folder and start anew.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Remove the sweep in the folder and start over.")] = False,
     table: Annotated[
-        Path | None, typer.Option("--table", metavar="DIR", help="Show a sweep; run nothing.", rich_help_panel="Look")
+        Path | None,
+        typer.Option("--table", metavar="DIR", help="Print the table of a sweep; run nothing.", rich_help_panel="Look"),
     ] = None,
     sort: Annotated[
         str | None,
-        typer.Option("--sort", metavar="KEY", help="Of the table; -KEY: largest first.", rich_help_panel="Look"),
+        typer.Option(
+            "--sort",
+            metavar="KEY",
+            help="Sort the table by this column; -KEY for descending order.",
+            rich_help_panel="Look",
+        ),
     ] = None,
     conditions: Annotated[
         list[str] | None,
         typer.Option(
-            "--filter", metavar="CONDITION", help='Such as "energy.final<0"; all given hold.', rich_help_panel="Look"
+            "--filter",
+            metavar="CONDITION",
+            help='Show rows that meet this, such as "energy.final<0". Repeatable; all must hold.',
+            rich_help_panel="Look",
         ),
     ] = None,
     columns: Annotated[
         str | None,
-        typer.Option("--columns", metavar="KEY,KEY", help="Of the table, besides what varies.", rich_help_panel="Look"),
+        typer.Option(
+            "--columns", metavar="KEY,KEY", help="Show these columns besides what varies.", rich_help_panel="Look"
+        ),
     ] = None,
     plot: PlotOption = None,
     catalog: Annotated[
         Path | None,
-        typer.Option("--catalog", metavar="DIR", help="Serve a sweep to the Rerun viewer.", rich_help_panel="Look"),
+        typer.Option(
+            "--catalog",
+            metavar="DIR",
+            help="Show the recordings of a sweep as a table in the Rerun viewer.",
+            rich_help_panel="Look",
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Run a scene many times with what varies, on this machine or on a Dask cluster; a finished run is never lost."""
+    """Run a scene many times with different values and seeds, here or on a Dask cluster; continue where it stopped."""
     from carom.cli import sweep_look as look
     from carom.experiment.error import ExperimentError
 
     if (scene is not None) + (table is not None) + (catalog is not None) != 1:
-        raise ExperimentError("expected one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")
+        raise ExperimentError("give one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")
     if catalog is not None:
         look.serve(catalog)
         return
@@ -151,7 +175,7 @@ def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> N
         typer.echo(f"{figure} written.")
     if ending.left:
         why = f"{ending.stopped}: " if ending.stopped else ""
-        typer.echo(f"carom: {why}{ending.left} runs are left; the same command goes on with them", err=True)
+        typer.echo(f"carom: {why}{ending.left} runs are left; run the same command again to continue", err=True)
     typer.echo(f"next: {command('sweep', '--table', folder)}")
 
 

@@ -24,11 +24,11 @@ VaryOption = Annotated[
     typer.Option(
         "--vary",
         metavar="KEY=A,B,C",
-        help="Values of a key of the scene, a list or a range as for `carom sweep`; of `step`, a factor on it; or of "
-        "`threads`. Every combination if given again. Default: about a dozen settings of what the scene requires.",
+        help="Values of a scene key (list or range, as for `carom sweep`), of `step` (a factor on the step) or of "
+        "`threads`. Repeat it for combinations. Default: about a dozen settings that matter for the scene.",
     ),
 ]
-RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Runs that are timed of each.", min=1)]
+RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Time each setting N times.", min=1)]
 COLUMNS = {
     "position": "position",
     "velocity": "velocity",
@@ -53,16 +53,16 @@ def tradeoff(
     repeats: RepeatsOption = 3,
     folder: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Default: recordings/tradeoff/ and the scene's name."),
+        typer.Option("-o", "--output", metavar="DIR", help="Folder of the study. Default: recordings/tradeoff/SCENE."),
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Begin anew, in place of the study that is there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Start over, in place of the existing study.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Measure what accuracy costs on a scene: its settings' costs and errors, and which are worth having.
+    """Measure cost and errors of a scene's settings, and show which settings no other beats.
 
-    What is measured is kept: run again, it goes on where it was.
+    Measurements are kept; the same command continues where it stopped.
     """
     import json
 

@@ -24,39 +24,40 @@ def tune(
     error: Annotated[
         list[str],
         typer.Option(
-            "--error", metavar="NAME=LIMIT", help="A limit, such as energy=1e-4 or position=1e-3; may be given again."
+            "--error", metavar="NAME=LIMIT", help="Limit of an error, such as energy=1e-4 or position=1e-3. Repeatable."
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Default: the scene's name and -tuned.toml.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Scene file to write. Default: SCENE-tuned.toml."),
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
             "--vary",
             metavar="KEY=A,B,C",
-            help="Try these values and all combinations of them, as for `carom tradeoff`. Default: search for the "
+            help="Measure only these values and their combinations, as for `carom tradeoff`. Default: search for the "
             "cheapest setting, the step and one key after the other.",
         ),
     ] = None,
     repeats: RepeatsOption = 3,
     folder: Annotated[
         Path | None,
-        typer.Option("--study", metavar="DIR", help="Where the measurements are; as for `carom tradeoff`."),
+        typer.Option("--study", metavar="DIR", help="Folder of the measurements, as for `carom tradeoff`."),
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace FILE if it exists; the study is kept.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing FILE; keep the study.")] = False,
     new_study: Annotated[
-        bool, typer.Option("--new-study", help="Measure everything anew, in place of the study that is there.")
+        bool, typer.Option("--new-study", help="Measure everything again, in place of the existing study.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Find the cheapest setting of a scene that keeps every limit, measured, and write it as a scene file.
+    """Find the cheapest setting that keeps every error limit, and write it as a scene file.
 
-    The search begins at about a dozen settings, and changes the step and one key after the other until nothing is an
-    improvement. A setting whose recording would have fewer frames is out. What is measured is kept: run again, it goes
-    on where it was.
+    The search starts from about a dozen settings. It then changes the step and one key at a time until nothing
+    improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
+    continues where it stopped.
     """
     import json
 

@@ -11,14 +11,26 @@ import typer
 
 from carom.cli.options import RecordingArgument, seconds
 
-AtOption = Annotated[float | None, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time in seconds.")]
+AtOption = Annotated[
+    float | None,
+    typer.Option(
+        "--at",
+        parser=seconds,
+        metavar="T",
+        help="Moment to show: simulated time in seconds. Default: the hardest impact.",
+    ),
+]
 EventOption = Annotated[
     str | None,
-    typer.Option("--event", metavar="NAME", help="A moment of `carom inspect` or a kind of event, such as impact."),
+    typer.Option(
+        "--event",
+        metavar="NAME",
+        help="Moment to show: one that `carom inspect` lists or a kind of event, such as impact.",
+    ),
 ]
 BodiesOption = Annotated[
     str | None,
-    typer.Option("--bodies", metavar="A,B", help="Bodies of the close-up, by number or name."),
+    typer.Option("--bodies", metavar="A,B", help="Bodies to show close up, by number or name."),
 ]
 PlotOption = Annotated[
     str | None,
@@ -55,14 +67,16 @@ def view(
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
-    web: Annotated[bool, typer.Option("--web", help="Host it for a browser, on 127.0.0.1 only.")] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Show it in a browser; the server listens on 127.0.0.1 only.")
+    ] = False,
     port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="With --web. Default: a free one.")
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port for --web. Default: any free one.")
     ] = 0,
 ) -> None:
-    """Open a recording in the Rerun viewer, paused at a moment; by default at its most interesting one."""
+    """Open a recording in the Rerun viewer, paused at a moment."""
     if port and not web:
-        raise typer.BadParameter("--port goes with --web")
+        raise typer.BadParameter("--port needs --web")
     from carom.cli.compiling import announce_compilation
     from carom.recording.view.window import open_window
 
@@ -114,17 +128,17 @@ def _view_in_browser(
 def picture(
     file: RecordingArgument,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="PNG", help="Default: FILE with .png.")
+        Path | None, typer.Option("-o", "--output", metavar="PNG", help="Picture to write. Default: FILE with .png.")
     ] = None,
     at: AtOption = None,
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
-    view: Annotated[PictureView, typer.Option("--view", help="What fills the picture.")] = PictureView.ALL,
-    theme: Annotated[Theme, typer.Option("--theme", help="The viewer's; the light one needs Xvfb.")] = Theme.DARK,
-    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1600x1000",
+    view: Annotated[PictureView, typer.Option("--view", help="View that fills the picture.")] = PictureView.ALL,
+    theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
 ) -> None:
-    """Render a recording to a PNG, without a screen; by default at its most interesting moment."""
+    """Render a moment of a recording to a PNG; needs no screen."""
     from carom.cli.compiling import announce_compilation
     from carom.recording.view.picture import render
 
@@ -142,7 +156,7 @@ def _refuse_both(at: float | None, event: str | None) -> None:
     from carom.recording.errors import RecordingError
 
     if at is not None and event is not None:
-        raise RecordingError("--at and --event both name a moment; give one of them")
+        raise RecordingError("give --at or --event, not both")
 
 
 def _announce_replay(file: Path, plot: str | None) -> None:
@@ -163,7 +177,7 @@ def _announce_replay(file: Path, plot: str | None) -> None:
 
 def _say_missing(reason: str) -> None:
     if reason:
-        typer.echo(f"Shown is the frame before that moment, since its step could not be run again: {reason}", err=True)
+        typer.echo(f"This shows the last frame before that moment; its step could not be run again: {reason}", err=True)
 
 
 def pixels_of(size: str) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from carom.cli.options import JsonOption
 
 
 def warmup(as_json: JsonOption = False) -> None:
-    """Compile all kernels now, so that no run has to wait for it; say how long it took and where they are."""
+    """Compile all kernels now, so that later runs start at once."""
     import json
     from dataclasses import asdict
 
