@@ -1,4 +1,4 @@
-"""What a recording holds, in rows of text for people, and its moments in words."""
+"""An overview of a recording in rows of text, and its moments in words."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOMENTS = {
 class Moment:
     """A time at which something was largest."""
 
-    text: str  # what, and of which bodies
+    text: str  # the quantity, and the bodies
     step: int
     time: float  # s
 

@@ -25,7 +25,7 @@ _SIZE = (1600, 1000)  # pixels of a picture
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What was written."""
+    """Result of publishing."""
 
     path: Path
     size: int  # bytes
@@ -34,16 +34,16 @@ class Published:
 
 
 def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
-    """Write the folder; one that carom wrote before is replaced once the new one is complete.
+    """Write the folder; an earlier one by carom is replaced once the new one is complete.
 
     Parameters
     ----------
     recording
         A whole run, or a clip.
     folder
-        Where to write.
+        The folder to write.
     watch
-        Told what is being done.
+        Called with a description of each stage.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
 
 
 def refuse_folder(folder: Path, force: bool) -> None:
-    """Refuse a folder before anything is made for it.
+    """Refuse an unsuitable folder before anything is made for it.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _is_ours(name: str) -> bool:
 
 
 def _fullest(recording: Recording) -> Moment:
-    """Return what is shown of a run without contacts, or one that was killed."""
+    """Return the moments of a run without contacts, or of one that was killed."""
     time = recording.moment()
     table = recording.fingerprints()
     row = int(abs(table["time"].to_numpy() - time).argmin())
@@ -116,7 +116,7 @@ def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:
 
 
 def _picture(recording: Recording, time: float, path: Path) -> str:
-    """Render a moment; say why if it cannot be."""
+    """Render a moment; return the reason if that fails."""
     try:
         render(recording.path, time, path, _SIZE)
     except RecordingError as error:
@@ -126,7 +126,7 @@ def _picture(recording: Recording, time: float, path: Path) -> str:
 
 @contextmanager
 def _replacing(folder: Path) -> Iterator[Path]:
-    """Give an empty folder that takes the place of this one if all goes well, and is removed if not."""
+    """Yield an empty folder that replaces this one on success and is removed on failure."""
     part, old = (folder.with_name(f".{folder.name}.{state}") for state in ("part", "old"))
     shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
     try:

@@ -1,11 +1,11 @@
-"""The audit of impulses: whether what contacts and forces gave is all that changed the velocities.
+"""The audit of impulses: compares the changes of velocities with the impulses of contacts and the kicks of forces.
 
 In each step, for every body,
 
     Δv = Σ J/m + Σ a h,    Δω = Σ ρ λ_t × n / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
 with the impulses that the contact tap reports and the kicks of the integrator, and for the ledger of contacts,
-Δledger = Σ over the contacts. Kicks count as a h. Drag multiplies velocities, so what it did to them is measured.
+Δledger = Σ over the contacts. A kick is a h. Drag multiplies velocities, so its effect is measured.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 
 class ImpulseAudit:
-    """Adds up what each step gives to the bodies, and compares.
+    """Sums the impulses and kicks of each step and compares them with the changes of velocity.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class ImpulseAudit:
         self.begin(Ledger())
 
     def begin(self, ledger: Ledger) -> None:
-        """Begin a step with the velocities and the ledger as they are."""
+        """Begin a step with the present velocities and ledger."""
         bodies = self._bodies
         self._ledger = _terms(ledger)
         self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
@@ -49,7 +49,7 @@ class ImpulseAudit:
         self._force(acceleration * dt)
 
     def see_change(self, before: FloatArray) -> None:
-        """Add what forces made of the velocities that were (n, 3) m/s before."""
+        """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
         self._force(self._bodies.velocity - before)
 
     def _force(self, change: FloatArray) -> None:
@@ -57,11 +57,11 @@ class ImpulseAudit:
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
-        """Compare; return the largest error, and the body that has it if one has.
+        """Compare; return the largest error, and its body if it belongs to one.
 
-        Errors of velocities, and of spins times the radius, are parts of the largest speed that a body had in the step,
-        or that the kicks or the impulses of it gave to one: impulses of a heavy pile may cancel each other, and each
-        has its own rounding. Errors of the ledger are parts of its largest entry.
+        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: of a body,
+        or that the kicks or impulses would give to one if all acted in one direction. Impulses in a heavy pile may
+        cancel, and each has its own rounding. Errors of the ledger are relative to its largest entry.
 
         Parameters
         ----------
@@ -96,11 +96,11 @@ class ImpulseAudit:
 
 @dataclass(frozen=True, slots=True)
 class _Given:
-    """What the impulses of a step gave to the bodies."""
+    """Changes of the bodies by the impulses of a step."""
 
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray  # (n, 3) rad/s; (0, 3) where nothing spins
-    speed: FloatArray  # (n,) m/s, Σ |J| / m: what they would give if none opposed another
+    speed: FloatArray  # (n,) m/s, Σ |J| / m: the speed if all acted in one direction
 
     @classmethod
     def of(cls, impulses: Iterable[Impulses], bodies: Bodies) -> _Given:

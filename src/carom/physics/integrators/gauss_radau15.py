@@ -1,4 +1,4 @@
-"""Gauss–Radau integration of order 15 with a step that its own error controls, for bodies that only pull each other.
+"""Gauss–Radau integration of order 15 with steps from its error estimate, for bodies that only pull each other.
 
 Within a step of length T the acceleration of a coordinate is a polynomial in h = t/T, 0 ≤ h ≤ 1 (Everhart 1985):
 
@@ -6,21 +6,21 @@ Within a step of length T the acceleration of a coordinate is a polynomial in h 
     x(h) = x₀ + h T v₀ + (h T)² (a₀/2 + Σ b_k h^{k+1} / ((k+2)(k+3)))
     v(h) = v₀ + h T (a₀ + Σ b_k h^{k+1} / (k+2))
 
-that agrees with the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. These depend on the positions, so the
-coefficients are found by iteration from the polynomial of the step before, continued. Newton's form
+that interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. These depend on the positions, so the
+coefficients are found by iteration, starting from the extrapolated polynomial of the previous step. Newton's form
 
     a(h) = a₀ + g₀ h + g₁ h (h - h₁) + g₂ h (h - h₁)(h - h₂) + …
 
-lets each node in turn improve one g: all terms after g_{s-1} vanish at h_s, so that what the polynomial lacks there is
-what g_{s-1} lacks, times h_s (h_s - h₁) … (h_s - h_{s-1}). With rounding compensated, the energy of a planetary system
-errs by a random walk of the last bit (Rein & Spiegel 2015).
+lets each node in turn improve one g. All terms after g_{s-1} vanish at h_s, so the residual of the polynomial there is
+the error of g_{s-1} times h_s (h_s - h₁) … (h_s - h_{s-1}). With compensated rounding, the energy error of a planetary
+system is a random walk of the last bit (Rein & Spiegel 2015).
 
-The next step is a part η of the shortest time in which the acceleration of a body changes, from its first two
+The next step is a fraction η of the shortest time in which the acceleration of a body changes, from its first two
 derivatives at the end of the step (Pham, Rein & Spiegel 2024):
 
     T' = η min_i √(2 a² / (ȧ² + a ä)),        η = (5040 ε)^{1/7}, ε = 10⁻⁹
 
-Sums, products, quotients and square roots only: the same bits on any processor.
+It uses sums, products, quotients and square roots only, so the bits are the same on any processor.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from carom.physics.parallel.jit import inner, long_kernel
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
-# 0 and the zeros of (P₇(x) + P₈(x)) / (1 + x), P being Legendre's polynomials, moved from [-1, 1] to [0, 1]
+# 0 and the zeros of (P₇(x) + P₈(x)) / (1 + x), with Legendre polynomials P, mapped from [-1, 1] to [0, 1]
 NODES = tuple(
     Fraction(node)
     for node in (
@@ -53,13 +53,13 @@ NODES = tuple(
     )
 )
 TERMS = 7  # of the polynomial, b₀ to b₆
-WIDTH = 8  # of a row: one more than terms, 0, so that a row is a cache line
+WIDTH = 8  # of a row: the terms and a 0, so that a row is a cache line
 STEP_FRACTION = 0.17506702932189996  # η
-LARGEST_CHANGE = 4.0  # a step that should have been shorter than the last by more is taken again; none grows by more
-CONVERGED = 1e-16  # of the largest acceleration: what the polynomial may lack at a node; half a last bit
-MAX_ITERATIONS = 12  # rounding keeps some from converging
+LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
+CONVERGED = 1e-16  # of the largest acceleration, tolerated residual at a node: half a last bit
+MAX_ITERATIONS = 12  # rounding prevents some from converging
 END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
-LIMITS = ("error", "cap", "fixed", "end")  # what set a step
+LIMITS = ("error", "cap", "fixed", "end")  # limits that set a step
 ERROR, CAP, FIXED, END = range(len(LIMITS))
 
 
@@ -73,16 +73,16 @@ def _newton_to_powers() -> list[list[Fraction]]:
 
 
 def _table(rows: list[list[Fraction]]) -> FloatArray:
-    """Round each number once; rows are filled up with 0."""
+    """Round each number once; rows are padded with 0."""
     table = np.zeros((len(rows), WIDTH))
     for k, row in enumerate(rows):
         table[k, : len(row)] = [float(number) for number in row]
     return table
 
 
-POWERS = _table(_newton_to_powers())  # [k, j]: what g_k adds to b_j
+POWERS = _table(_newton_to_powers())  # [k, j]: coefficient of g_k in b_j
 NODE = np.array([float(node) for node in NODES])
-# [s, k]: what b_k adds to the acceleration at a node, and to the position there over T²
+# [s, k]: coefficients of b_k in the acceleration at a node, and in the position there over T²
 ON_ACCELERATION = _table([[h ** (k + 1) for k in range(TERMS)] for h in NODES])
 ON_POSITION = _table([[h ** (k + 3) / ((k + 2) * (k + 3)) for k in range(TERMS)] for h in NODES])
 TO_DIFFERENCE = np.array([0.0] + [float(1 / prod(NODES[s] - h for h in NODES[:s])) for s in range(1, len(NODES))])
@@ -94,16 +94,16 @@ class Motion(NamedTuple):
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    position_rest: FloatArray  # (n, 3) m, what rounding has kept from the positions so far
+    position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
     velocity_rest: FloatArray  # (n, 3) m/s
     start: FloatArray  # (n, 3) m/s², a₀
     pull: FloatArray  # (n, 3) m/s², at a node
-    at: FloatArray  # (n, 3) m, where bodies are at a node
-    expected: FloatArray  # (n, 3) m/s², what the polynomial says of the acceleration there
+    at: FloatArray  # (n, 3) m, positions at a node
+    expected: FloatArray  # (n, 3) m/s², acceleration there by the polynomial
     b: FloatArray  # (3 n, 8) m/s²
     predicted: FloatArray  # (3 n, 8) m/s², b before the iterations
     accepted: FloatArray  # (3 n, 8) m/s², b of the last step
-    correction: FloatArray  # (3 n, 8) m/s², by how much its prediction was wrong
+    correction: FloatArray  # (3 n, 8) m/s², error of its prediction
     pull_of: FloatArray  # (n,) m³/s², G m
     moves: FloatArray  # (n,) 1, or 0 if it is fixed
     field: FloatArray  # (3,) m/s², uniform
@@ -124,7 +124,7 @@ PROGRESS = np.dtype(
 
 
 class GaussRadau15:
-    """Integrates bodies that pull each other, many steps a call.
+    """Integrates bodies that pull each other, with many steps per call.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class GaussRadau15:
     max_dt
         s
     fixed_dt
-        s; None for steps that follow the error.
+        s; None for steps from the error estimate.
     """
 
     def __init__(
@@ -168,17 +168,17 @@ class GaussRadau15:
 
     @property
     def next_dt(self) -> float:
-        """The step in seconds that comes next."""
+        """The next step in seconds."""
         return float(self._progress["next_dt"][0])
 
     @property
     def iterations(self) -> int:
-        """Iterations of all steps so far."""
+        """Number of iterations of all steps so far."""
         return int(self._progress["iterations"][0])
 
     @property
     def rejected(self) -> int:
-        """Steps that were taken again with a shorter one."""
+        """Number of steps that were repeated with a shorter one."""
         return int(self._progress["rejected"][0])
 
     def begin(self, dt: float) -> None:
@@ -190,19 +190,19 @@ class GaussRadau15:
         self._progress["next_dt"] = dt
 
     def advance(self, time: float, end: float, until: float, steps: int) -> tuple[int, float, float, float, str]:
-        """Take steps until a time is reached, the run ends, or so many are taken.
+        """Make steps until a time is reached, the run ends, or the number of steps is reached.
 
         Parameters
         ----------
         time, end, until
-            s; the last step is cut to end at ``end``, none is for ``until``.
+            s; the last step is cut to end at ``end``, but not at ``until``.
         steps
-            At most.
+            Largest number of steps.
 
         Returns
         -------
         steps, before, time, dt, limit
-            How many there were; the time before the last one, after it, and its length, in s; what set that.
+            Number of steps; times before and after the last one and its length, in s; the limit that set it.
         """
         progress = self._progress
         progress["time"], progress["steps"] = time, 0
@@ -212,7 +212,7 @@ class GaussRadau15:
         return *taken, float(last["last_dt"]), LIMITS[last["limit"]]
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities, (n, 3) m and m/s, so many seconds before the end of the last step."""
+        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
         motion, dt = self._motion, float(self._progress["last_dt"][0])
         h = (dt - earlier) / dt
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
@@ -226,13 +226,13 @@ class GaussRadau15:
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
-        """A copy of what the next step begins with."""
+        """A copy of the state that the next step needs."""
         motion = self._motion
         kept = (motion.position_rest, motion.velocity_rest, motion.accepted, motion.correction)
         return IntegratorCheckpoint(float(self._progress["last_dt"][0]), *(array.copy() for array in kept))
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Go on from a checkpoint, with a step of so many seconds; without one, begin anew."""
+        """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
         motion = self._motion
         self.begin(next_dt)
         if checkpoint is None:
@@ -255,7 +255,7 @@ def advance(
     max_dt: float,
     adapts: bool,
 ) -> None:
-    """Take steps; see `GaussRadau15.advance`."""
+    """Make steps; see `GaussRadau15.advance`."""
     run = progress[0]
     while run.steps < most and run.time < end and (run.time < until or run.steps == 0):
         dt, run.limit = run.next_dt, ERROR
@@ -275,12 +275,12 @@ def advance(
         run.last_dt, run.next_dt = dt, min(wanted, LARGEST_CHANGE * dt)
         run.steps += 1
         if not run.time > run.before:
-            break  # too short a step to move the clock, or no number
+            break  # the step is too short to change the clock, or NaN
 
 
 @inner
 def _attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
-    """Find the polynomial of a step; return how long the next step may be, in s."""
+    """Find the polynomial of a step; return the longest next step, in s."""
     _predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
@@ -289,16 +289,16 @@ def _attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
         if error < CONVERGED:
             break
         if iteration > 0 and (error >= before or error * (error / before) < CONVERGED):
-            break  # rounding is all that is left, or would be after one more, which gains as much as this one
+            break  # only rounding is left, or would be after another pass with the same gain
         before = error
     return _next_step(motion, dt)
 
 
 @inner
 def _predict(motion: Motion, ratio: float) -> None:
-    """Continue the polynomial of the last step over one that is ``ratio`` times as long, as the first guess.
+    """Extrapolate the polynomial of the last step over one that is ``ratio`` times as long, as the first guess.
 
-    b'_k = ratio^{k+1} Σ_{j≥k} (j+1 over k+1) b_j, and by how much this guess was wrong the last time.
+    b'_k = ratio^{k+1} Σ_{j≥k} (j+1 over k+1) b_j, plus the error of the previous guess.
     """
     accepted, correction, predicted, b = motion.accepted, motion.correction, motion.predicted, motion.b
     for c in range(len(b)):
@@ -314,7 +314,7 @@ def _predict(motion: Motion, ratio: float) -> None:
 
 @inner
 def _iterate(motion: Motion, eps2: float, dt: float) -> float:
-    """Go through the nodes once; return the most that the polynomial lacked there, over the largest acceleration."""
+    """Visit the nodes once; return the largest residual over the largest acceleration."""
     start, pull, expected, b = motion.start, motion.pull, motion.expected, motion.b
     most, largest = 0.0, 0.0
     for s in range(1, len(NODE)):
@@ -334,7 +334,7 @@ def _iterate(motion: Motion, eps2: float, dt: float) -> float:
 
 @inner
 def _evaluate(motion: Motion, s: int, dt: float) -> None:
-    """Evaluate the polynomial at a node: where bodies are, and by how much they are accelerated more than at first."""
+    """Evaluate the polynomial at a node: positions, and the change of the accelerations since the start."""
     x, v, start, b, field = motion.position, motion.velocity, motion.start, motion.b, motion.field
     t, square = NODE[s] * dt, dt * dt
     for i in range(len(x)):
@@ -378,7 +378,7 @@ def _move(motion: Motion, dt: float) -> None:
             c = 3 * i + k
             bent, turned = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                bent += b[c, j] / ((j + 2) * (j + 3))  # not times the reciprocals, whose rounding would add up
+                bent += b[c, j] / ((j + 2) * (j + 3))  # division, because the rounding of reciprocals would accumulate
                 turned += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]
                 motion.accepted[c, j] = b[c, j]
@@ -390,7 +390,7 @@ def _move(motion: Motion, dt: float) -> None:
 
 @inner
 def _add(total: FloatArray, rest: FloatArray, i: int, k: int, term: float) -> None:
-    """Add a term and what rounding has kept so far; keep what it keeps now (Kahan 1965)."""
+    """Add a term by compensated summation (Kahan 1965)."""
     term += rest[i, k]
     rounded = total[i, k] + term
     rest[i, k] = term - (rounded - total[i, k])
@@ -399,7 +399,7 @@ def _add(total: FloatArray, rest: FloatArray, i: int, k: int, term: float) -> No
 
 @inner
 def accelerate(x: FloatArray, pull_of: FloatArray, moves: FloatArray, eps2: float, a: FloatArray) -> None:
-    """Write the accelerations by the bodies' own pulls: a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}."""
+    """Write the accelerations by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}."""
     n = len(x)
     for i in range(n):
         a[i, 0] = a[i, 1] = a[i, 2] = 0.0
