@@ -7,7 +7,7 @@ import pytest
 
 from carom.experiment.warmup import SCENES
 from carom.physics.contact.constraints import PREPARE, ConstraintSystem
-from carom.physics.contact.solver import contact_solver
+from carom.physics.contact.solver import contact_solver, phase_code
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.phase_code import PHASES
 from carom.physics.parallel.task import code_for
@@ -41,6 +41,16 @@ def test_an_exception_in_a_phase_reaches_whoever_takes_the_step(threads: int, mo
     with pytest.raises(ValueError, match="in piece"):
         for step in range(1000):
             space.compute_dynamics(step + 1)
+
+
+def test_another_space_does_not_ask_numba_for_the_phases_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*arguments: object) -> int:
+        raise AssertionError("25 ms for each space")
+
+    Space(Scene.from_dict(PILE), threads=1)
+    monkeypatch.setattr(phase_code, "code_for", refuse)
+    monkeypatch.setattr(phase_code, "kind_for", refuse)
+    Space(Scene.from_dict(PILE), threads=1).compute_dynamics(1)
 
 
 def test_code_for_systems_of_another_kind_is_not_called() -> None:

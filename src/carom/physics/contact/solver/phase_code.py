@@ -9,6 +9,7 @@ once, by itself, by whichever process comes first, and only if a scene needs it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +47,7 @@ from carom.physics.parallel.task import code_for, kind_for
 
 Phase = Callable[[int, int, ConstraintSystem], None]
 
+OWNS = 4  # the flag of an array that owns its memory, which no type depends on
 POSITIONS, IMPACTS, RESTING = range(3)  # jobs
 PHASES: dict[int, dict[int, Phase]] = {  # of each job
     POSITIONS: {CORRECT_POSITIONS: correct_positions},
@@ -91,8 +93,27 @@ class PhaseCode:
         self._compile(job, reversed(PHASES[job]), system)
 
     def _compile(self, job: int, phases: Iterable[int], system: ConstraintSystem) -> None:
-        self.kind = kind_for(system)
+        self.kind = _kind(system)
         for phase in phases:
             kernel = solve_straight if phase == SOLVE and not self._spins else PHASES[job][phase]
-            self.addresses[phase] = code_for(kernel, system)
+            self.addresses[phase] = _address(kernel, self.kind, system)
         self._ready.add(job)
+
+
+_addresses: dict[tuple[Phase, int], int] = {}
+_kinds: dict[tuple[Any, ...], int] = {}
+
+
+def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> int:
+    """Return the address of a kernel's code; asking Numba takes milliseconds, as long as a short run."""
+    if (kernel, kind) not in _addresses:
+        _addresses[kernel, kind] = code_for(kernel, system)
+    return _addresses[kernel, kind]
+
+
+def _kind(system: ConstraintSystem) -> int:
+    """Return the kind of a system, which follows from how its arrays are laid out."""
+    layout = tuple((array.dtype, array.ndim, array.flags.num & ~OWNS) for array in system)
+    if layout not in _kinds:
+        _kinds[layout] = kind_for(system)
+    return _kinds[layout]
