@@ -210,10 +210,11 @@ def test_the_energy_gain_counts_from_the_lowest_energy_so_far() -> None:
 
 
 @pytest.mark.parametrize("name", bundled_scenes())
-def test_every_bundled_scene_meets_its_expectations(name: str, tmp_path: Path) -> None:
+def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: str, tmp_path: Path) -> None:
     outcome = simulate(Space(Scene.load(name)), tmp_path / f"{name}.rrd")
     assert outcome.status == "completed", outcome.reason
     assert outcome.moments.energy_error is not None and outcome.moments.energy_error.value <= 1e-3
+    assert not [row for row in Recording.open(outcome.path).events().to_pylist() if row["level"] == "WARN"]
     verified = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "verify", str(outcome.path)], capture_output=True, text=True, check=False
     )

@@ -621,8 +621,8 @@ class Space:
                 text = f"First contact: {self._called.pair((i, j))}."
                 self._log(Event(self.step, self.time, "INFO", text, "first-contact"))
             self._see_contacts(contact, self.extremes)
-            for text in contact.limits_reached():
-                self._log(Event(self.step, self.time, "WARN", text, "limit"))
+            for level, text in contact.limits_reached():
+                self._log(Event(self.step, self.time, level, text, "limit"))
         self._activity.see(contact.statistics.contacts, contact.statistics.struck)
         self.profile.mark("ledger")
         if self.requirements.torque.modelled:

@@ -38,7 +38,8 @@ CONTACT_STATE = record(
     " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before the impulses that hold it
     f" {LEDGER_TERMS}"  # J, its ledger
     " push_x push_y push_z push_fraction",  # m, Σ δ n of the position corrections; part of an overlap that one undoes
-    flags="apart biased",  # whether it was found apart; whether Baumgarte's bias makes it separate
+    flags="apart biased"  # whether it was found apart; whether Baumgarte's bias makes it separate
+    " slides",  # whether it slid in the last iterations and may not stick again
     size=2 * CACHE_LINE,
 )
 
@@ -92,6 +93,7 @@ SETTINGS = np.dtype(
         ("spins", "?"),  # whether impulses turn bodies
         ("impacts_only", "?"),  # whether contacts at rest are left alone
         ("refines", "?"),  # whether conjugate gradients follow the iterations
+        ("keeps_sliding", "?"),  # whether what slides in an iteration may not stick in the next
     ],
     align=True,
 )

@@ -48,6 +48,17 @@ def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
 
 
 @inline
+def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return a tangential impulse, reduced to the kinetic friction where it is larger."""
+    squared = tx * tx + ty * ty + tz * tz
+    most = material.kinetic_friction * normal
+    if squared > most * most:
+        scale = most / np.sqrt(squared)
+        tx, ty, tz = scale * tx, scale * ty, scale * tz
+    return tx, ty, tz
+
+
+@inline
 def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Tell whether a tangential impulse is inside the friction cone."""
     most: float = material.static_friction * normal

@@ -89,6 +89,12 @@ class ContactLaw(Protocol):
             Total of the tangential impulse that would end the slip.
         """
 
+    def sliding_friction(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, ...]:
+        """Return the tangential impulse of a lasting contact that has slid and does not stick again, (3,).
+
+        It must be continuous in its arguments, see `solver.phases`; they are those of `lasting_friction`.
+        """
+
     def sticks(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
         """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
 

@@ -265,26 +265,31 @@ class ContactPipeline:
         work = self.tap.work(self._solver)
         return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
-    def limits_reached(self) -> list[str]:
-        """Say, the first time each, which limit of the method this step met."""
+    def limits_reached(self) -> list[tuple[str, str]]:
+        """Say, the first time each, which limit of the method this step met: a level, `WARN` or `INFO`, and a text."""
         reached = []
         if self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW:
-            reached.append(f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage.")
+            text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
+            reached.append(("INFO", text))  # which costs time only
         if self._too_few_sweeps:
-            reached.append(
+            text = (
                 f"Contacts were still closing after the sweeps of a step (contact.sweeps = {self._contact.sweeps}); "
                 "what is left is resolved in later steps."
             )
+            reached.append(("WARN", text))
         if self._event_drift and self._event_drift.is_exhausted:
-            reached.append(f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end.")
+            reached.append(
+                ("WARN", f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end.")
+            )
         if self._was_crossed:
             longer = "" if self._event_drift else ' or contact.timing = "time-of-impact"'
-            reached.append(
+            text = (
                 "A body would have passed through a plane within one step and was stopped where it touched the plane; "
                 f"try a shorter step (time.fixed_dt, time.cfl){longer}."
             )
-        fresh = [text for text in reached if text not in self.warned]
-        self.warned.update(fresh)
+            reached.append(("WARN", text))
+        fresh = [(level, text) for level, text in reached if text not in self.warned]
+        self.warned.update(text for _, text in fresh)
         return fresh
 
     def _near(self, dt: float) -> IntArray:
@@ -346,7 +351,7 @@ class ContactPipeline:
         else:
             self._hold = ImpulseCache.empty()
         if self.sweeps >= self._most_sweeps:
-            self._too_few_sweeps = solver.is_closing()
+            self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
 
     def _is_at_rest(self) -> bool:
@@ -393,7 +398,7 @@ class ContactPipeline:
         if self._pushes:
             self._solver.correct_positions(1)
         self._resolve(1.0, 1.0, Profile())
-        self._solver.is_closing()
+        self._solver.is_closing(1.0)
         self._solver.statistics()
         if self._lasts:
             for drift in (1.0, 0.0):

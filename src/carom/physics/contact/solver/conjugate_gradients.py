@@ -20,9 +20,10 @@ from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inner, kernel
 
-# What a contact may close at when the search ends, in m/s. It begins where one closes at `phases.BAD_ENOUGH` times
-# as much. Chosen so that the columns of tests/physics/test_convergence.py stand; with a tenth of the first number
+# What a contact may close at when the search ends, in m/s. It begins where one closes at `BAD_ENOUGH` times as
+# much. Chosen so that the columns of tests/physics/test_convergence.py stand; with a tenth of the first number
 # cloud-collapse takes twice as long, and none of its errors changes by a tenth.
+BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
 PART_OF_REST = 0.3  # of the speed at which a contact at rest closes without an impulse
 PART_OF_APPROACH = 0.03  # of the speed at which an impact closed
 PART_OF_RADIUS = 3e-5  # of the smaller radius in a step

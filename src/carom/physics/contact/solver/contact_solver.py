@@ -302,12 +302,12 @@ class ContactSolver:
         system = self._system if against is None else self._system._replace(acceleration=against)
         return self._lead(RESTING, system, max_iterations)
 
-    def is_closing(self) -> bool:
-        """Tell whether a contact closes faster than one at rest after the iterations: there were too few of them."""
+    def is_closing(self, dt: float) -> bool:
+        """Tell whether the iterations left a contact closing faster than they may, in a step of dt in s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * self._fastest
-        self._team.divide(len(system.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, closing)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, dt, closing)
         return bool(closing[0])
 
     def _geometry(self) -> tuple[NDArray[Any], ...]:

@@ -26,6 +26,7 @@ from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.law import LAW, material_index, normal_loss, restitution_at_depth, tangential_loss
 from carom.physics.contact.solver.body_state import push, turn
+from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
@@ -123,13 +124,28 @@ def look_for_closing(
     states: Records,
     v: FloatArray,
     negligible: float,
+    dt: float,
     closing: NDArray[np.bool_],
 ) -> None:
-    """Say so if one of the contacts [lo, hi) closes faster than one at rest, and than a negligible speed, in m/s."""
+    """Say so if one of the contacts [lo, hi) closes faster than one at rest, and than the iterations may leave.
+
+    An open gap may close within the next step, and one that was found open has time for its impact.
+
+    Parameters
+    ----------
+    negligible
+        m/s
+    dt
+        s, the step.
+    """
     for c in range(lo, hi):
-        i, j, contact = pairs[c, 0], pairs[c, 1], contacts[c]
+        i, j, contact, state = pairs[c, 0], pairs[c, 1], contacts[c], states[c]
+        if state.overlap < 0.0 and state.apart:
+            continue
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
-        if -vn > max(states[c].rest_speed, negligible):
+        small = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
+        left = BAD_ENOUGH * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)
+        if -(vn + max(0.0, contact.velocity_bias)) > max(state.rest_speed, negligible, left):
             closing[0] = True
             return

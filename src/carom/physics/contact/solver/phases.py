@@ -29,6 +29,7 @@ from carom.physics.contact.constraints import (
     WARM_START,
     ConstraintSystem,
 )
+from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH
 from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.line_search import step_length
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
@@ -56,7 +57,7 @@ Records = NDArray[np.void]
 HELP = -1  # in the place of a job
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # of them in a round
-BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
+MAX_SETTLING = 256  # iterations after those
 WORTH = 0.5  # of what was missed before; a round that leaves more is the last
 SOLVED = 1e-3  # of the first residual, squared and preconditioned
 
@@ -201,7 +202,25 @@ def _refine(board: IntArray, phases: Phases) -> int:
         rounds += 1
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
         before, missed = missed, _largest_residual(phases)
-    return passes
+    return passes + _settle(board, phases) if missed > 0.0 else passes
+
+
+@inner
+def _settle(board: IntArray, phases: Phases) -> int:
+    """Iterate on where conjugate gradients left too much, until what slides is known; return the number of iterations.
+
+    Where kinetic friction is less than static friction, a contact may stick in one iteration and slide in the next
+    without end, and its neighbours with it. From now on what slides once goes on sliding.
+    """
+    pieces, settings, iterations = len(phases.found), phases.settings[0], 0
+    settings.keeps_sliding, settings.tolerance = True, BAD_ENOUGH
+    _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
+    while _largest_residual(phases) > 0.0 and iterations < MAX_SETTLING:
+        _iterate(board, phases, True)
+        iterations += 1
+        _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
+    settings.keeps_sliding = False
+    return iterations
 
 
 @inner

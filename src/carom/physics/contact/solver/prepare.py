@@ -43,7 +43,7 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
             fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # what touched has been resolved
-        contact.velocity_bias, state.biased = bias, bias < 0.0
+        contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
         system.held[c] = not -vn > fastest
         if system.held[c]:
             largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)

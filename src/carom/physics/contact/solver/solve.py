@@ -64,7 +64,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
-    spins, alpha, drift = len(turning) > 0, settings.alpha, settings.drift
+    spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
     count = len(bodies) - (len(system.materials) - 1)
     change, step_limit, slope = 0.0, np.inf, 0.0
     last = len(pairs) - 1
@@ -100,7 +100,11 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
             oz = contact.friction_z + alpha * contact.delta_z
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(j, count)]
-            tx, ty, tz = LAW.lasting_friction(material, normal, tx, ty, tz)
+            if keeps_sliding and (system.states[c].slides or not LAW.sticks(material, normal, tx, ty, tz)):
+                system.states[c].slides = True
+                tx, ty, tz = LAW.sliding_friction(material, normal, tx, ty, tz)
+            else:
+                tx, ty, tz = LAW.lasting_friction(material, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
             contact.delta_x, contact.delta_y, contact.delta_z = dx, dy, dz
