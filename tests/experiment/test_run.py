@@ -80,6 +80,17 @@ def test_the_scene_in_the_file_runs_again(tmp_path: Path) -> None:
     assert Scene.load(path) == cloud()
 
 
+def test_a_promise_about_contacts_and_velocities_is_judged_and_recorded(tmp_path: Path) -> None:
+    scene = pair(time={"duration": 4.0, "max_dt": 0.3}, expect={"contact_audit": 1e-12})
+    outcome = simulate(Space(scene), tmp_path / "kept.rrd")
+    assert outcome.status == "completed"
+    (verdict,) = outcome.verdicts
+    assert verdict.met and 0.0 <= verdict.measured < 1e-15
+    assert Recording.open(outcome.path).summary()["expect"]["contact_audit"]["met"]
+    none_asked = judge(scene, Extremes(), 4.0)[0]
+    assert not none_asked.met and none_asked.measured == float("inf")
+
+
 def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
     late = {"timing": "end-of-step"}
     scene = pair(time={"duration": 4.0, "max_dt": 0.3}, contact=late, expect={"max_overlap": 1e-9})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from carom.physics.contact import contact_tap
 from carom.physics.contact.contact_table import CONTACT_ROW, MODES
 from carom.physics.contact.contact_tap import ImpactStore
-from carom.physics.frame import Frame
+from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -232,6 +232,13 @@ def test_tables_are_copies_that_later_steps_do_not_change() -> None:
     kept = [(frame, rows_of(frame).copy(), impacts_of([frame]).copy()) for frame in space.run()]
     for frame, rows, impacts in kept:
         assert np.array_equal(rows_of(frame), rows) and np.array_equal(impacts_of([frame]), impacts)
+
+
+def test_frames_in_a_store_have_the_same_tables() -> None:
+    space = Space(collapse("time-of-impact"), 1, record_contacts=True)
+    store = FrameStore(3, space.state)
+    for own, kept in zip(collapsing("time-of-impact"), space.run(store=store, schedule=every(0.0)), strict=True):
+        assert np.array_equal(rows_of(own), rows_of(kept))
 
 
 def test_a_restored_run_has_the_contacts_of_the_one_that_went_on() -> None:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.event import Event
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
@@ -42,6 +44,7 @@ class FrameStore:
         self.angular_velocity = np.zeros((slots, *bodies.angular_velocity.shape))
         self.torque = np.zeros((slots, *bodies.torque.shape))
         self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
+        self.contact_rows = [Room(CONTACT_ROW) for _ in range(slots)]
         self._next = 0
 
     def keep(self, bodies: Bodies) -> int:

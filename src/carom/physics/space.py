@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
@@ -317,8 +318,9 @@ class Space:
         self._activity.judge(self._audit.energy)
         state, needs, momentum = self.state, self.requirements, self._audit.momentum
         events, self._events = tuple(self._events), []
-        impacts, left_out, contact_rows = self._recorded_contacts()
         slot = None if store is None else store.keep(state)
+        room = None if store is None or slot is None else store.contact_rows[slot]
+        impacts, left_out, contact_rows = self._recorded_contacts(room)
         arrays = copies(state) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, torque, angular_acceleration = arrays
         return Frame(
@@ -353,13 +355,13 @@ class Space:
             contact_rows=contact_rows,
         )
 
-    def _recorded_contacts(self) -> tuple[Rows | None, int, Rows | None]:
+    def _recorded_contacts(self, room: Room | None) -> tuple[Rows | None, int, Rows | None]:
         """Return the impacts since the last frame, how many more there were, and the contacts of the last step."""
         if not self._records_contacts:
             return None, 0, None
         if self._contact is None or self._contact.tap is None:
             return np.empty(0, CONTACT_ROW), 0, np.empty(0, CONTACT_ROW)
-        return *self._contact.tap.take_impacts(), self._contact.rows()
+        return *self._contact.tap.take_impacts(), self._contact.rows(room)
 
     def _books(self) -> Books:
         return Books(

@@ -25,7 +25,6 @@ from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN, 
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.law import IMPULSES, LAW, material_index
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.periodic_box import minimum_image
 
@@ -34,7 +33,6 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 MOST_IMPACTS = 100_000  # that are kept between two frames, 15 MB; of more the largest, and a count of the others
-_SUMS = ("normal_impulse", "friction_x", "friction_y", "friction_z", *TERMS)
 
 
 class Impulses(NamedTuple):
@@ -95,7 +93,7 @@ class ContactTap:
 
     def __init__(self, bodies: Bodies, materials: Records, box: FloatArray, friction: bool) -> None:
         self._ends = _Ends(bodies.position, box, materials, friction)
-        self._picked = Room(CONTACT_ROW)
+        self._room = Room(CONTACT_ROW)
         self.forget()
         self._compile()
 
@@ -126,26 +124,29 @@ class ContactTap:
 
     def see_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
         """Note the impacts found at the end of the step, before contacts are held once more."""
-        rows = self._picked.take(len(pairs))
-        count = _pick_impacts(_found(pairs, solver), self._ends, rows)
+        rows = self._room.take(len(pairs))
+        count = _pick_impacts(_found(pairs, solver), self._ends, self._step, self._ended, rows)
         if count:
-            self._impacts.add(self._dated(rows[:count].copy()))
+            self._impacts.add(rows[:count].copy())
 
     def take_impacts(self) -> tuple[Records, int]:
         """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and how many were left out."""
         taken, self._impacts = self._impacts, ImpactStore()
         return taken.rows(), taken.left_out
 
-    def rows(self, pairs: IntArray, solver: ContactSolver) -> Records:
-        """Return what the contacts of this step did, (m,) `CONTACT_ROW`, by pair.
+    def rows(self, pairs: IntArray, solver: ContactSolver, room: Room | None = None) -> Records:
+        """Return what the contacts of this step did, (m,) `CONTACT_ROW`, by pair; in ``room``, or a copy of its own.
 
         These are the contacts of the graph, and those that gave an impulse and are open by now.
         """
-        held = self._held
-        rows = np.empty(len(held.pairs) + len(pairs), CONTACT_ROW)
-        count = _merge(held, _found(pairs, solver), self._ends, rows)
-        rows = self._dated(rows[:count])
-        return rows if len(self._drift) == 0 else _merged(rows, self._rows_of_drift())
+        struck = self._rows_of_drift()
+        if len(struck):
+            struck = struck[np.lexsort((-struck["approach_speed"], struck["j"], struck["i"]))]
+        rows = self._room.take(len(self._held.pairs) + len(struck) + len(pairs))
+        count = _merge(self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended, rows)
+        kept = np.empty(count, CONTACT_ROW) if room is None else room.take(count)
+        kept[:] = rows[:count]
+        return kept
 
     def impulses(self, solver: ContactSolver) -> Iterator[Impulses]:
         """Yield all impulses of the step, in the order in which they were given."""
@@ -171,18 +172,12 @@ class ContactTap:
 
     def _rows_of_drift(self) -> Records:
         rows = np.empty(len(self._drift), CONTACT_ROW)
-        _write_log(self._drift.log, self._ends, rows)
-        rows["step"] = self._step
-        rows["time"] = np.minimum(self._began + self._drift.time, self._ended)
-        return rows
-
-    def _dated(self, rows: Records) -> Records:
-        rows["step"], rows["time"] = self._step, self._ended
+        _write_log(self._drift.log, self._ends, self._step, self._began, self._ended, rows)
         return rows
 
     def _compile(self) -> None:
         """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
-        _write_log(NO_IMPACTS.log, self._ends, np.empty(0, CONTACT_ROW))
+        self._rows_of_drift()
 
 
 class ImpactStore:
@@ -223,37 +218,23 @@ def _found(pairs: IntArray, solver: ContactSolver) -> _Found:
     return _Found(pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
 
 
-def _merged(rows: Records, struck: Records) -> Records:
-    """Put together rows of pairs, sorted, and rows of impacts on the way, in order of time; a pair keeps one row.
-
-    Geometry and time are those of the end of the step, or of the hardest impact where the pair has parted by then.
-    """
-    both = np.concatenate((rows, struck))
-    softness = np.concatenate((np.full(len(rows), -np.inf), -struck["approach_speed"]))
-    both = both[np.lexsort((softness, both["j"], both["i"]))]
-    new = np.ones(len(both), dtype=np.bool_)
-    new[1:] = (np.diff(both["i"]) != 0) | (np.diff(both["j"]) != 0)
-    first = np.flatnonzero(new)
-    merged: Records = both[first]
-    for name in _SUMS:
-        merged[name] = np.add.reduceat(both[name], first)
-    merged["approach_speed"] = np.maximum.reduceat(both["approach_speed"], first)
-    mode = np.minimum.reduceat(both["mode"], first)  # an impact, if there was one; what carries, if one does
-    last = merged["mode"]
-    merged["mode"] = np.where((mode == IMPACT_MODE) | (last == OPEN), mode, last)
-    return merged
+# The kernels below take arrays out of their tuples once: to hand a tuple to an inlined function costs the reference
+# counts of all its arrays, 400 ns a row.
 
 
 @long_kernel
-def _pick_impacts(found: _Found, ends: _Ends, rows: Records) -> int:
+def _pick_impacts(found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
     """Write the contacts that closed faster than their rest speed and were resolved; return how many."""
+    pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
+    position, box = ends.position, ends.box
     count = 0
-    for k in range(len(found.pairs)):
-        c = found.place[k]
-        state, given = found.states[c], found.recorded[c]
+    for k in range(len(pairs)):
+        c = place[k]
+        state, given = states[c], recorded[c]
         if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
             row = rows[count]
-            _begin(row, found.pairs[k, 0], found.pairs[k, 1], found.contacts[c], ends)
+            _begin(row, step, ended, pairs[k, 0], pairs[k, 1])
+            _place(row, contacts[c], position, box)
             _add(row, given)
             _add_losses(row, state.restitution_loss, state.friction_loss, state.stabilisation_gain)
             row.approach_speed, row.mode = state.approach_speed, IMPACT_MODE
@@ -262,114 +243,117 @@ def _pick_impacts(found: _Found, ends: _Ends, rows: Records) -> int:
 
 
 @long_kernel
-def _merge(held: _Held, found: _Found, ends: _Ends, rows: Records) -> int:
-    """Write one row for each pair that was held, that touches or that gave anything; return how many."""
-    a, b, count = 0, 0, 0
-    while a < len(held.pairs) or b < len(found.pairs):
-        order = _compare(a, held.pairs, b, found.pairs)
+def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
+    """Write one row for each pair that was held, was struck on the way, touches or gave anything; return how many.
+
+    ``struck`` are rows of impacts on the way by pair, of each pair the hardest first.
+    """
+    held_pairs, held_place, held_contacts, terms = held.pairs, held.place, held.contacts, held.terms
+    pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
+    position, box, materials, friction, n = ends.position, ends.box, ends.materials, ends.friction, len(ends.position)
+    a, b, c, count = 0, 0, 0, 0
+    while a < len(held_pairs) or b < len(struck) or c < len(pairs):
+        i, j = n, 0  # the first pair of the three lists
+        if a < len(held_pairs):
+            i, j = held_pairs[a, 0], held_pairs[a, 1]
+        if b < len(struck) and (struck[b].i < i or (struck[b].i == i and struck[b].j < j)):
+            i, j = struck[b].i, struck[b].j
+        if c < len(pairs) and (pairs[c, 0] < i or (pairs[c, 0] == i and pairs[c, 1] < j)):
+            i, j = pairs[c, 0], pairs[c, 1]
         row, seen = rows[count], False
-        if order <= 0:
-            c = held.place[a]
-            contact = held.contacts[c]
-            _begin(row, held.pairs[a, 0], held.pairs[a, 1], contact, ends)
-            _add(row, contact)
-            _add_losses(row, held.terms[c, 0], held.terms[c, 1], held.terms[c, 2])
-            row.mode = _mode(row.j, contact, ends)
+        _begin(row, step, ended, i, j)
+        touches = c < len(pairs) and pairs[c, 0] == i and pairs[c, 1] == j
+        if a < len(held_pairs) and held_pairs[a, 0] == i and held_pairs[a, 1] == j:
+            k = held_place[a]
+            _add(row, held_contacts[k])
+            _add_losses(row, terms[k, 0], terms[k, 1], terms[k, 2])
+            row.mode = _mode(held_contacts[k], materials, j, n, friction)
+            if not touches:
+                _place(row, held_contacts[k], position, box)
             a += 1
-        if order >= 0:
-            c = found.place[b]
-            contact, state, given = found.contacts[c], found.states[c], found.recorded[c]
-            if order == 0:
-                _place(row, contact, ends)
-            else:
-                _begin(row, found.pairs[b, 0], found.pairs[b, 1], contact, ends)
+        if b < len(struck) and struck[b].i == i and struck[b].j == j:
+            hardest = struck[b]
+            row.time, row.mode, row.approach_speed = hardest.time, hardest.mode, hardest.approach_speed
+            row.nx, row.ny, row.nz = hardest.nx, hardest.ny, hardest.nz
+            row.x, row.y, row.z = hardest.x, hardest.y, hardest.z
+            while b < len(struck) and struck[b].i == i and struck[b].j == j:
+                _add(row, struck[b])
+                _add_losses(row, struck[b].restitution_loss, struck[b].friction_loss, struck[b].stabilisation_gain)
+                b += 1
+        if touches:
+            k = place[c]
+            contact, state, given = contacts[k], states[k], recorded[k]
+            row.time = ended
+            _place(row, contact, position, box)
             _add(row, given)
             _add(row, contact)
             _add_losses(row, state.restitution_loss, state.friction_loss, state.stabilisation_gain)
-            row.approach_speed = state.approach_speed
+            row.approach_speed = max(row.approach_speed, state.approach_speed)
             if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
                 row.mode = IMPACT_MODE
-            elif contact.normal_impulse > 0.0:
-                row.mode = _mode(row.j, contact, ends)
-            elif given.normal_impulse > 0.0:
-                row.mode = _mode(row.j, given, ends)
+            elif row.mode != IMPACT_MODE and contact.normal_impulse > 0.0:
+                row.mode = _mode(contact, materials, j, n, friction)
+            elif row.mode != IMPACT_MODE and given.normal_impulse > 0.0:
+                row.mode = _mode(given, materials, j, n, friction)
             seen = not state.apart
-            b += 1
+            c += 1
         if seen or row.normal_impulse > 0.0 or row.stabilisation_gain != 0.0:
             count += 1
     return count
 
 
 @kernel
-def _write_log(log: Records, ends: _Ends, rows: Records) -> None:
-    """Write a row for each impact on the way; step and time are left to the caller."""
+def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float, rows: Records) -> None:
+    """Write a row for each impact on the way, in order of time."""
+    box, materials, friction, n = ends.box, ends.materials, ends.friction, len(ends.position)
     for k in range(len(log)):
         entry, row = log[k], rows[k]
-        row.i, row.j = entry.i, entry.j
+        _begin(row, step, min(began + entry.time, ended), entry.i, entry.j)
         row.nx, row.ny, row.nz = entry.nx, entry.ny, entry.nz
-        row.x, row.y, row.z = _inside(entry.x, entry.y, entry.z, ends)
-        _clear(row)
+        row.x, row.y, row.z = entry.x, entry.y, entry.z
+        if box[0] > 0.0:
+            row.x, row.y, row.z = _inside(entry.x, entry.y, entry.z, box)
         _add(row, entry)
         _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
         row.approach_speed = entry.approach
-        row.mode = IMPACT_MODE if entry.approach > entry.rest_speed else _mode(entry.j, entry, ends)
+        row.mode = IMPACT_MODE if entry.approach > entry.rest_speed else _mode(entry, materials, entry.j, n, friction)
 
 
 @inline
-def _compare(a: int, one: IntArray, b: int, other: IntArray) -> int:
-    """Return -1, 0 or 1 as pair a of the one list stands before, with or after pair b of the other."""
-    if a == len(one):
-        return 1
-    if b == len(other):
-        return -1
-    if one[a, 0] != other[b, 0]:
-        return -1 if one[a, 0] < other[b, 0] else 1
-    if one[a, 1] != other[b, 1]:
-        return -1 if one[a, 1] < other[b, 1] else 1
-    return 0
-
-
-@inline
-def _mode(j: int, given: Any, ends: _Ends) -> int:
-    """Return the mode of a contact that was no impact."""
-    if not given.normal_impulse > 0.0:
-        return OPEN
-    if not ends.friction:
-        return RESTING
-    material = ends.materials[material_index(j, len(ends.position))]
-    slides = LAW.slides(material, given.normal_impulse, given.friction_x, given.friction_y, given.friction_z)
-    return SLIDING if slides else STICKING
-
-
-@inline
-def _begin(row: Any, i: int, j: int, contact: Any, ends: _Ends) -> None:
+def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
     """Begin the row of a contact that has given nothing yet."""
-    row.i, row.j, row.mode = i, j, OPEN
-    _clear(row)
-    _place(row, contact, ends)
-
-
-@inline
-def _clear(row: Any) -> None:
+    row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
     row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
     row.restitution_loss = row.friction_loss = row.stabilisation_gain = 0.0
 
 
 @inline
-def _place(row: Any, contact: Any, ends: _Ends) -> None:
-    """Write the normal and the contact point."""
-    row.nx, row.ny, row.nz = contact.nx, contact.ny, contact.nz
-    x, arm = ends.position[row.i], contact.arm_i
-    row.x, row.y, row.z = _inside(x[0] + arm * contact.nx, x[1] + arm * contact.ny, x[2] + arm * contact.nz, ends)
+def _mode(given: Any, materials: Records, j: int, n: int, friction: bool) -> int:
+    """Return the mode of a contact that was no impact."""
+    if not given.normal_impulse > 0.0:
+        return OPEN
+    if not friction:
+        return RESTING
+    material = materials[material_index(j, n)]
+    slides = LAW.slides(material, given.normal_impulse, given.friction_x, given.friction_y, given.friction_z)
+    return SLIDING if slides else STICKING
 
 
 @inline
-def _inside(x: float, y: float, z: float, ends: _Ends) -> tuple[float, float, float]:
-    """Return a point, in a periodic box its image inside."""
-    box = ends.box
+def _place(row: Any, contact: Any, position: FloatArray, box: FloatArray) -> None:
+    """Write the normal and the contact point."""
+    i, arm = row.i, contact.arm_i
+    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    row.nx, row.ny, row.nz = nx, ny, nz
+    row.x, row.y, row.z = position[i, 0] + arm * nx, position[i, 1] + arm * ny, position[i, 2] + arm * nz
     if box[0] > 0.0:
-        x, y, z = minimum_image(x, box[0]), minimum_image(y, box[1]), minimum_image(z, box[2])
-    return x, y, z
+        row.x, row.y, row.z = _inside(row.x, row.y, row.z, box)
+
+
+@inline
+def _inside(x: float, y: float, z: float, box: FloatArray) -> tuple[float, float, float]:
+    """Return the image of a point inside the periodic box."""
+    return minimum_image(x, box[0]), minimum_image(y, box[1]), minimum_image(z, box[2])
 
 
 @inline

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
@@ -249,10 +250,10 @@ class ContactPipeline:
         turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
         self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
 
-    def rows(self) -> Records:
-        """Return what the contacts of the last step did, (m,) `CONTACT_ROW`, where they are recorded."""
+    def rows(self, room: Room | None = None) -> Records:
+        """Return what the recorded contacts of the last step did, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.rows(self._pairs, self._solver)
+        return self.tap.rows(self._pairs, self._solver, room)
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they were given, where contacts are recorded."""
