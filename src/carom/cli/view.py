@@ -40,6 +40,21 @@ PlotOption = Annotated[
         help="Plot bodies over time, such as top.z,3.speed: x y z, vx vy vz speed, wx wy wz omega.",
     ),
 ]
+
+
+class ColourBy(StrEnum):
+    """What tells bodies apart."""
+
+    GROUP = "group"
+    SPEED = "speed"
+    GRAPH = "graph"
+    ISLAND = "island"
+
+
+ColourOption = Annotated[
+    ColourBy | None,
+    typer.Option("--colour-by", "--color-by", help="What tells the bodies apart. Default: what the scene says."),
+]
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
 
@@ -67,6 +82,7 @@ def view(
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
+    colour_by: ColourOption = None,
     web: Annotated[
         bool, typer.Option("--web", help="Show it in a browser; the server listens on 127.0.0.1 only.")
     ] = False,
@@ -84,13 +100,19 @@ def view(
     announce_compilation()
     _announce_replay(file, plot)
     if web:
-        _view_in_browser(file, at, event, bodies, plot, port)
+        _view_in_browser(file, at, event, bodies, plot, colour_by, port)
         return
-    open_window(file, at, event=event, bodies=bodies, plot=plot, say=_say_missing)
+    open_window(file, at, event=event, bodies=bodies, plot=plot, colour_by=colour_by, say=_say_missing)
 
 
 def _view_in_browser(
-    file: Path, at: float | None, event: str | None, bodies: str | None, plot: str | None, port: int
+    file: Path,
+    at: float | None,
+    event: str | None,
+    bodies: str | None,
+    plot: str | None,
+    colour_by: str | None,
+    port: int,
 ) -> None:
     """Host a recording until the interrupt key."""
     import contextlib
@@ -109,7 +131,7 @@ def _view_in_browser(
     if recording.is_overlay:
         moment, supplement = recording.moment(at), None
     else:
-        shown = asked(recording, at, event, bodies, plot=plot, dense=True)
+        shown = asked(recording, at, event, bodies, plot=plot, colour_by=colour_by, dense=True)
         moment, supplement = shown.time, shown.supplement
         _say_missing(shown.missing)
     with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as link:
@@ -134,6 +156,7 @@ def picture(
     event: EventOption = None,
     bodies: BodiesOption = None,
     plot: PlotOption = None,
+    colour_by: ColourOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="View that fills the picture.")] = PictureView.ALL,
     theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
@@ -147,7 +170,18 @@ def picture(
     announce_compilation()
     path = output or file.with_suffix(".png")
     _announce_replay(file, plot)
-    made = render(file, at, path, pixels, view=view.value, theme=theme.value, event=event, bodies=bodies, plot=plot)
+    made = render(
+        file,
+        at,
+        path,
+        pixels,
+        view=view.value,
+        theme=theme.value,
+        event=event,
+        bodies=bodies,
+        plot=plot,
+        colour_by=colour_by,
+    )
     typer.echo(f"{path} written, t = {made.time:.9g} s.")
     _say_missing(made.missing)
 

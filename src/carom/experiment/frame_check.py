@@ -93,7 +93,7 @@ class FrameCheck:
         events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
         self._events = [(row[STEP], row["level"], row["text"]) for row in events if row["kind"] not in CLOSING]
         self._same_words = recording.versions == versions()
-        self._colours_bodies = header.body_colouring
+        self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
         self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))

@@ -289,6 +289,7 @@ def header_of(space: Space) -> Header:
         box=space.box,
         walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
         planes=planes_of(scene) if scene.plane else None,
+        colour_by=scene.record.colour_by,
         properties=dict(environment(space.threads)),
     )
 

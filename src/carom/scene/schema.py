@@ -259,6 +259,11 @@ class Record(Section):
     every: Literal["auto", "step"] | Positive = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
     )
+    colour_by: Literal["auto", "group", "speed", "graph", "island"] = Field(
+        "auto",
+        description="what tells bodies apart in the viewer: group, speed, their colour in the collision graph, or the "
+        'bodies that touch each other; "auto": group, or graph with contact.colouring = "bodies"',
+    )
     check_every: Count = Field(
         100,
         validation_alias=AliasChoices("check_every", "log_freq"),

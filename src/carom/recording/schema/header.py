@@ -62,12 +62,20 @@ class Header:
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
+    colour_by: str = "auto"  # record.colour_by
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None: a run of its own
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
         return _FORCES[part] in self.forces if part in _FORCES else bool(getattr(self, _FLAGS[part]))
+
+    @property
+    def coloured_by(self) -> str:
+        """What the bodies' recorded colours tell: "group", which is static, "speed", "graph" or "island"."""
+        if self.colour_by != "auto":
+            return self.colour_by
+        return "graph" if self.body_colouring else "group"
 
     @property
     def bodies(self) -> int:

@@ -66,6 +66,7 @@ _WHAT: dict[Callable[[Any], bool], str] = {
 _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
     "carom": {
         "title": _text,
+        "colour_by": _text,
         "bodies": _count,
         "time_scale": _positive,
         "origin": _vector,

@@ -10,11 +10,11 @@ from carom.recording.errors import RecordingError
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.additions import NONE, Additions
 from carom.recording.view.bodies_view import bodies_view
 from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area, Canvas
-from carom.recording.view.close_up import CloseUp
 from carom.recording.view.graph_view import graph_view, has_graph
 from carom.recording.view.plot_views import Curves, energy_view, plot_views, whole_time
 
@@ -32,8 +32,7 @@ def blueprint(
     curves: Curves | None = None,
     canvas: Canvas = WINDOW,
     only: str = ALL,
-    close: CloseUp | None = None,
-    bodies: BodyPlots | None = None,
+    added: Additions = NONE,
 ) -> rrb.Blueprint:
     """Lay out a recording of this scene, with the camera where it fits.
 
@@ -49,22 +48,19 @@ def blueprint(
         The window that the layout is for.
     only
         One of `VIEWS` to fill the window with, or all of them.
-    close
-        What the close-up view shows; without it there is none.
-    bodies
-        The plots of single bodies, above those of the whole; without them there are none.
+    added
+        What the viewer is sent on top of the file.
 
     Raises
     ------
     RecordingError
         If there is nothing that the view could show.
     """
+    parts = header, camera, curves, canvas, added
     if only == PLOT:
-        root: rrb.View | rrb.Container = _plot(bodies, canvas)
-    elif only == ALL:
-        root = _all(header, camera, curves, canvas, close, bodies)
+        root: rrb.View | rrb.Container = _plot(added.plots, canvas)
     else:
-        root = _single(header, camera, curves, canvas, close, only)
+        root = _all(*parts) if only == ALL else _single(*parts, only)
     panel: Literal["collapsed", "hidden"] = "collapsed" if canvas.framed else "hidden"
     return rrb.Blueprint(
         root,
@@ -92,28 +88,21 @@ def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
     return [canvas.area(share / sum(shares), _ROWS[0] / sum(_ROWS)) for share in shares]
 
 
-def _all(
-    header: Header,
-    camera: CameraFit,
-    curves: Curves | None,
-    canvas: Canvas,
-    close: CloseUp | None,
-    bodies: BodyPlots | None,
-) -> rrb.Container:
-    shares = _shares(header, close is not None)
+def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions) -> rrb.Container:
+    shares = _shares(header, added.close is not None)
     areas = _areas(canvas, shares)
-    views: list[rrb.View] = [bodies_view(header, camera, areas[0])]
+    views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1]))
-    if close:
-        views.append(close.view(header))
+    if added.close:
+        views.append(added.close.view(header))
     heights = list(_ROWS)
-    if bodies is not None:
+    if added.plots is not None:
         heights.insert(1, _ROWS[1])
     plots = canvas.area(1.0, _ROWS[1] / sum(heights))
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
-        *([] if bodies is None else [rrb.Horizontal(*bodies.views(plots))]),
+        *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
         rrb.Horizontal(*plot_views(header, curves, plots)),
         rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
         row_shares=heights,
@@ -128,19 +117,19 @@ def _plot(bodies: BodyPlots | None, canvas: Canvas) -> rrb.View:
 
 
 def _single(
-    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, close: CloseUp | None, only: str
+    header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions, only: str
 ) -> rrb.View:
     match only:
         case "bodies":
-            return bodies_view(header, camera, canvas.area())
+            return bodies_view(header, camera, canvas.area(), added)
         case "graph" if has_graph(header):
             return graph_view(header, camera, canvas.area())
         case "graph":
             raise RecordingError(
                 "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
             )
-        case "close-up" if close:
-            return close.view(header)
+        case "close-up" if added.close:
+            return added.close.view(header)
         case "close-up":
             raise RecordingError("no impact is known that a close-up could show; name two bodies with --bodies")
         case _:

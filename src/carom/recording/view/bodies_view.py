@@ -6,14 +6,16 @@ import rerun.blueprint as rrb
 
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
+from carom.recording.view.additions import NONE, Additions
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area
+from carom.recording.view.drawn_bodies import drawn_bodies
 from carom.recording.view.eye import background, eye
-from carom.recording.view.specks import with_specks
+from carom.recording.view.trails import TRAILS, up_to_cursor
 from carom.recording.write import encoder as entities
 
 
-def bodies_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
+def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show bodies, contacts and what surrounds them."""
     view = camera.view(area.aspect)
     return rrb.Spatial3DView(
@@ -23,9 +25,13 @@ def bodies_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DV
             paths.BODIES,
             *entities.surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
+            *([TRAILS] if added.trails else []),
         ],
         background=background(),
         line_grid=False,
         eye_controls=eye(view),
-        overrides=with_specks(header, view, area),
+        overrides={
+            **drawn_bodies(header, view, area, added.recoloured),
+            **(up_to_cursor() if added.trails else {}),
+        },
     )

@@ -25,10 +25,10 @@ FloatArray = NDArray[np.float64]
 ASPECT = 1.25  # width over height of a 3D view, unless the layout knows better
 
 _ESCAPING = 0.05  # share of the bodies that may be out of view, beyond which none counts as escaping
-_FAR = 8.0  # median distances from the middle; of few bodies, those farther away are escaping, too
+_FAR = 20.0  # median distances from the middle; of few bodies, those farther away are escaping, too
 _FEW = 5  # all of so few bodies are to be seen
 _FILLED = 0.9  # of the picture's shorter side, by what must be seen
-_LOOSE = 1.5  # largest distance over the one that just shows what must be seen: that still fills 60 %
+_LOOSE = 1.7  # largest distance over the one that just shows what must be seen: that still fills 53 %
 _SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's eye opens 55° from top to bottom
 _FLAT = 0.2  # thickness over width; a flatter set of bodies is looked at from higher above
 _LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up
@@ -117,8 +117,10 @@ class CameraFit:
             now = np.maximum(now, self._borders(self._corners, np.zeros(len(self._corners)), slopes))
         if not np.isfinite(now).all():
             return View(np.zeros(3), 4.0 * float(self._radius.max()), False, self._axes[2])
-        others = _corners_of(whole + np.array([[-room], [room]])) @ self._axes + self._centre
+        others = _corners_of(whole) @ self._axes + self._centre
         later = np.maximum(now, self._borders(others, np.zeros(8), slopes))
+        if room > 0.0:
+            later = np.maximum(later, self._borders(self._first, self._first_radius + room, slopes))
         distance = min(_distance(later, slopes), _LOOSE * _distance(now, slopes))
         # on the screen the target may be anywhere between those that put what must be seen at either border
         low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]

@@ -43,7 +43,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
 
 def _arrows(header: Header) -> float:
     """Return how far (m) arrows of a usual length stick out of the bodies."""
-    return entities.arrow_length(header, paths.ANGULAR_ACCELERATION) / 2 if header.has_torque else 0.0
+    return entities.arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
 
 
 def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:

@@ -43,6 +43,7 @@ def render(
     event: str | None = None,
     bodies: str | None = None,
     plot: str | None = None,
+    colour_by: str | None = None,
     watch: Watcher = lambda _: None,
 ) -> Picture:
     """Render a recording at a simulated time (s) into a PNG.
@@ -67,6 +68,8 @@ def render(
         The bodies of the close-up view, by numbers or names with a comma between them.
     plot
         Quantities of bodies to plot, such as ``top.z,top.omega``.
+    colour_by
+        What tells the bodies apart; by default what the scene says.
     watch
         Called while steps that have no frame are run again.
 
@@ -81,7 +84,17 @@ def render(
     if recording.is_overlay:
         moment, extra, missing = recording.moment(at), None, ""
     else:
-        shown = asked(recording, at, event, bodies, Canvas(*size, framed=whole), view, plot=plot, watch=watch)
+        shown = asked(
+            recording,
+            at,
+            event,
+            bodies,
+            Canvas(*size, framed=whole),
+            view,
+            plot=plot,
+            colour_by=colour_by,
+            watch=watch,
+        )
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(window_of(size, whole), theme) as viewer:
         viewer.show(recording)

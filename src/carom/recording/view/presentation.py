@@ -14,6 +14,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
+from carom.recording.view.additions import Additions
 from carom.recording.view.blueprint import ALL, PLOT, WINDOW, blueprint, close_up_area
 from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit, corners_of
@@ -21,10 +22,12 @@ from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.pair import event as event_of
+from carom.recording.view.recoloured import colour_rows
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement
+from carom.recording.view.trails import Trails, has_trails
 from carom.recording.write.encoder import BatchEncoder, Rows
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM)  # not sent again for steps that were run again
@@ -48,6 +51,7 @@ def asked(
     only: str = ALL,
     *,
     plot: str | None = None,
+    colour_by: str | None = None,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
@@ -61,7 +65,9 @@ def asked(
     moment, pair = (recording.moment(at), None) if event is None else event_of(recording, event)
     pair = pair if bodies is None else named_pair(recording, bodies)
     plots = _body_plots(recording, plot, only, watch)
-    return presentation(recording, moment, canvas, only, pair=pair, plots=plots, dense=dense, watch=watch)
+    return presentation(
+        recording, moment, canvas, only, pair=pair, plots=plots, colour_by=colour_by, dense=dense, watch=watch
+    )
 
 
 def _body_plots(recording: Recording, text: str | None, only: str, watch: Watcher) -> BodyPlots | None:
@@ -85,6 +91,7 @@ def presentation(
     *,
     pair: Pair | None = None,
     plots: BodyPlots | None = None,
+    colour_by: str | None = None,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
@@ -104,6 +111,8 @@ def presentation(
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     plots
         Of single bodies.
+    colour_by
+        What tells the bodies apart, one of `colouring.COLOUR_BY`; by default what the scene says.
     dense
         Whether all steps up to the next recorded frame are wanted.
     watch
@@ -120,12 +129,21 @@ def presentation(
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
     close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
+    trails = Trails(recording, header) if has_trails(recording) else None
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
-    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, close, plots)
     statics = list(close.statics(header)) if close else []
+    if trails is not None:
+        trails.show(camera, step.time)
+        rows += trails.rows()
+        statics += trails.statics()
     if plots is not None:
         rows += plots.rows()
         statics += plots.statics()
+    recoloured = colour_by is not None and colour_by != header.coloured_by
+    if colour_by is not None and recoloured:
+        rows += colour_rows(recording, header, colour_by, step)
+    added = Additions(close, trails is not None, recoloured, plots)
+    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, added)
     clock = Clock(float(recording.info["time_scale"]))
     return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
 

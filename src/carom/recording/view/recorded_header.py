@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
+from carom.recording.view.colouring import COLOUR_BY
 from carom.scene.forces import FORCES
 from carom.scene.half_space import HalfSpaces
 
@@ -35,9 +39,16 @@ def header_of_recording(recording: Recording) -> Header:
         collides=bool(info["collides"]),
         stabilises=bool(info.get("stabilises", info["collides"])),
         body_colouring=bool(info["body_colouring"]),
+        colour_by=_colour_by(info),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
         planes=nowhere if paths.PLANES in static else None,
     )
+
+
+def _colour_by(info: Mapping[str, Any]) -> str:
+    """Return what the recorded colours tell; recordings made before there was a choice do not say."""
+    known = str(info.get("colour_by", "auto"))
+    return known if known in COLOUR_BY else "auto"

@@ -71,8 +71,13 @@ def _legend(header: Header) -> str:
 
 
 def _body_colours(header: Header) -> str:
-    if header.body_colouring:
-        return "the colour a body has in the collision graph, grey if it touches nobody"
     if shape(header) == "mesh":
         return "one colour for all of them, since there are so many"
+    match header.coloured_by:
+        case "graph":
+            return "the colour a body has in the collision graph, grey if it touches nobody"
+        case "island":
+            return "one colour for bodies that are connected by contacts, grey for those that touch nobody"
+        case "speed":
+            return "by speed, from violet to yellow; the colour in the middle is the median speed of the first frame"
     return "a hue for each group, a shade for each body"

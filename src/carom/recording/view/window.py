@@ -17,6 +17,7 @@ def open_window(
     event: str | None = None,
     bodies: str | None = None,
     plot: str | None = None,
+    colour_by: str | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
@@ -33,6 +34,8 @@ def open_window(
         The bodies of the close-up view, by numbers or names with a comma between them.
     plot
         Quantities of bodies to plot, such as ``top.z,top.omega``.
+    colour_by
+        What tells the bodies apart; by default what the scene says.
     say
         Called with the reason where the step of that moment cannot be shown.
 
@@ -45,7 +48,7 @@ def open_window(
     shown: Presentation | None = None
     moment = at
     if not recording.is_overlay:
-        shown = asked(recording, at, event, bodies, plot=plot, dense=True)
+        shown = asked(recording, at, event, bodies, plot=plot, colour_by=colour_by, dense=True)
         moment = shown.time
     with Viewer() as viewer:
         viewer.show(recording)

@@ -37,10 +37,11 @@ from carom.recording.schema.paths import (
     WALLS,
 )
 from carom.recording.schema.series import Sample, recorded
-from carom.recording.view import arrows
+from carom.recording.view import arrows, colouring
 from carom.recording.view.curve import Curve
 from carom.recording.write import encoding_kernels as encoding
 
+SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
 _STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
@@ -153,11 +154,27 @@ class BatchEncoder:
         return _rows(BODIES, batch, columns.partition(each), size)
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
+        match self.header.coloured_by:
+            case "group":
+                return None
+            case "speed":
+                return self._speed_colours(batch)
+            case "island":
+                n = self.header.bodies
+                return np.concatenate([colouring.island_colours(frame.contacts.pairs, n) for frame in batch])
         if not self.header.body_colouring:
-            return None
+            n = self.header.bodies
+            return np.concatenate([colouring.graph_colours(frame.contacts.pairs, n) for frame in batch])
         nobody = np.full(self.header.bodies, -1, dtype=np.int64)
         nodes = [f.contacts.body_colours if f.contacts.body_colours is not None else nobody for f in batch]
         return palette.node_colours(np.concatenate(nodes))
+
+    def _speed_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32]:
+        mass = self.header.mass
+        speeds = [colouring.speeds(frame.velocity, mass) for frame in batch]
+        if SPEED not in self.arrow_references:
+            self.arrow_references[SPEED] = float(np.median(speeds[0]))
+        return np.concatenate([colouring.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
     def _arrows(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Iterable[Rows]:
         """Torques, and angular accelerations τ/I, of the bodies that feel any."""

@@ -56,7 +56,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
 
 
 def _bodies(header: Header) -> Iterable[Static]:
-    colours = None if header.body_colouring else palette.body_colours(header.group)
+    colours = None if header.coloured_by != "group" else palette.body_colours(header.group)
     radius = header.radius.astype(np.float32)
     match entities.shape(header):
         case "ellipsoids":

@@ -146,6 +146,7 @@ class Stream:
             "stabilises": header.stabilises,
             UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
             "body_colouring": header.body_colouring,
+            "colour_by": header.coloured_by,
             "duration": float(header.duration),
             "time_scale": clock.scale,
             "origin": origin,

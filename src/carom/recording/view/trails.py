@@ -1,0 +1,74 @@
+"""Trails: the paths of a few bodies up to the moment that is shown. The viewer is sent them on top of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.api import VisualizerLike
+from rerun.encodings import EntityPathLike
+
+from carom.recording.read.positions import drawn_paths
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.view.camera import CameraFit
+from carom.recording.view.supplement import Static
+from carom.recording.write.encoder import Rows
+
+TRAILS = "trails"
+
+_MOST_BODIES = 40
+_MOST_FRAMES = 2000  # longer paths are drawn by every k-th frame
+_LOOKS = 60  # frames by which the camera takes the trails into account
+
+
+class Trails:
+    """The paths of all bodies of a recording, a piece from frame to frame."""
+
+    def __init__(self, recording: Recording, header: Header) -> None:
+        drawn = drawn_paths(recording, range(len(header.radius)))
+        table = recording.fingerprints()
+        rows = np.minimum(np.searchsorted(table[STEP].to_numpy(), drawn.steps), table.num_rows - 1)
+        every = -(-len(drawn.steps) // _MOST_FRAMES)
+        self._steps = drawn.steps[::every]
+        self._times = table["time"].to_numpy()[rows][::every]
+        self._position = drawn.position[::every]
+        self._box = header.box
+        self._group = header.group[recording.shown]
+
+    def show(self, camera: CameraFit, until: float) -> None:
+        """Let the camera take them into account, up to a time (s)."""
+        past = np.flatnonzero(self._times <= until)
+        for row in past[np.unique(np.linspace(0, len(past) - 1, _LOOKS).astype(int))] if len(past) else ():
+            camera.look(self._position[row].astype(np.float64))
+
+    def statics(self) -> Iterable[Static]:
+        """Yield their colours, those of the bodies."""
+        colours = palette.body_colours(self._group)
+        yield TRAILS, rr.LineStrips3D.from_fields(colors=colours, radii=rr.Radius.ui_points(0.75))
+
+    def rows(self) -> Iterable[Rows]:
+        """Yield the pieces, each at the frame that it leads to; those through the border of a box have no length."""
+        begin, end = self._position[:-1], self._position[1:]
+        if self._box is not None:
+            end = np.where(np.abs(end - begin) > self._box / 2, begin, end)
+        strips = np.stack([begin, end], axis=2).reshape(-1, 2, 3)
+        if len(strips):
+            columns = rr.LineStrips3D.columns(strips=list(strips)).partition([begin.shape[1]] * len(begin))
+            yield Rows(TRAILS, self._steps[1:].tolist(), self._times[1:].tolist(), columns, strips.nbytes)
+
+
+def has_trails(recording: Recording) -> bool:
+    """Tell whether a recording has so few bodies that their paths are legible."""
+    return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
+
+
+def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
+    """Return the override by which a view shows all pieces up to the moment that it shows."""
+    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
+    return {TRAILS: rrb.VisibleTimeRanges(ranges)}
