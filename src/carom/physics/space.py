@@ -1,4 +1,4 @@
-"""The order of one step, and the run of many."""
+"""`Space`: the order of one step, and the run of many."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
 
 
 class Space:
-    """Bodies in motion: the reference engine's public calls, and what people need besides.
+    """A simulation of a scene, with the public calls of the reference engine and more.
 
-    One thread steps it. Meanwhile another thread may read ``status`` and call ``stop``, nothing else.
+    One thread steps it. Meanwhile other threads may only read ``status`` and call ``stop``.
 
     Parameters
     ----------
     scene
-        What to simulate.
+        The scene to simulate.
     threads
-        Threads for the kernels, by default one a core. The bits do not depend on it.
+        Threads for the kernels, by default one per core. The bits do not depend on it.
     start
-        Where the bodies are, by default where the scene places them.
+        Initial states of the bodies, by default those that the scene places.
     stride
         Up to so many times the steps that the scene asks for, as far as the method bears: for a coarse look ahead,
         which counts in `foreseen` the steps that the scene would take.
@@ -114,7 +114,7 @@ class Space:
         self.profile = Profile()
         self._box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
         self._fixed = np.flatnonzero(start.fixed)
-        # where something stands still, speeds count from it, and the field does not pull all alike
+        # if something is fixed, speeds are relative to it, and the field does not accelerate all alike
         self._forces: list[Force] = forces_of(scene, self.requirements, self.state, self._team)
         self._uniform = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
         self._falling = np.zeros(3) if scene.anchored else self._uniform
@@ -154,12 +154,12 @@ class Space:
 
     @property
     def contacts(self) -> CollisionGraph:
-        """The contacts of the last step, for the thread that steps: built when first asked for."""
+        """The contacts of the last step, for the stepping thread; built at the first access."""
         return self._contact.seen.graph if self._contact else empty_graph()
 
     @property
     def status(self) -> StepStatus:
-        """Where the run stood at the end of the last finished step; any thread may read it."""
+        """The status at the end of the last finished step; any thread may read it."""
         return StepStatus(*self._published)
 
     @property
@@ -176,12 +176,12 @@ class Space:
 
     @property
     def ledger(self) -> Ledger:
-        """What contacts did to the energy since the start of the run."""
+        """The energies of contacts and forces since the start of the run."""
         return self._audit.ledger
 
     @property
     def impacts(self) -> Impacts:
-        """The impacts on the way through the last step, in the order of time; none where they wait for its end."""
+        """The impacts during the drift of the last step, in the order of time; empty with end-of-step timing."""
         return self._contact.impacts if self._contact else NO_IMPACTS
 
     @property
@@ -207,7 +207,7 @@ class Space:
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Where the scene does not require orientations or torques they are the identity and zeros.
+        Orientations or torques that the scene does not require are the identity and zeros.
         """
         state, n, needs = self.state, len(self.state), self.requirements
         orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
@@ -217,7 +217,7 @@ class Space:
         return state.position.copy(), orientation.copy(), torque, alpha
 
     def energy(self) -> Energy:
-        """Take stock of the energy now: terms, ledger, integration error."""
+        """Return the present energy: terms, ledger, integration error."""
         return self._audit.energy_now(self._potentials())
 
     def momentum(self) -> FloatArray:
@@ -233,10 +233,9 @@ class Space:
         return fingerprint(self.state, self.time)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go back, or forward, to a checkpoint of the same scene: the steps that follow have the bits they had then.
+        """Restore a checkpoint of the same scene; the following steps have the same bits as after the original.
 
-        What is not kept, the torques of the step before and its contacts as they are shown, is empty until the next
-        step.
+        The torques and the contact graph of the previous step are not stored, so they are empty until the next step.
         """
         state, books = self.state, checkpoint.books
         state.position[:] = checkpoint.position
@@ -268,24 +267,23 @@ class Space:
     def run(
         self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
     ) -> Iterator[Frame]:
-        """Step until a time, by default the scene's duration, and hand out the frames that ``record.every`` asks for.
+        """Step until a time, by default the scene's duration, and yield the frames that ``record.every`` requests.
 
-        The first frame is the state now, the last one the state at the end. The frames asked for do not change the
-        steps.
+        The first frame is the present state, the last one the state at the end. Frames do not change the steps.
 
         Parameters
         ----------
         until
             s.
         store
-            Where the arrays of the frames are kept; without one each frame owns its own.
+            Memory for the arrays of the frames; without it each frame owns its arrays.
         schedule
-            After which steps frames are handed out; by default as ``record.every`` says.
+            After which steps frames are yielded; by default as ``record.every`` says.
 
         Raises
         ------
         PhysicsError
-            If the state is no longer finite, or a step no longer moves the clock.
+            If the state is no longer finite, or a step no longer changes the clock.
         """
         end = self.scene.time.duration if until is None else until
         schedule = schedule or every(frame_interval(self.scene))
@@ -300,7 +298,7 @@ class Space:
             yield self.frame(store)
 
     def stop(self) -> None:
-        """Let `run` end after the step it is in, with a last frame of that moment; any thread may call it."""
+        """Let `run` end after the current step, with a last frame; any thread may call it."""
         self._stopping = True
 
     def highlights(self) -> tuple[Event, ...]:
@@ -381,7 +379,7 @@ class Space:
         return replace(extremes, contact_audit=NOTHING if audited and known is None else known)
 
     def _publish(self) -> None:
-        """Replace the status that other threads read: they see that of the step before, or this one."""
+        """Replace the status that other threads read; they see either the previous or the new one."""
         contacts = self._contact.statistics.contacts if self._contact else 0
         # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
         self._published = (self.step, self.time, self.dt, self.dt_limit, contacts, self._audit.energy)
@@ -402,7 +400,7 @@ class Space:
         )
 
     def _borne(self) -> FloatArray:
-        """Return what lasting contacts bear of each acceleration, (n + p,) m/s²; empty where no step depends on it."""
+        """Return the part of each acceleration that contacts bear, (n + p,) m/s²; empty if no step depends on it."""
         return self._contact.borne if self._contact and self._timestep.spares_held else NOTHING_BORNE
 
     def _make_contact(self, records: bool) -> ContactPipeline | None:
@@ -587,7 +585,7 @@ class Space:
             self._exchanged.append(Exchange(loss, np.zeros(3), np.zeros(3)))
 
     def _accelerate(self, potential: bool) -> Potentials:
-        """Fill the accelerations; return the potential energies if they are asked for."""
+        """Fill the accelerations; return the potential energies if requested."""
         state = self.state
         energies = accelerate(self._forces, state.position, state.acceleration, potential, self.profile)
         if len(self._fixed):
@@ -597,14 +595,14 @@ class Space:
     def _potentials(self) -> Potentials:
         """Return the potential energies of the present positions.
 
-        The accelerations stay: drift-kick-drift's are of the middle of the step, and the next step is chosen by them,
-        whether an energy is asked for or not.
+        The accelerations are not changed. Those of drift-kick-drift are of the middle of the step, and the next step is
+        chosen by them whether or not an energy is requested.
         """
         unused = np.empty_like(self.state.acceleration)
         return accelerate(self._forces, self.state.position, unused, True, Profile())
 
     def _potential_of_fixed_bodies(self) -> float:
-        """Return the gravitational energy of what is fixed, in J: it never changes."""
+        """Return the constant gravitational energy of fixed bodies among each other, in J."""
         fixed = self._fixed
         gravity = gravity_of(self.scene, self.state.mass[fixed], self._team) if len(fixed) > 1 else None
         if gravity is None:
@@ -612,7 +610,7 @@ class Space:
         return gravity.accelerate(self.state.position[fixed], np.empty((len(fixed), 3)), potential=True) or 0.0
 
     def _respond(self, contact: ContactPipeline) -> None:
-        """Resolve the contacts and book what they did."""
+        """Resolve the contacts and book their energies."""
         contact.resolve(self.dt, self._last_kick, self.profile)
         if len(contact.held):
             self._audit.book(contact.held)
@@ -643,14 +641,14 @@ class Space:
         self.extremes.see_impulse_audit(self.step, self.time, audit.finish(impulses, work, self.ledger))
 
     def _book_exchanges(self) -> None:
-        """Book what a medium took and brought in this step."""
+        """Book the energy and momentum exchanged with a medium in this step."""
         if self._damping:
             for exchange in self._exchanged:
                 self._audit.exchange(self._damping.kind.loss, *exchange)
             self._exchanged.clear()
 
     def _take_stock(self, potentials: Potentials, checked: bool) -> None:
-        """Compute energy and momentum, and compare them with before."""
+        """Compute energy and momentum, and check them."""
         try:
             self._audit.take_stock(self.step, self.time, potentials, self.extremes)
         except PhysicsError:
@@ -662,10 +660,10 @@ class Space:
         self.profile.mark("energy")
 
     def _warm_up(self) -> Potentials:
-        """Take a few tiny steps, then put the state back: frame 0 is the scene as written.
+        """Take a few tiny steps, then restore the state: frame 0 is the scene as written.
 
-        They fill the accelerations that the first adaptive step is chosen from, and compile the kernels. Returns the
-        potential energies in J.
+        They compute the accelerations for the first adaptive step, and compile the kernels. Returns the potential
+        energies in J.
         """
         state = self.state
         changing = (state.position, state.velocity, state.orientation, state.angular_velocity)

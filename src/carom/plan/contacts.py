@@ -82,7 +82,7 @@ def resting(scene: Scene, contact: Part) -> Part:
     """Decide whether contacts can be at rest."""
     name, pressing = "resting-contacts", load(scene)
     if contact.modelled and not pressing:
-        return Part(name, False, "no load: every contact is an impact")
+        return Part(name, False, "no force presses contacts together: every contact is an impact")
     how = "warm-started impulses" if scene.contact.solver == "lasting" else "impulses from 0 in each step"
     return where_bodies_meet(name, contact, f"{pressing} presses: {how}")
 

@@ -253,7 +253,7 @@ def _limits(scene: Scene) -> list[str]:
     if (part := cfl(scene)) is not None:
         texts.append(f"cfl = {part:g}")
     if (reach := target_dx(scene)) is not None:
-        of_fall = f": {auto_step(scene):g} of a fall through the smallest radius"
+        of_fall = f": {auto_step(scene):g} of the time of a fall through the smallest radius"
         texts.append(f"target_dx = {reach:.3g} m" + (of_fall if scene.time.target_dx == "auto" else ""))
     if (fraction := pull_fraction(scene)) is not None:
         times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
