@@ -266,7 +266,7 @@ def test_the_seeds_hundredth_of_a_metre_is_what_a_person_writes_or_what_many_bod
 
 def test_the_reason_for_the_adaptive_step_names_what_it_follows() -> None:
     assert require(pair(time={"target_dx": 0.25, "cfl": 0.1})).adaptive_step.why == "cfl = 0.1, target_dx = 0.25 m"
-    assert "target_dx = 4e-06 m: 0.002 of a fall" in require(pair()).adaptive_step.why
+    assert "target_dx = 4e-06 m: 0.002 of the time of a fall" in require(pair()).adaptive_step.why
 
 
 def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(monkeypatch: pytest.MonkeyPatch) -> None:
