@@ -71,7 +71,7 @@ def time_series_view(
         contents=list(paths),
         plot_legend=rrb.PlotLegend(place.corner, visible=len(legends) > 1),
         axis_x=whole_time(),
-        axis_y=rrb.ScalarAxis(range=place.range),
+        axis_y=None if place.range is None else rrb.ScalarAxis(range=place.range),
     )
 
 
