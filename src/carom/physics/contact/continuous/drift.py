@@ -1,8 +1,9 @@
 """The drift of a step in which impacts happen at their own times.
 
-Neighbours are searched once a drift, around the start of each body, within what it can reach. A body that an impact
-throws farther has strayed: from then on its impacts are predicted with every other body. Rejected: reaches that no
-impact can exceed, which make every body a neighbour of every other as soon as one is fast.
+Neighbours are searched once per drift, within a reach around the start of each body. A body that an impact throws
+beyond its reach has strayed: from then on its impacts are predicted with every other body.
+
+Rejected: reaches that no impact can exceed, which make all bodies neighbours as soon as one is fast.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-LOG_ROWS = 4096  # impacts that are resolved in one call
-WIDEST = 2.0  # times the radii; within that, the grids that find contacts find neighbours, too
+LOG_ROWS = 4096  # largest number of impacts in one call
+WIDEST = 2.0  # times the radii; up to this width the contact grids also find neighbours
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +51,10 @@ class Impacts:
     time: FloatArray  # (k,) s from the beginning of the drift
     normal: FloatArray  # (k, 3) from i to j
     approach: FloatArray  # (k,) m/s
-    rest_speed: FloatArray  # (k,) m/s, up to which each would have been at rest
+    rest_speed: FloatArray  # (k,) m/s, of each impact
     ledger: FloatArray  # (k, 3) J
     after: FloatArray  # (k, 2, 3) m/s, velocities of both right after it
-    log: Records  # (k,) `IMPACT`, what all this was read from
+    log: Records  # (k,) `IMPACT`, the source of the other fields
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -83,20 +84,20 @@ NO_IMPACTS = Impacts.of(np.empty(0, dtype=IMPACT))
 
 
 class EventDrivenDrift:
-    """Moves bodies through a drift, and resolves the impacts on their way.
+    """Moves bodies through a drift and resolves their impacts.
 
     Parameters
     ----------
     bodies, planes
-        What may meet.
+        The bodies and planes that may meet.
     materials
         (1 + p,) `MATERIAL`: between bodies, then of each plane.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     field
-        (3,) m/s², the uniform field as far as it pulls all alike.
+        (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     friction, anchored, forces
-        Whether impulses turn bodies, whether something stands still, and whether anything presses contacts together.
+        Whether impulses turn bodies, something is fixed, and a force presses contacts together.
     search, team
         The broad phase, and the threads that work.
     """
@@ -143,7 +144,7 @@ class EventDrivenDrift:
         self._compile()
 
     def _compile(self) -> None:
-        """Send no impact through every kernel, so that the first real one does not wait for a compiler."""
+        """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
         none = np.zeros(0, dtype=np.int64)
         begin(T, 1.0, 0.0)
@@ -156,18 +157,19 @@ class EventDrivenDrift:
 
     @property
     def is_exhausted(self) -> bool:
-        """Whether a body had as many impacts in the last drift as are resolved."""
+        """Whether a body reached the largest number of impacts in the last drift."""
         return bool(self._trajectories.drift["exhausted"][0])
 
     def drift(self, kick: float, dt: float, scale: float, skin: float, along: FloatArray | None = None) -> Impacts:
-        """Move all bodies by their velocities for dt, after a kick, both in s, and resolve the impacts on their way.
+        """Move all bodies by their velocities for dt, after a kick, both in s, and resolve their impacts.
 
         Parameters
         ----------
         scale, skin
-            1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` are of one island.
+            1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` belong to one
+            island.
         along
-            (n + p, 3) m/s², by what velocities change along the drift; by default the accelerations.
+            (n + p, 3) m/s², rate of change of the velocities along the drift; by default the accelerations.
         """
         T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
         if along is not None:
@@ -192,7 +194,7 @@ class EventDrivenDrift:
         return impacts
 
     def _find_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
-        """Find up to which speed contacts of each body are at rest."""
+        """Find the rest speed of each body."""
         T = self._trajectories
         island_rest_speeds(
             pairs,
@@ -209,7 +211,7 @@ class EventDrivenDrift:
         )
 
     def _neighbours(self, farthest: float, scale: float, skin: float) -> IntArray:
-        """Return the pairs whose reaches meet, given the largest reach in radii; where there is room, widen all."""
+        """Return the pairs whose reaches meet, given the largest reach in radii; small reaches are widened to it."""
         T, radius = self._trajectories, self._bodies.radius
         if farthest <= WIDEST - 1.0:
             T.body["reach"] = farthest * radius
@@ -232,7 +234,7 @@ class EventDrivenDrift:
 
 @kernel
 def _fill_queue(T: Trajectories) -> int:
-    """Put the bodies that have an impact ahead into the event queue; return how many there are."""
+    """Put the bodies with a predicted impact into the event queue; return their number."""
     size = 0
     for i in range(len(T.body)):
         if T.body[i].impact_time < np.inf:

@@ -1,12 +1,12 @@
 """The event loop: impacts at their own times within a drift, in the order of time.
 
-Each body knows its next impact. The first one of all is resolved with the velocities of its time; the two bodies go on
-along new paths, along which their next impacts are predicted anew; and so on. Where a body's partner has been struck by
-another one meanwhile, the impact is predicted again.
+Each body stores its next impact. The earliest impact is resolved with the velocities at its time, the two bodies
+predict their next impacts along their new paths, and the loop continues. If the partner of a body has been struck in
+the meantime, its impact is predicted again.
 
-Velocities at the time τ are v + a (τ - h), h being the kick before the drift. What they say of the energy is exact:
-the kicks before and after the drift together do gravity's work on the path as it was, bend and all, if the impulse J
-takes out -J·(v(τ) + J/2m). With a constant acceleration a rebound keeps its energy to the last bits.
+Velocities at the time τ are v + a (τ - h), with h the kick before the drift. The energies that follow are exact: the
+kicks before and after the drift do gravity's work on the actual path, with its bend, if the impulse J takes out
+-J·(v(τ) + J/2m). With a constant acceleration a rebound keeps its energy to the last bits.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from carom.physics.rotation import turn
 
 Records = NDArray[np.void]
 
-COLLAPSE_FROM = 50  # impacts of a body in a drift, of which each further one with e < 1 doubles its negligible speed
-SLOW = 0.25  # of the rest speed; what closes faster is stopped where it touches, rebounding above the rest speed only.
-# With 1, dropped stacks of 500 balls overlap by 0.18 r in place of 0.06 r, marbles-in-a-box by 5 mm in place of 1 mm.
-MAX_IMPACTS = 1000  # of a body in a drift; a collapse has no last one
+COLLAPSE_FROM = 50  # impacts of a body in a drift; each further one with e < 1 doubles its negligible speed
+SLOW = 0.25  # of the rest speed; faster contacts are resolved where they touch, and rebound above the rest speed.
+# With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, marbles-in-a-box by 5 mm instead of 1 mm.
+MAX_IMPACTS = 1000  # of a body in a drift; a collapse has infinitely many
 
 IMPACT = np.dtype(
     [
@@ -42,7 +42,7 @@ IMPACT = np.dtype(
         ("ny", np.float64),
         ("nz", np.float64),
         ("approach", np.float64),  # m/s, closing speed
-        ("rest_speed", np.float64),  # m/s, up to which it would have been at rest
+        ("rest_speed", np.float64),  # m/s, closing speed up to which a contact is at rest
         *((term, np.float64) for term in TERMS),  # J
         ("vix", np.float64),  # m/s, velocities right after it
         ("viy", np.float64),
@@ -72,7 +72,7 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @long_kernel
 def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
-    """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return how many there were."""
+    """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number."""
     n = len(T.x)
     for row in range(len(log)):
         known = _go_to_next(neighbours, T)
@@ -93,7 +93,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
 
 @inner
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
-    """Move the two bodies of the next impact to where it happens; return the one that knew of it, -1 if there is none.
+    """Move the two bodies of the next impact to it; return the body that predicted it, -1 if there is none.
 
     An impact is stale if its partner has been struck since it was predicted.
     """
@@ -116,9 +116,9 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     """Count an impact of a body; note if it is the last one, and if its new path leaves its reach.
 
-    Where impacts dissipate, bodies can collide infinitely often in a finite time. Few of them are done when nothing but
-    rounding closes; a crowd is stirred by its neighbours and goes on. So the negligible speed grows with the number of
-    impacts, until the crowd is left to the end of the step. Under a load a part of the rest speed ends them.
+    If impacts dissipate, bodies can collide infinitely often in a finite time. A few bodies stop when they close only
+    by rounding; in a crowd the neighbours keep stirring each body. The negligible speed therefore grows with the number
+    of impacts, until the crowd is left to the end of the step. If a force presses, a part of the rest speed ends them.
     """
     if T.inverse_mass[i] == 0.0:
         return
@@ -154,7 +154,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with its neighbours, if it comes before the one it knows."""
+    """Predict the next impact of each body in [lo, hi) with its neighbours, if it comes before the stored one."""
     x, v, a = T.x, T.v, T.a
     Lx, Ly, Lz = T.box[0], T.box[1], T.box[2]
     drift = T.drift[0]
@@ -186,7 +186,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @inner
 def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with a plane, if it comes before the one it knows."""
+    """Predict the next impact of each body in [lo, hi) with a plane, if it comes before the stored one."""
     x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
     clock, dt, kick = T.drift[0].clock, T.drift[0].dt, T.drift[0].kick
     for i in range(lo, hi if len(offset) > 0 else lo):
@@ -211,7 +211,7 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
 
 @inner
 def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
-    """Resolve one impact with the velocities of its time, and log it."""
+    """Resolve one impact with the velocities at its time, and log it."""
     v, a, omega, clock = T.v, T.a, T.omega, T.drift[0].clock
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
     nx, ny, nz, ri, rj = _contact_geometry(i, j, T)
@@ -248,7 +248,11 @@ def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
                 fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
                 Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
                 entry.friction_x, entry.friction_y, entry.friction_z = fx, fy, fz
-                tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part turns nothing
+                tx, ty, tz = (
+                    nz * fy - ny * fz,
+                    nx * fz - nz * fx,
+                    ny * fx - nx * fy,
+                )  # the normal part does not turn bodies
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:
                     _spin_up(j, rj, tx, ty, tz, T)
@@ -281,8 +285,8 @@ def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, fl
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
     """Change a body's spin by an impulse, and its orientation at the end of the drift accordingly.
 
-    All orientations were turned for the whole step before: the rest of that turn is taken back, and made with the new
-    spin.
+    All orientations have already been turned for the whole step, so the rest of that turn is undone and made with the
+    new spin.
     """
     s = arm * T.inverse_inertia[i]
     if s == 0.0:

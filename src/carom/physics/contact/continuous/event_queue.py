@@ -1,7 +1,7 @@
-"""The event queue: a binary heap of the bodies that have an impact ahead, the earliest first.
+"""The event queue: a binary heap of the bodies with a predicted impact, the earliest first.
 
-Each body stands in it once, with its own next impact. Two bodies that will meet need not both be in it for that: it is
-enough that the one whose impact was predicted last is. Impacts at the same time come in the order of their pairs.
+Each body is in it at most once, with its own next impact. For an impact of two bodies it is enough that one of them is
+in the queue: the one whose impact was predicted last. Impacts at the same time come in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def is_sooner(i: int, j: int, body: Records) -> bool:
 
 @kernel
 def put(i: int, size: int, queue: IntArray, body: Records) -> int:
-    """Put body i where its next impact, which has changed, belongs; remove it if there is none.
+    """Update the place of body i after its next impact has changed; remove it if there is none.
 
     Parameters
     ----------

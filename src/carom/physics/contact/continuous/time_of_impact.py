@@ -1,15 +1,15 @@
-"""Time of impact: when two bodies on straight paths touch, and whether that is an impact.
+"""Time of impact of two bodies on straight paths.
 
-With d the separation and v the relative velocity, both of j as seen from i, and R = r_i + r_j, bodies that close,
-d·v < 0, pass each other at t_c = -d·v/v² at a distance p = d + v t_c, and touch before that if p < R:
+Let d and v be the separation and the velocity of j relative to i, and R = r_i + r_j. Bodies that close, d·v < 0, are
+nearest at t_c = -d·v/v², at the separation p = d + v t_c. They touch before that if |p| < R:
 
     τ = t_c - √((R² - p²)/v²)
 
-p is found as a vector: the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small sphere that comes from
-afar. Bodies that overlap already and close meet at once.
+p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small sphere that
+comes from far away. Bodies that already overlap and close meet at once.
 
-A drift goes with the velocity of the middle of the step. At τ it is v + a (τ - h), h being how far the kick before the
-drift has taken it. A meeting is an impact if the bodies then close faster than a contact at rest does.
+A drift uses the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick before the
+drift. A meeting is an impact if the bodies then close faster than a given speed.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def time_of_impact(
     Parameters
     ----------
     dx, dy, dz, vx, vy, vz, ax, ay, az
-        m, m/s and m/s²: separation, velocity and acceleration of one body as seen from the other.
+        m, m/s and m/s²: separation, velocity and acceleration of one body relative to the other.
     R
         m, the sum of radii.
     span
         s.
     since_kick
-        s, from the time that the velocities are for to now.
+        s, present time minus the time of the velocities.
     slow
-        m/s, the fastest closing speed that is no impact.
+        m/s, largest closing speed that is not an impact.
     """
     b = dx * vx + dy * vy + dz * vz
     if not b < 0.0:
@@ -89,10 +89,10 @@ def time_of_impact_in_box(
     Ly: float,
     Lz: float,
 ) -> float:
-    """Return the same in a periodic box of (Lx, Ly, Lz) m, however often the bodies pass through it.
+    """Return the same in a periodic box of (Lx, Ly, Lz) m, for any number of passes through the box.
 
-    The path is taken in legs of at most half a box. On a leg a body can meet the nearest image of another, or in each
-    direction the image that comes towards it.
+    The path is cut into legs of at most half a box. On a leg a body can meet the nearest image of another or, in each
+    direction, the image that approaches.
     """
     gone = 0.0
     while True:
@@ -118,7 +118,7 @@ def time_of_impact_in_box(
 
 @kernel
 def _next_image(d: float, v: float, L: float, R: float, leg: float) -> float:
-    """Return where the image that comes towards the origin stands, as seen from the nearest one; 0 if out of reach."""
+    """Return the offset of the approaching image from the nearest one; 0 if it is out of reach."""
     if v > 0.0:
         return -L if L - d - v * leg <= R else 0.0
     if v < 0.0:

@@ -1,7 +1,7 @@
 """Trajectories of the bodies through a drift: straight lines that bend at impacts.
 
-Each body has a record of its own time, of its next impact, and of how far it may go before neighbours that were not
-searched for come within its reach.
+The record of each body has its own time, its next impact, and its reach: how far it may move before it can meet bodies
+that were not found as neighbours.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-ROUNDING = 1e-14  # of a body's speed so far, and of a radius a drift; what closes more slowly has been resolved
-FARTHEST = 1e150  # m; what might go farther is not followed, since the square of its way is infinite
+ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
+FARTHEST = 1e150  # m, largest reach, whose square is finite
 
 TRAJECTORY = np.dtype(
     [
         ("now", np.float64),  # s from the beginning of the drift, the time of the body's position
         ("impacts", np.int64),  # so far in this drift
-        ("negligible_speed", np.float64),  # m/s, closing speed that is rounding, or one of a collapse: no impact
+        ("negligible_speed", np.float64),  # m/s, closing speed by rounding or in a collapse, which is no impact
         ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
-        ("partner", np.int64),  # what it meets then: body j, or n + p for plane p
+        ("partner", np.int64),  # the other end of that impact: body j, or n + p for plane p
         ("partner_impacts", np.int64),  # those of the partner when that impact was predicted
         ("queue_place", np.int64),  # in the event queue; -1 outside
-        ("reach", np.float64),  # m, how far from its start it stays, seen from the bulk
+        ("reach", np.float64),  # m, distance from its start relative to the bulk within which neighbours are known
         ("start_x", np.float64),  # m, where it was at the beginning of the drift
         ("start_y", np.float64),
         ("start_z", np.float64),
@@ -43,20 +43,20 @@ DRIFT = np.dtype(
     [
         ("dt", np.float64),  # s, length of the drift
         ("kick", np.float64),  # s, the kick before it: velocities are those of this time
-        ("clock", np.float64),  # s, what time it is
-        ("bulk_x", np.float64),  # m/s, the velocity that reaches count from
+        ("clock", np.float64),  # s, the present time
+        ("bulk_x", np.float64),  # m/s, the velocity that reaches are relative to
         ("bulk_y", np.float64),
         ("bulk_z", np.float64),
         ("queued", np.int64),  # bodies in the event queue
         ("strays", np.int64),  # bodies that left their reach
-        ("exhausted", np.int64),  # bodies that had as many impacts as a drift resolves
+        ("exhausted", np.int64),  # bodies that reached the largest number of impacts
     ],
     align=True,
 )
 
 
 class Neighbours(NamedTuple):
-    """What each body may meet: body i those at ``bodies[first[i]:last[i]]``."""
+    """The possible partners of each body: those of body i are ``bodies[first[i]:last[i]]``."""
 
     first: IntArray  # (n,)
     last: IntArray  # (n,)
@@ -76,7 +76,7 @@ class Trajectories(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
     radius: FloatArray  # (n + p,) m
-    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which what it touches is at rest
+    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which its contacts are at rest
     box: FloatArray  # (3,) m; zeros in open space
     surface: FloatArray  # (p, 3) normals
     offset: FloatArray  # (p,) m
@@ -90,10 +90,10 @@ class Trajectories(NamedTuple):
 def write_reaches(
     v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, body: Records, drift: Records
 ) -> float:
-    """Write how far bodies may get in dt, and the velocity that this counts from; return the largest part of a radius.
+    """Write the reaches of all bodies in dt, and the velocity they are relative to; return the largest in radii.
 
-    A body stays within what it would cover at its own speed and the mean speed of all, seen from the centre of mass, or
-    from what stands still: enough room for what most impacts do to it, and one fast body widens no other's reach.
+    A reach is the distance that a body covers at its own speed plus the mean speed of all, relative to the centre of
+    mass or to fixed objects. It is enough after most impacts, and one fast body does not widen the reach of others.
     """
     ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
@@ -128,7 +128,7 @@ def begin(T: Trajectories, dt: float, kick: float) -> None:
 
 @inner
 def advance(i: int, T: Trajectories) -> None:
-    """Move a body along its path to where it is now."""
+    """Move a body along its path to the present time."""
     clock = T.drift[0].clock
     s = clock - T.body[i].now
     for k in range(3):
@@ -138,7 +138,7 @@ def advance(i: int, T: Trajectories) -> None:
 
 @inner
 def leaves_reach(i: int, T: Trajectories) -> bool:
-    """Tell whether the rest of a body's path leaves the reach that neighbours were searched with."""
+    """Tell whether the rest of a body's path leaves its reach."""
     body, drift = T.body[i], T.drift[0]
     s = drift.dt - body.now
     x = T.x[i, 0] + T.v[i, 0] * s - drift.bulk_x * drift.dt - body.start_x
