@@ -10,13 +10,20 @@ import pyarrow as pa
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.notebook import Viewer
 
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
 from carom.recording.schema.timelines import STEP
 from carom.recording.write.durable_sink import DurableSink
-from carom.recording.write.rerun_compat import StoredLayout, end_earlier_streams, rerun_chunks, send_layout
+from carom.recording.write.rerun_compat import (
+    StoredLayout,
+    end_earlier_streams,
+    rerun_chunks,
+    send_layout,
+    send_to_notebook,
+)
 
 APPLICATION = "carom-2-0123456789ab"
 
@@ -117,3 +124,10 @@ def test_a_file_sink_writes_into_a_pipe_and_closes_it_when_it_is_disconnected(tm
     assert container.finished and sink.error is None
     (chunk,) = [c for c in chunks(tmp_path / "x.rrd", RECORDING) if c.entity_path == "a"]
     assert pa.compute.list_flatten(chunk.batch["Scalars:scalars"]).to_pylist() == np.sqrt(steps).tolist()
+
+
+def test_a_notebook_viewer_passes_a_file_on_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[bytes] = []
+    monkeypatch.setattr("rerun_notebook.Viewer.send_rrd", lambda _, data: sent.append(data))
+    send_to_notebook(Viewer(width=100, height=100, use_global_recording=False), b"a file")
+    assert sent == [b"a file"]

@@ -404,6 +404,31 @@ class Recording:
         """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)
 
+    def show(
+        self, at: float | None = None, *, height: int = 600, event: str | None = None, bodies: str | None = None
+    ) -> None:
+        """Display Rerun's viewer below the cell of a notebook, paused at a moment. Needs `carom[notebook]`.
+
+        Parameters
+        ----------
+        at
+            s; without it, the event, else the most interesting moment.
+        height
+            Pixels; the width is that of the cell.
+        event
+            Its name; the close-up view shows its bodies.
+        bodies
+            The bodies of the close-up view, by numbers or names with a comma between them.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such moment, event or body, or rerun-notebook is not installed.
+        """
+        from carom.recording.view.notebook import show  # noqa: PLC0415 - readers need no viewer
+
+        show(self, at, height, event, bodies)
+
     @cached_property
     def _start(self) -> dict[str, NDArray[Any] | list[str]]:
         return self._static(paths.START, required=False)

@@ -2,11 +2,15 @@
 
 Nothing else in carom uses them. tests/recording/test_rerun_compat.py has a test for each; run it before the upper bound
 of rerun-sdk in pyproject.toml is raised.
+
+The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`; the slow test
+of tests/recording/test_web.py tries it in a browser.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import rerun as rr
@@ -16,6 +20,9 @@ import rerun_bindings
 
 from carom.recording.errors import DamageError
 from carom.recording.rrd.messages import Chunk
+
+if TYPE_CHECKING:
+    from rerun.notebook import Viewer
 
 
 def end_earlier_streams() -> None:
@@ -36,6 +43,11 @@ def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Bluepr
     stored = rr.memory_recording(own).storage
     rerun_bindings.send_blueprint(stored, make_active=True, make_default=True, recording=stream.to_native())
     own.disconnect()
+
+
+def send_to_notebook(viewer: Viewer, rrd: bytes) -> None:
+    """Give a notebook's viewer a file; Rerun's own way is a stream that writes the recording a second time."""
+    viewer._flush_hook(rrd)
 
 
 class StoredLayout(rrb.Blueprint):

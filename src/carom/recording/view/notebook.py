@@ -1,0 +1,54 @@
+"""Shows a recording in a notebook. Needs `carom[notebook]`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from rerun.error_utils import RerunMissingDependencyError
+from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.presentation import asked
+from carom.recording.view.supplement import Supplement
+from carom.recording.write.rerun_compat import send_to_notebook
+
+
+def show(recording: Recording, at: float | None, height: int, event: str | None, bodies: str | None) -> None:
+    """Display the viewer below the cell; see `Recording.show`."""
+    moment, extra = recording.moment(at), b""
+    if not recording.is_overlay:
+        shown = asked(recording, at, event, bodies, dense=True)
+        moment, extra = shown.time, _bytes_of(recording, shown.supplement)
+    try:
+        viewer = Viewer(width="auto", height=height, use_global_recording=False)
+    except RerunMissingDependencyError:
+        raise RecordingError(
+            'a notebook needs rerun-notebook; install it with: pip install "carom[notebook]"'
+        ) from None
+    shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
+    waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer goes to no time before it knows the timeline
+
+    def pause(happened: ViewerEvent) -> None:
+        if type(happened) in waiting:
+            waiting.remove(type(happened))
+            viewer.set_time_ctrl(timeline=SIM_TIME, duration=shown_at, play=False)
+
+    viewer.on_event(pause)
+    viewer.display()
+    send_to_notebook(viewer, recording.path.read_bytes())
+    if extra:
+        send_to_notebook(viewer, extra)
+    viewer.set_time_ctrl(timeline=SIM_TIME, duration=shown_at, play=False)
+
+
+def _bytes_of(recording: Recording, supplement: Supplement) -> bytes:
+    """Return a supplement as a file for the viewer."""
+    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
+        path = Path(folder) / "moment.rrd"
+        supplement.save(path, recording.store.application_id, recording.store.store_id)
+        return path.read_bytes()

@@ -1,0 +1,111 @@
+"""The example notebook, and recordings that are shown in notebooks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.view import notebook
+from carom.recording.write.recorder import Recorder
+from merry import Merry
+
+EXAMPLE = Path(__file__).parents[1] / "docs" / "notebook.ipynb"
+LARGEST = 20_000  # bytes
+
+
+def read() -> Any:
+    return nbformat.read(EXAMPLE, as_version=4)  # type: ignore[no-untyped-call]
+
+
+class SpyViewer:
+    """Stands for the viewer of a notebook."""
+
+    def __init__(self, **options: Any) -> None:
+        self.options = options
+        self.displayed = False
+        self.files: list[bytes] = []
+        self.times: list[dict[str, Any]] = []
+        self.callbacks: list[Any] = []
+
+    def on_event(self, callback: Any) -> None:
+        self.callbacks.append(callback)
+
+    def display(self) -> None:
+        self.displayed = True
+
+    def set_time_ctrl(self, **time: Any) -> None:
+        self.times.append(time)
+
+    def _flush_hook(self, data: bytes) -> None:
+        self.files.append(data)
+
+
+@pytest.fixture
+def viewers(monkeypatch: pytest.MonkeyPatch) -> list[SpyViewer]:
+    made: list[SpyViewer] = []
+
+    def make(**options: Any) -> SpyViewer:
+        made.append(SpyViewer(**options))
+        return made[-1]
+
+    monkeypatch.setattr(notebook, "Viewer", make)
+    return made
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    path, merry = tmp_path / "run.rrd", Merry(5)
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(5):
+            recorder.put(frame)
+        recorder.finish("completed")
+    return Recording.open(path)
+
+
+def test_a_notebook_gets_the_recording_and_pauses_at_the_moment(recording: Recording, viewers: list[SpyViewer]) -> None:
+    recording.show(at=0.1, height=321)
+    (viewer,) = viewers
+    assert viewer.displayed and viewer.options["height"] == 321
+    assert viewer.files[0] == recording.path.read_bytes() and len(viewer.files) == 2
+    assert viewer.times[-1]["play"] is False and viewer.times[-1]["duration"].item() == 100_000_000
+
+
+def test_a_moment_that_is_not_in_the_recording_displays_nothing(recording: Recording, viewers: list[SpyViewer]) -> None:
+    with pytest.raises(RecordingError, match="99 s is not in it"):
+        recording.show(at=99.0)
+    assert not viewers
+
+
+def test_without_the_extra_one_sentence_names_it(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rerun.notebook.HAS_NOTEBOOK", False)
+    with pytest.raises(RecordingError, match=r'pip install "carom\[notebook\]"'):
+        recording.show()
+
+
+def test_the_example_notebook_is_small_and_was_executed() -> None:
+    book = read()
+    assert EXAMPLE.stat().st_size < LARGEST
+    numbers = [cell.execution_count for cell in book.cells if cell.cell_type == "code"]
+    assert numbers == list(range(1, len(numbers) + 1))
+
+
+@pytest.mark.slow
+def test_the_example_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
+    shown = read()
+    run = read()
+    where = {"metadata": {"path": str(tmp_path)}}
+    NotebookClient(run, timeout=300, kernel_name="python3", store_widget_state=False, resources=where).execute()
+    assert [results(cell) for cell in run.cells] == [results(cell) for cell in shown.cells]
+    assert any("Viewer" in str(cell.get("outputs")) for cell in run.cells), "the viewer is displayed"
+
+
+def results(cell: Any) -> list[str]:
+    """Return the results of a cell; what is displayed is not among them."""
+    outputs = cell.get("outputs", [])
+    return [output["data"]["text/plain"] for output in outputs if output["output_type"] == "execute_result"]
