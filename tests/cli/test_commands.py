@@ -120,7 +120,7 @@ def test_a_scene_that_misses_its_promise_exits_1_and_says_which(tmp_path: Path) 
         (["picture", "taken.rrd", "--view", "front"], "'front' is not one of"),
         (["picture", "taken.rrd", "--theme", "pink"], "'pink' is not one of"),
         (["new", "taken.toml"], "exists; give --force"),
-        (["new", "fresh", "--from", "nothing"], "no bundled scene"),
+        (["new", "fresh", "--from", "nothing"], "no such bundled scene"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(arguments: list[str], said: str, tmp_path: Path) -> None:
