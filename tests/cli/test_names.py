@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
+import rerun.blueprint as rrb
 
 from carom.recording.read.recording import Recording
+from carom.recording.view.presentation import presentation
 from command import carom
 
 FALLS = """
@@ -119,6 +122,31 @@ def test_a_report_names_what_touched(collided: tuple[Path, str], monkeypatch: py
     assert made.returncode == 0, made.stderr
     with zipfile.ZipFile(path.parent / "report.zip") as bundle:
         assert f"J of approach (½ μ v_n²), {pair}**" in bundle.read("README.md").decode()
+
+
+def titles(part: Any) -> list[str]:
+    """The titles of all views of a layout."""
+    inside = getattr(part, "contents", None)
+    if isinstance(part, rrb.View):
+        return [str(part.name)]
+    return [title for each in inside or () for title in titles(each)]
+
+
+def test_the_close_up_view_names_both_ends(collided: tuple[Path, str]) -> None:
+    path, pair = collided
+    recording = Recording.open(path)
+    layout = presentation(recording, recording.moment()).supplement.layout
+    assert f"Close-up: {pair}" in titles(layout.root_container)
+
+
+def test_the_text_of_the_scene_names_its_planes(collided: tuple[Path, str]) -> None:
+    path, pair = collided
+    recording = Recording.open(path)
+    chunks = recording.chunks([entry for entry in recording.store.entries if entry.entity_path == "scene"])
+    text = next(chunk.batch["TextDocument:text"][0].as_py()[0] for chunk in chunks)
+    if "floor" in pair:
+        assert "Static planes, drawn as grids: plane 0 and floor." in text
+    assert ("Static planes" in text) == ("[[plane]]" in recording.scene_toml)
 
 
 def test_a_clip_of_some_bodies_names_them(collided: tuple[Path, str]) -> None:

@@ -93,7 +93,7 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
         overlaps=np.zeros(2),
         colours=np.zeros(2, dtype=np.int64),
     )
-    assert pair_of_step(replace(frame, contacts=graph, contact_rows=rows), bodies=2) == Pair(1, None)
+    assert pair_of_step(replace(frame, contacts=graph, contact_rows=rows), bodies=2) == Pair(1, None, plane=0)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
+from carom.recording.read.names import names_of
 from carom.recording.read.positions import DrawnPaths, drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -63,7 +64,7 @@ class Contact:
 class CloseUp:
     """Two bodies at one step."""
 
-    names: str
+    names: str  # of the bodies, or of the body and the plane
     bodies: tuple[int, ...]  # one, if it touches a plane
     step: ShownStep
     contact: Contact | None  # None: they do not touch in this step, or it is not known
@@ -208,7 +209,8 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, 
     """Gather what the close-up view, of this width over height, shows of a pair at a step."""
     bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
     places = [recording.shown.index(body) for body in bodies]
-    names = " and ".join(recording.bodies.name[body] for body in bodies)
+    called = names_of(recording)
+    names = called.pair(bodies) + ("" if pair.plane is None else f" and {called.of(len(called.bodies) + pair.plane)}")
     frame, spin = step.frame, None
     if frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]

@@ -12,6 +12,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.body_names import body_number
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.scene.names import bodies_called, body_called
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,7 @@ class Pair:
 
     i: int
     j: int | None  # None: what it touches is no body
+    plane: int | None = None  # the number of the plane or wall that it touches
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
@@ -38,8 +40,10 @@ def named_pair(recording: Recording, text: str) -> Pair:
         raise RecordingError(f"--bodies {text}: is one body; give two")
     for body in (first, second):
         if body not in recording.shown:
+            names = recording.bodies.name
             raise RecordingError(
-                f"{recording.path} does not show body {body}: it is a clip of bodies {recording.shown}"
+                f"{recording.path} does not show {body_called(body, names[body])}: "
+                f"it is a clip of {bodies_called(recording.shown, names)}"
             )
     return Pair(min(first, second), max(first, second))
 
@@ -57,7 +61,7 @@ def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
     rows = frame.contact_rows
     row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
     i, j = (int(end) for end in graph.pairs[row])
-    return Pair(i, j if j < bodies else None)
+    return Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
 
 
 def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
@@ -89,9 +93,14 @@ def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
 
 
 def _pair(recording: Recording, closing: dict[str, Any], prefix: str) -> Pair | None:
-    text = str(closing.get(f"{prefix}bodies", ""))
-    found = [int(part) for part in text.split(",") if part.strip().isdigit()]
+    found, planes = (_numbers(closing.get(f"{prefix}{what}", "")) for what in ("bodies", "planes"))
     shown = set(recording.shown)
     if not found or not all(body in shown for body in found):
         return None
-    return Pair(found[0], found[1] if len(found) > 1 else None)
+    if len(found) > 1:
+        return Pair(found[0], found[1])
+    return Pair(found[0], None, planes[0] if planes else None)
+
+
+def _numbers(text: object) -> list[int]:
+    return [int(part) for part in str(text).split(",") if part.strip().isdigit()]

@@ -9,6 +9,7 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, TORQUE
 from carom.recording.write.encoder import arrow_length, shape
+from carom.scene.names import in_series
 
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
@@ -47,7 +48,8 @@ def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtyp
             "in the recording's property `arrows`."
         )
     if header.planes is not None:
-        lines.append(f"- {len(header.planes)} static planes, drawn as grids; they go on without end.")
+        names = in_series(header.planes.name)
+        lines.append(f"- Static planes, drawn as grids: {names}. They extend without end.")
     if header.walls is not None:
         lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + " m.")
     if header.box is not None:
