@@ -55,7 +55,7 @@ def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path
         (["nothing.rrd"], "no recording at nothing.rrd"),
         (["run.rrd", "-o", "run.rrd", "--force"], "is the damaged recording itself"),
         (["run.rrd", "-o", "taken.rrd"], "exists; give --force"),
-        (["run.rrd", "--in-place", "-o", "x.rrd"], "give one of them"),
+        (["run.rrd", "--in-place", "-o", "x.rrd"], "give --in-place or -o, not both"),
         (["taken.rrd"], "nothing of taken.rrd can be read"),
     ],
 )

@@ -107,7 +107,7 @@ def test_the_interrupt_key_lets_the_runs_under_way_finish(tmp_path: Path) -> Non
     os.killpg(client.pid, signal.SIGINT)  # workers get it, too
     _, stderr = client.communicate(timeout=120)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
-    assert "Waiting for 2 runs under way" in stderr and "the same command goes on with them" in stderr
+    assert "Waiting for 2 runs under way" in stderr and "run the same command again to continue" in stderr
     assert 4 <= done(out) < RUNS
     assert {run["status"] for run in manifest(out)["runs"]} == {"done", "pending"}
     assert carom_process(*command, cwd=tmp_path).returncode == 0

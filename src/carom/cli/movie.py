@@ -32,26 +32,27 @@ class MovieView(StrEnum):
 def movie(
     file: RecordingArgument,
     start: Annotated[
-        float | None, typer.Option("--from", parser=seconds, metavar="T", help="First simulated time in seconds.")
+        float | None, typer.Option("--from", parser=seconds, metavar="T", help="Start at this simulated time (s).")
     ] = None,
     end: Annotated[
-        float | None, typer.Option("--to", parser=seconds, metavar="T", help="Last simulated time in seconds.")
+        float | None, typer.Option("--to", parser=seconds, metavar="T", help="End at this simulated time (s).")
     ] = None,
     length: Annotated[
-        float, typer.Option("--seconds", parser=seconds, metavar="S", help="How long the movie takes.")
+        float, typer.Option("--seconds", parser=seconds, metavar="S", help="Length of the movie in seconds.")
     ] = 10.0,
     fps: Annotated[
         float | None,
-        typer.Option("--fps", parser=seconds, metavar="N", help="Pictures a second. Default: 30, of a GIF 20."),
+        typer.Option("--fps", parser=seconds, metavar="N", help="Pictures per second. Default: 30, for a GIF 20."),
     ] = None,
-    view: Annotated[MovieView, typer.Option("--view", help="What fills the picture.")] = MovieView.BODIES,
-    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Pixels.")] = "1280x720",
+    view: Annotated[MovieView, typer.Option("--view", help="View that fills the picture.")] = MovieView.BODIES,
+    size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="A .mp4 or .gif. Default: FILE with .mp4.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Movie to write, .mp4 or .gif. Default: FILE with .mp4."),
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """Make a movie of a recording, without a screen."""
+    """Make a movie of a recording; needs no screen."""
     from carom.cli.extras import needing
     from carom.cli.movie_progress import MovieProgress
     from carom.cli.units import bytes_text
