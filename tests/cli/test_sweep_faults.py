@@ -133,21 +133,23 @@ def test_the_interrupt_key_twice_ends_at_once(tmp_path: Path) -> None:
     assert not list((out / "partial").iterdir())
 
 
-DISK = ("--vary", "time.duration=0.1,0.2,40", "--set", "record.every=step")  # the longest has 40 000 frames: 30 MB
+def durations(longest: float) -> tuple[str, ...]:
+    """Vary the duration; each second has 1000 frames, 0.75 MB."""
+    return "--vary", f"time.duration=0.1,0.2,{longest}", "--set", "record.every=step"
 
 
-def assert_the_small_ones_are_there(folder: Path, ended: subprocess.CompletedProcess[str]) -> None:
+def assert_the_small_ones_are_there(folder: Path, ended: subprocess.CompletedProcess[str], longest: float) -> None:
     assert ended.returncode == 1 and "Traceback" not in ended.stderr, ended.stderr
     runs = {run["parameters"]["time.duration"]: run for run in manifest(folder)["runs"]}
-    assert [runs[duration]["outcome"] for duration in (0.1, 0.2, 40.0)] == ["completed", "completed", "disk"]
-    assert "no space left on the disk" in runs[40.0]["reason"]
+    assert [runs[duration]["outcome"] for duration in (0.1, 0.2, longest)] == ["completed", "completed", "disk"]
+    assert "no space left on the disk" in runs[longest]["reason"]
     assert len(list((folder / "runs").iterdir())) == 2 and not list((folder / "partial").iterdir())
 
 
 def test_a_run_too_large_for_the_disk_leaves_the_others(tmp_path: Path) -> None:
     write_scene(tmp_path)
-    ended = carom_process("sweep", "spheres.toml", *DISK, "-o", "out", cwd=tmp_path, limit=12_000_000)
-    assert_the_small_ones_are_there(tmp_path / "out", ended)
+    ended = carom_process("sweep", "spheres.toml", *durations(20.0), "-o", "out", cwd=tmp_path, limit=12_000_000)
+    assert_the_small_ones_are_there(tmp_path / "out", ended, 20.0)
 
 
 @pytest.mark.slow  # not for its time: mounting a disk needs root, which CI is
@@ -157,8 +159,10 @@ def test_a_full_disk_leaves_a_manifest_that_says_so(tmp_path: Path) -> None:
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", disk], check=True)
     try:
-        ended = carom_process("sweep", "spheres.toml", *DISK, "--workers", "1", "-o", "disk/out", cwd=tmp_path)
-        assert_the_small_ones_are_there(disk / "out", ended)
+        ended = carom_process(
+            "sweep", "spheres.toml", *durations(40.0), "--workers", "1", "-o", "disk/out", cwd=tmp_path
+        )
+        assert_the_small_ones_are_there(disk / "out", ended, 40.0)
     finally:
         subprocess.run(["umount", disk], check=True)
 

@@ -22,7 +22,9 @@ from examples import cloud
 
 @pytest.fixture(scope="module")
 def rubble(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return carom.run(Scene.load("rubble-collision"), tmp_path_factory.mktemp("rubble") / "rubble.rrd")
+    return carom.run(
+        Scene.load("rubble-collision", ["time.duration=6000.0"]), tmp_path_factory.mktemp("rubble") / "rubble.rrd"
+    )
 
 
 @pytest.fixture(scope="module")

@@ -106,7 +106,8 @@ def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Pa
 
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / "killed.rrd"
-    command = [sys.executable, "-m", "carom", "run", "cloud-collapse", "-o", str(path), "--set", "record.every=2.0"]
+    short = ["--set", "record.every=2.0", "--set", "time.duration=8000.0"]  # to the first hundred contacts
+    command = [sys.executable, "-m", "carom", "run", "cloud-collapse", "-o", str(path), *short]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not (path.exists() and path.stat().st_size > 3_000_000):
         assert process.poll() is None, "it must be killed under way"

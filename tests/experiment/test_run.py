@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ import pytest
 import carom
 from carom.experiment.expectation import judge
 from carom.experiment.resume import resumable_run
-from carom.experiment.run import simulate
+from carom.experiment.run import Outcome, simulate
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
@@ -220,9 +222,24 @@ def test_the_energy_gain_counts_from_the_lowest_energy_so_far() -> None:
     assert extremes.energy_gain.time == 99.0 and start.energy.total > energy.total + 0.1
 
 
+Bundled = Callable[[str], Outcome]
+
+
+@pytest.fixture(scope="module")
+def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
+    """Runs bundled scenes, each of them once."""
+    folder = tmp_path_factory.mktemp("bundled")
+
+    @cache
+    def run(name: str) -> Outcome:
+        return simulate(Space(Scene.load(name)), folder / f"{name}.rrd")
+
+    return run
+
+
 @pytest.mark.parametrize("name", bundled_scenes())
-def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: str, tmp_path: Path) -> None:
-    outcome = simulate(Space(Scene.load(name)), tmp_path / f"{name}.rrd")
+def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: str, bundled: Bundled) -> None:
+    outcome = bundled(name)
     assert outcome.status == "completed", outcome.reason
     assert outcome.moments.energy_error is not None and outcome.moments.energy_error.value <= 1e-3
     assert not [row for row in Recording.open(outcome.path).events().to_pylist() if row["level"] == "WARN"]
@@ -232,6 +249,6 @@ def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: s
     assert verified.returncode == 0, verified.stderr
 
 
-def test_the_file_is_at_most_a_fifth_larger_than_its_arrays(tmp_path: Path) -> None:
-    outcome = simulate(Space(Scene.load("cloud-collapse")), tmp_path / "cloud.rrd")
+def test_the_file_is_at_most_a_fifth_larger_than_its_arrays(bundled: Bundled) -> None:
+    outcome = bundled("cloud-collapse")
     assert outcome.size <= 1.2 * outcome.payload

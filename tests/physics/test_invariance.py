@@ -446,7 +446,7 @@ def test_the_first_step_does_not_depend_on_how_the_whole_moves_lies_or_is_number
 
 
 @pytest.mark.parametrize("integrator", REVERSIBLE)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     document=documents(gravity=False, field=True, fixed_step=False, periodic=False, most_bodies=4),
     part=st.floats(0.05, 0.95),

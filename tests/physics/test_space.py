@@ -196,7 +196,7 @@ def big() -> Scene:
     return Scene.from_dict(
         {
             "gravity": {"constant": 0.01},
-            "time": {"duration": 0.3, "cfl": 0.2},
+            "time": {"duration": 0.15, "cfl": 0.2},
             "record": {"every": "step"},
             "group": [group],
         }

@@ -100,6 +100,7 @@ def test_a_cold_uniform_ball_falls_together_in_its_free_fall_time() -> None:
     assert shrunk == pytest.approx(x, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_pythagorean_three_bodies_meet_as_closely_as_szebehely_and_peters_found() -> None:
     # Szebehely & Peters, Astron. J. 72, 876 (1967): masses 3, 4 and 5 fall from rest at the corners of their triangle;
     # 4 and 5 pass at 4.14e-4 at t = 15.8299. The tolerances are the last digits published. At half and twice the step

@@ -13,7 +13,7 @@ AT_ONCE = 100  # files a process: Rerun keeps some 2 MB of every stream that wro
 
 
 @pytest.mark.parametrize(
-    ("seed", "count"), [(0, 40), *(pytest.param(seed, AT_ONCE, marks=pytest.mark.slow) for seed in range(10))]
+    ("seed", "count"), [(0, 20), *(pytest.param(seed, AT_ONCE, marks=pytest.mark.slow) for seed in range(10))]
 )
 def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_gigabyte(
     seed: int, count: int, tmp_path: Path
@@ -33,7 +33,7 @@ def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_giga
     assert int(end.removeprefix("end ")) < 1000  # MB; 230 of it are the libraries
 
 
-@pytest.mark.parametrize("count", [25, pytest.param(250, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [12, pytest.param(250, marks=pytest.mark.slow)])
 def test_rows_of_another_kind_are_refused_or_shown_without_a_traceback_a_hang_or_a_gigabyte(
     count: int, tmp_path: Path
 ) -> None:

@@ -27,8 +27,8 @@ def placed(**group: Any) -> Any:
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 60), decades=st.floats(0, 2), periodic=st.booleans())
-def test_the_k_d_trees_find_what_testing_every_pair_finds(
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 120), decades=st.floats(0, 2), periodic=st.booleans())
+def test_few_and_many_bodies_overlap_where_testing_every_pair_finds_it(
     seed: int, count: int, decades: float, periodic: bool
 ) -> None:
     rng = np.random.default_rng(seed)

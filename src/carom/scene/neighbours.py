@@ -8,16 +8,20 @@ classes is queried at the sum of its two largest radii.
 from __future__ import annotations
 
 import itertools
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from carom.scene.error import SceneError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
 PairArray = NDArray[np.int64]
 
+FEW = 64  # bodies, up to which all pairs are tested: SciPy takes longer to import than a short run
 MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
 QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
 
@@ -47,7 +51,8 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
     candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
     candidates.sort(axis=1)
     i, j = candidates[:, 0], candidates[:, 1]
-    touching = squared_distance(position[i], position[j], box) <= (radius[i] + radius[j]) ** 2
+    with np.errstate(over="ignore"):  # the squared distance of bodies that are far apart may be infinite
+        touching = squared_distance(position[i], position[j], box) <= (radius[i] + radius[j]) ** 2
     pairs = candidates[touching]
     return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
 
@@ -80,6 +85,10 @@ _EMPTY = np.empty((0, 2), dtype=np.int64)
 
 def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> list[PairArray]:
     """Return pairs that may overlap, from every pair of size classes."""
+    if len(radius) <= FEW:
+        return [np.column_stack(np.triu_indices(len(radius), 1))]
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
     inside = wrapped(position, box)
     classes = size_classes(radius)
     trees = [cKDTree(inside[members], boxsize=box) for members in classes]

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces, half_spaces
@@ -25,6 +25,9 @@ from carom.scene.neighbours import (
 )
 from carom.scene.portable_math import cube_root, power
 from carom.scene.schema import LARGEST, Body, Group, Region, Scene
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
 
@@ -275,6 +278,8 @@ def _positions(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
     _refuse_too_large(index, region, radius)
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / _region_volume(region)
     position = np.empty((len(radius), 3))
@@ -290,7 +295,7 @@ def _positions(
     return position
 
 
-_Tree = tuple[cKDTree, FloatArray, FloatArray]
+_Tree = tuple["cKDTree", FloatArray, FloatArray]
 
 
 def _place_class(
@@ -355,6 +360,8 @@ def _clear_of(
     position: FloatArray, radius: FloatArray, trees: list[_Tree], solids: HalfSpaces, box: FloatArray | None
 ) -> NDArray[np.bool_]:
     """Tell which candidates touch no plane and none of the bodies placed before."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
     clear: NDArray[np.bool_] = np.all(solids.depth(position, radius) < 0.0, axis=1)
     own = cKDTree(wrapped(position, box), boxsize=box)
     for tree, centres, radii in trees:
