@@ -15,6 +15,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
+from carom.recording.write.rows import Rows
 from merry import Merry
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
@@ -46,9 +47,9 @@ def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
 def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
     tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_kinds(events: Sequence[Event]) -> encoder.Rows:
+    def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return encoder.Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+        return Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
 
     monkeypatch.setattr(encoder, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)

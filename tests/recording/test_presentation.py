@@ -14,7 +14,7 @@ from carom.recording.schema import paths
 from carom.recording.view import close_up, shown_step
 from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
-from carom.recording.write.encoder import Rows
+from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 
 

@@ -53,6 +53,7 @@ def _grid() -> Table:
 def _overview(summary: dict[str, Any]) -> Table:
     from carom.experiment.contact_counts import counts_text
     from carom.experiment.ending import in_words
+    from carom.recording.schema.impacts import RecordedImpacts
     from carom.scene.names import in_series
 
     energy, contacts = summary["energy"], summary["contacts"]
@@ -77,6 +78,8 @@ def _overview(summary: dict[str, Any]) -> Table:
     table.add_row("angular momentum", unknown if angular is None else f"error at most {angular:.2e}")
     counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     table.add_row("contacts", counted)
+    if summary["impacts"]:
+        table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
     table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"

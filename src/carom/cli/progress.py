@@ -69,6 +69,8 @@ class Progress(LiveLine):
         if moments.overlap and moments.contacts:
             counted = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
             table.add_row("contacts", counted)
+            if outcome.impacts:
+                table.add_row("", f"impacts: {outcome.impacts}")
             deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
             table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
         for line in warning_lines(outcome.warnings):

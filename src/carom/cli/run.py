@@ -56,12 +56,11 @@ def run(
 
     with claimed_output(path, force) as claim:
         from carom.cli.progress import Progress
-        from carom.experiment.run import simulate
-        from carom.physics.space import Space
+        from carom.experiment.run import recording_space, simulate
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say)
-        space = Space(loaded, threads)
+        space = recording_space(loaded, threads)
         address = live_viewer() if live else None
         with progress, telling_of(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from carom.experiment.outlook import look_ahead
-from carom.experiment.run import header_of
+from carom.experiment.run import header_of, recording_space
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame
 from carom.physics.parallel.thread_team import Team
@@ -107,7 +107,7 @@ def estimate(scene: Scene) -> Estimate:
     SceneError, PhysicsError
         If the scene cannot run.
     """
-    space = Space(scene)
+    space = recording_space(scene)
     began = time.perf_counter()
     few = _first_frames(space)
     spent = time.perf_counter() - began

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.experiment.environment import versions
+from carom.experiment.impact_check import LEFT_OUT, ImpactCheck
+from carom.experiment.mismatch import Mismatch, different, same
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
 from carom.recording.read.recording import Recording
@@ -23,8 +24,6 @@ from carom.recording.schema.series import SERIES, Past
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 
-Value = float | str
-
 _MOST_FRAMES, _MOST_BODIES = (
     128,
     20_000,
@@ -35,26 +34,17 @@ _LARGEST = "what depends on the frames in between (errors relative to the larges
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {
-    *(paths.CONTACTS, paths.TORQUE, paths.ANGULAR_ACCELERATION),
+    *(paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION),
     *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
 }
+_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
+
 # values that depend on earlier frames, such as errors relative to the largest energy so far
 _RELATIVE = {
     **{series.path: None for series in SERIES if series.past in (Past.INTERVAL, Past.RUN)},
     paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
     paths.CHECKPOINT: ("books", "energy_scale", "digest"),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Mismatch:
-    """A recorded value that differs in the replayed frame."""
-
-    step: int
-    quantity: str
-    recorded: Value
-    replayed: Value
-    body: int | None = None
 
 
 class FrameCheck:
@@ -81,7 +71,11 @@ class FrameCheck:
         self._rows = RecordedRows(recording)
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
-        self._encoder = BatchEncoder(header, recording.origin, references)
+        header = header if recording.records_contacts else replace(header, record_impacts="none")
+        self._impacts = ImpactCheck(recording, header, self._rows) if header.records_contacts else None
+        if self._impacts and self._impacts.leaves_out:
+            self.skipped[LEFT_OUT] = None
+        self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
         self._arrows = references.keys()
         self._steps, self._begin, self._all_frames = steps, begin, all_frames
         self._shown, self._n = recording.shown, header.bodies
@@ -109,8 +103,17 @@ class FrameCheck:
                     return Mismatch(int(stray[0]), f"rows of /{path}, where there is no frame,", len(stray), 0)
         return None
 
+    def gather(self, frame: Frame) -> None:
+        """Take note of what happened up to a frame, whether it was recorded or not."""
+        if self._impacts:
+            self._impacts.gather(frame)
+
     def see(self, frame: Frame) -> Mismatch | None:
         """Add a frame; compare the queued frames once there are enough of them."""
+        if self._impacts:
+            found = self._impacts.see(frame.step)
+            if found:
+                return found
         self._waiting.append(frame)
         full = len(self._waiting) >= self._room or frame.step == self._begin
         return self.finish() if full else None
@@ -121,7 +124,7 @@ class FrameCheck:
         if not frames:
             return None
         first = frames[0].step == self._begin and self._begin > 0
-        few = None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box)
+        few = None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
         found: list[Mismatch] = []
         seen = {paths.CHECKPOINT}
         for replayed in rows_of(frames, self._encoder, self._clock):
@@ -151,7 +154,7 @@ class FrameCheck:
         block = self._rows.block(path, steps)
         if block is not None and all(name in block.components for name in compared):
             columns = [SIM_TIME, *compared]
-            if all(_same(block.batch[name], replayed.batch[name]) for name in columns):
+            if all(same(block.batch[name], replayed.batch[name]) for name in columns):
                 return []
         for k, step in enumerate(steps):
             if found := self._row(path, int(step), replayed.batch.slice(k, 1), compared):
@@ -160,6 +163,8 @@ class FrameCheck:
 
     def _skips(self, path: str, name: str, first: bool) -> bool:
         """Tell whether a component cannot be compared, and remember that it was not."""
+        if name == "impact_count":  # `ImpactCheck` looks at it
+            return True
         if path in _RELATIVE and not self._all_frames and name in (_RELATIVE[path] or (name,)):
             self.skipped[_LARGEST] = None
             return True
@@ -177,15 +182,17 @@ class FrameCheck:
         if len(found) > 1:
             return Mismatch(step, f"rows of /{path}", len(found), 1)
         (recorded,) = found
+        if path in _LARGEST_FIRST:
+            replayed = _as_many(replayed, recorded.batch)
         times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
         if times[0] != times[1]:
             return Mismatch(step, f"sim_time of /{path} (ns)", *times)
         for name in compared:
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is not there"] = None
-            elif different := _different(step, path, name, recorded.batch[name], replayed[name]):
+            elif off := different(step, path, name, recorded.batch[name], replayed[name]):
                 # rows of a clip have the bodies that it shows only
-                return different if different.body is None else replace(different, body=self._shown[different.body])
+                return off if off.body is None else replace(off, body=self._shown[off.body])
         return None
 
     def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
@@ -211,6 +218,18 @@ class FrameCheck:
         return []
 
 
+def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:
+    """Keep as many values of each list as were recorded: those of the largest impulses, which come first."""
+    columns = {}
+    for name in replayed.schema.names:
+        column = replayed[name]
+        if pa.types.is_list(column.type) and name in recorded.schema.names:
+            kept = column[0].values[: len(recorded[name][0].values)]
+            column = pa.ListArray.from_arrays(pa.array([0, len(kept)], pa.int32()), kept, type=column.type)
+        columns[name] = column
+    return pa.record_batch(list(columns.values()), schema=replayed.schema)
+
+
 @dataclass(frozen=True, slots=True)
 class _States:
     """A state that is recorded only when it changes."""
@@ -225,43 +244,6 @@ class _States:
     def at(self, step: int) -> str | None:
         place = int(np.searchsorted(self.step, step, side="right")) - 1
         return self.name[place] if place >= 0 else None
-
-
-def _same(recorded: pa.Array, replayed: pa.Array) -> bool:
-    """Tell whether two columns have the same bits in rows of the same lengths."""
-    if pa.types.is_list(recorded.type):
-        lengths = [pc.list_value_length(column) for column in (recorded, replayed)]
-        if not lengths[0].equals(lengths[1]):
-            return False
-    one, other = _flat(recorded), _flat(replayed)
-    return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-
-
-def _different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.Array) -> Mismatch | None:
-    """Compare the values of a row; name the first that differs."""
-    one, other = _flat(recorded), _flat(replayed)
-    quantity = f"/{path}" if name == "Scalars:scalars" else f"{name} of /{path}"
-    if len(one) != len(other):
-        return Mismatch(step, f"how many values {quantity} has", len(one), len(other))
-    if one.dtype.kind != other.dtype.kind or (one.dtype.kind != "S" and one.dtype != other.dtype):
-        return Mismatch(step, f"type of {quantity}", str(one.dtype), str(other.dtype))
-    if one.tobytes() == other.tobytes():
-        return None
-    if one.dtype.kind == "S":
-        return Mismatch(step, quantity, bytes(one[0]).decode(), bytes(other[0]).decode())
-    k = int(np.flatnonzero(one.view(np.uint8) != other.view(np.uint8))[0]) // one.itemsize
-    body = k // 3 if name in paths.CENTRES else None
-    return Mismatch(step, quantity, one[k].item(), other[k].item(), body)
-
-
-def _flat(row: pa.Array) -> NDArray[np.generic]:
-    """Return the numbers of a row, or its text as one value of bytes."""
-    values = row
-    while pa.types.is_nested(values.type):
-        values = values.flatten()
-    if pa.types.is_string(values.type):
-        return np.array(["\0".join(values.to_pylist()).encode()])
-    return np.ascontiguousarray(values.to_numpy(zero_copy_only=False))
 
 
 def _told(events: list[tuple[int, str, str]], others: list[tuple[int, str, str]]) -> str:

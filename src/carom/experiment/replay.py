@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from carom.experiment.environment import versions
-from carom.experiment.frame_check import FrameCheck, Mismatch, Value
+from carom.experiment.frame_check import FrameCheck
+from carom.experiment.mismatch import Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
@@ -118,7 +119,8 @@ def replay(
             raise RecordingError(f"{dense}: is the recording itself; name another file with -o")
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
-    space = space_of(recording, scene, checkpoint, threads, restored=checkpoint.step > 0)
+    records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")
+    space = space_of(recording, scene, checkpoint, threads, checkpoint.step > 0, records)
     run = _Comparison(recording, header_of(space), checkpoint.step, end, dense is None)
     began = clock.perf_counter()
     with ExitStack() as stack:
@@ -179,6 +181,7 @@ class _Comparison:
 
     def see(self, frame: Frame) -> None:
         """Compare a frame, if it was recorded."""
+        self.check.gather(frame)
         bits = self.fingerprints.get(frame.step)
         if bits is None:
             return

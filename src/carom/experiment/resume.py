@@ -35,7 +35,8 @@ class ResumableRun:
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if need be."""
-        return space_of(self.recording, self.scene, self.checkpoint, threads)
+        records = self.recording.records_contacts  # so that the whole file has the same entities
+        return space_of(self.recording, self.scene, self.checkpoint, threads, record_contacts=records)
 
 
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:

@@ -26,6 +26,7 @@ from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember
+from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
 from carom.scene.half_space import planes_of
@@ -53,6 +54,7 @@ class Outcome:
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
     impacts_counted: str = EACH  # see `contact_counts`
+    impacts: RecordedImpacts | None = None  # None: none were to be recorded
 
     @property
     def ok(self) -> bool:
@@ -91,12 +93,23 @@ def run(
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
     with claimed_output(Path(path), force) as claim:
-        outcome = simulate(Space(scene, threads), path, claim=claim)
+        outcome = simulate(recording_space(scene, threads), path, claim=claim)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
     return Recording.open(outcome.path)
+
+
+def recording_space(scene: Scene, threads: int | None = None) -> Space:
+    """Build a space whose frames carry what the scene's recording is to have.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot run.
+    """
+    return Space(scene, threads, record_contacts=scene.record.impacts != "none")
 
 
 def simulate(
@@ -197,6 +210,7 @@ def _simulate(
         verdicts=verdicts,
         warnings=physics.warnings,
         impacts_counted=_impacts_counted(space),
+        impacts=recorder.impacts,
     )
 
 
@@ -286,6 +300,7 @@ def header_of(space: Space) -> Header:
         body_colouring=scene.contact.colouring == "bodies",
         duration=scene.time.duration,
         shortest_dt_hint=space.first_dt,
+        record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,
         walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
         planes=planes_of(scene) if scene.plane else None,

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carom.experiment.expectation import Verdict
-from carom.experiment.run import Outcome, Watcher, simulate
+from carom.experiment.run import Outcome, Watcher, recording_space, simulate
 from carom.physics.diagnostics.extremes import Extreme
-from carom.physics.space import Space
 from carom.scene.bundled import EXTREMES, extreme_scenes
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
@@ -88,7 +87,7 @@ def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = No
         If the recording cannot be written at all.
     """
     try:
-        space = Space(scene)
+        space = recording_space(scene)
     except SceneError as error:
         return Trial(name, scene.title, None, str(error))
     return Trial(name, scene.title, simulate(space, folder / f"{name}.rrd", force=True, watch=watch))

@@ -148,6 +148,11 @@ class Space:
         self.profile.clear()
 
     @property
+    def records_contacts(self) -> bool:
+        """Whether frames carry what contacts did."""
+        return self._records_contacts
+
+    @property
     def box(self) -> FloatArray | None:
         """Size of the periodic domain, (3,) m, or None in open space."""
         return self._box if self._box[0] > 0.0 else None

@@ -264,6 +264,11 @@ class Record(Section):
         description="what tells bodies apart in the viewer: group, speed, their colour in the collision graph, or the "
         'bodies that touch each other; "auto": group, or graph with contact.colouring = "bodies"',
     )
+    impacts: Literal["auto", "all", "none"] = Field(
+        "auto",
+        description="impacts, and what contacts did, in the recording: all while they take at most a fifth of the "
+        'file, else the largest between frames ("auto"); "all"; or "none"',
+    )
     check_every: Count = Field(
         100,
         validation_alias=AliasChoices("check_every", "log_freq"),

@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.environment import versions
-from carom.experiment.run import simulate
+from carom.experiment.run import recording_space, simulate
 from carom.experiment.sweep.folder import Folder, move
 from carom.experiment.sweep.manifest import DONE, FAILED
 from carom.experiment.sweep.plan import SEED, Point, digest
 from carom.physics.error import PhysicsError
-from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
@@ -82,7 +81,7 @@ def _made(task: Task, folder: Folder) -> Report:
     member = SweepMember(point.name, _recordable({**point.parameters, SEED: point.seed}), task.command)
     attempt = folder.attempt(point.name)
     try:
-        outcome = simulate(Space(scene, threads=1), attempt, member=member)
+        outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
         if outcome.status == "failed":  # keeps the recording; other ends say nothing about the scene

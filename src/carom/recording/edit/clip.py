@@ -132,7 +132,8 @@ def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
         which = f"bodies 0 to {len(shown) - 1}" if whole else bodies_called(shown, recording.bodies.name)
         raise RecordingError(f"{recording.path} has no body {missing[0]}: it shows {which}")
     box = recording.info.get("box")
-    return Selection(bodies, shown, None if box is None else np.asarray(box, dtype=np.float64))
+    size = None if box is None else np.asarray(box, dtype=np.float64)
+    return Selection(bodies, shown, size, int(recording.info["bodies"]))
 
 
 def _identity(recording: Recording, cut: _Cut, shown: Sequence[int]) -> dict[str, Scalar | NDArray[np.int64]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
@@ -10,12 +11,14 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.recording.read import tables
+from carom.recording.read.impacts import impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.event_kinds import CLOSING, kind_of
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.timelines import IMPACT, STEP
 
 
 class Continuation:
@@ -41,15 +44,26 @@ class Continuation:
         states = {paths.PHASE: recording.phases(), paths.DT_LIMIT: recording.dt_limits()}
         self.last_state = {path: _last(table, step) for path, table in states.items()}
 
+    @cached_property
+    def impacts(self) -> RecordedImpacts:
+        """The impacts up to the checkpoint."""
+        return impacts_until(self.recording, self.step)
+
     def first_position(self) -> NDArray[np.float64]:
         """Where the bodies were at the first checkpoint, (n, 3) m."""
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
+
+    def _kept(self, batch: pa.RecordBatch) -> pa.BooleanArray:
+        """Tell which rows are of steps, or of impacts, up to the checkpoint."""
+        if STEP in batch.schema.names:
+            return pc.less_equal(batch[STEP], self.step)
+        return pc.less_equal(batch[IMPACT], self.impacts.count)
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield all rows up to the checkpoint, without the events that closed the recording."""
         for chunk in self.recording.temporal_chunks():
             batch = chunk.batch
-            kept = pc.less_equal(batch[STEP], self.step)
+            kept = self._kept(batch)
             if chunk.entity_path == paths.EVENTS:
                 kept = pc.and_(kept, pc.invert(_closes(chunk)))
             if pc.all(kept).as_py():

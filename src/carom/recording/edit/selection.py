@@ -22,15 +22,30 @@ _ROUNDING = 8 * float(np.finfo(np.float32).eps)  # of a few float32 operations o
 class Selection:
     """Keeps the spheres and arrows of some bodies and the contacts among them.
 
-    A contact is kept if both its bodies are, or its body is and the other side is a plane. Which bodies it joins is
-    found from where its line ends: the chunk with the centres has to come before that with the contacts.
+    A contact is kept if both its bodies are, or its body is and the other side is a plane. Recordings before schema 3
+    have no numbers of the bodies that it joins. There they are found from where its line ends, and the chunk with the
+    centres has to come before that with the contacts.
+
+    Parameters
+    ----------
+    numbers
+        Of the bodies to keep.
+    shown
+        Numbers of the bodies that the source shows.
+    box
+        (3,) m, of a periodic domain.
+    bodies
+        How many bodies there are.
     """
 
-    def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: NDArray[np.float64] | None) -> None:
+    def __init__(
+        self, numbers: Sequence[int], shown: Sequence[int], box: NDArray[np.float64] | None, bodies: int
+    ) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
         self._places = np.searchsorted(np.asarray(shown), self._numbers)  # among those that the source shows
         self._shown = len(shown)
         self._box = box
+        self._bodies_in_all = bodies
         self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until the contacts of the step were seen
 
     def of(self, chunk: Chunk) -> Chunk:
@@ -41,6 +56,11 @@ class Selection:
                 return self._bodies(chunk)
             case paths.TORQUE | paths.ANGULAR_ACCELERATION if not chunk.is_static:
                 return _masked(chunk, [np.isin(row, self._numbers) for row in _rows(chunk, "body")])
+            case paths.CONTACTS | paths.FORCE_NORMAL | paths.FORCE_FRICTION if "bodies" in chunk.components:
+                return _masked(chunk, [self._joins(row) for row in _rows(chunk, "bodies")])
+            case paths.IMPACTS if "bodies" in chunk.components:
+                kept = [bool(self._joins(row).all()) for row in _rows(chunk, "bodies")]
+                return Chunk(chunk.entity_path, chunk.batch.filter(pa.array(kept, pa.bool_())))
             case paths.CONTACTS if not chunk.is_static:
                 strips = [
                     np.asarray(row, np.float32).reshape(-1, 2, 3) for row in _vectors(chunk, "LineStrips3D:strips")
@@ -48,6 +68,12 @@ class Selection:
                 steps = chunk.batch[STEP].to_pylist()
                 return _masked(chunk, [self._among(k, lines) for k, lines in zip(steps, strips, strict=True)])
         return chunk
+
+    def _joins(self, ends: IntArray) -> NDArray[np.bool_]:
+        """Tell which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
+        pairs = ends.reshape(-1, 2)
+        kept = np.isin(pairs, self._numbers)
+        return np.asarray(kept[:, 0] & (kept[:, 1] | (pairs[:, 1] >= self._bodies_in_all)))
 
     def _bodies(self, chunk: Chunk) -> Chunk:
         """Keep some values of lists with one value per body, and other lists unchanged."""
@@ -61,7 +87,7 @@ class Selection:
 
     def _remember(self, chunk: Chunk) -> None:
         for name in paths.CENTRES:
-            if name in chunk.components and not chunk.is_static:
+            if name in chunk.components and STEP in chunk.batch.schema.names:
                 rows = _vectors(chunk, name)
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
@@ -108,8 +134,13 @@ def _masked(chunk: Chunk, masks: list[NDArray[np.bool_]]) -> Chunk:
     lengths = [len(row) for row in masks]
     columns = {}
     for name in chunk.components:
-        if pc.list_value_length(chunk.batch[name]).to_pylist() == lengths:
+        found = pc.list_value_length(chunk.batch[name]).to_pylist()
+        if name == "impact_count":  # one value a row, however many contacts there are
+            continue
+        if found == lengths:
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(mask), each)
+        elif found == [2 * length for length in lengths]:  # pairs
+            columns[name] = _lists(chunk.batch[name], np.flatnonzero(np.repeat(mask, 2)), 2 * each)
     return _replaced(chunk, columns)
 
 

@@ -16,7 +16,9 @@ from carom.physics.event import Event
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.body_states import bodies_at
+from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
+from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
 from carom.recording.read.summary import summary
 from carom.recording.read.tables import Column
@@ -31,6 +33,7 @@ from carom.recording.schema.timelines import SIM_TIME, STEP
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
+    from carom.recording.read.window import Watcher
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
@@ -182,6 +185,12 @@ class Recording:
 
     @property
     @_named
+    def records_contacts(self) -> bool:
+        """Whether what contacts and impacts did is recorded."""
+        return bool(self.info.get("records_contacts", False))
+
+    @property
+    @_named
     def title(self) -> str:
         """The scene's title."""
         return str(self.info["title"])
@@ -210,7 +219,6 @@ class Recording:
         mass, radius, inertia = (self._positive(stored[name], name) for name in ("mass", "radius", "inertia"))
         return BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
 
-    @_named
     def trajectory(
         self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
     ) -> pa.Table:
@@ -239,6 +247,71 @@ class Recording:
             If there is no such body or no frame in the interval, or it cannot be run again.
         """
         return trajectory(self, body, start, end, replay=replay)
+
+    def impacts(
+        self,
+        start: float | None = None,
+        end: float | None = None,
+        body: int | str | None = None,
+        *,
+        replay: bool = False,
+        watch: Watcher | None = None,
+    ) -> pa.Table:
+        """Return the impacts of an interval in order of time.
+
+        Where they are not recorded, the steps are run again.
+
+        Parameters
+        ----------
+        start, end
+            s, both included; by default the whole recording.
+        body
+            Number or name of the body whose impacts are wanted; by default all.
+        replay
+            Whether to run the steps again in any case, for all impacts and all numbers in float64.
+        watch
+            Called now and then during a replay with where it stands.
+
+        Returns
+        -------
+        impacts
+            Columns step, time (s), i, j (ends; from n on planes and walls), x, y, z (m, the contact point), nx, ny, nz
+            (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J). The
+            metadata of the schema has the ``source`` and how many impacts were ``left_out`` of the recording.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such body, nothing of the interval is recorded, or it cannot be run again.
+        """
+        return impacts(self, start, end, body, replay=replay, watch=watch)
+
+    def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
+        """Return the contacts of the step that a time is in, by pair.
+
+        Where that step has no frame, or its contacts are not recorded, it is run again.
+
+        Parameters
+        ----------
+        at
+            s, by default the moment of `moment`.
+        replay
+            Whether to run the step again in any case, for all columns in float64.
+        watch
+            Called now and then during a replay with where it stands.
+
+        Returns
+        -------
+        contacts
+            The columns of `impacts`. In what was recorded, approach_speed and energy_lost are null but for impacts.
+            The metadata of the schema has the ``source``.
+
+        Raises
+        ------
+        RecordingError
+            If the time is not in the recording, or it cannot be run again.
+        """
+        return contacts(self, at, replay=replay, watch=watch)
 
     def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
         n, array = int(self.info["bodies"]), np.asarray(values)

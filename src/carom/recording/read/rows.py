@@ -16,11 +16,12 @@ from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME, STEP
-from carom.recording.write.encoder import BatchEncoder, Rows
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.rows import Rows
 
 _KEPT = 2  # chunks of an entity in memory
 _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
-_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS)  # entities without one row for every frame
+_BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
 
 
 class RecordedRows:
@@ -39,7 +40,7 @@ class RecordedRows:
     @property
     def entities(self) -> list[str]:
         """Entities with rows of frames, by name."""
-        return sorted(set(self._entries) - set(_BY_CHANGE))
+        return sorted(set(self._entries) - set(_BY_EVENT))
 
     def at(self, path: str, step: int) -> list[Chunk]:
         """Return an entity's rows of a step, each as a chunk of its own: one, if all is well."""
@@ -83,16 +84,17 @@ class RecordedRows:
 def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Iterator[Chunk]:
     """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
     for rows in encoder.rows(frames):
-        if rows.path not in _BY_CHANGE:
-            yield _chunk(rows, clock)
+        if rows.path not in _BY_EVENT:
+            yield chunk_of(rows, clock)
 
 
 def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Chunk:
     """Encode the exact state of frames."""
-    return _chunk(encoder.checkpoints(frames), clock)
+    return chunk_of(encoder.checkpoints(frames), clock)
 
 
-def _chunk(rows: Rows, clock: Clock) -> Chunk:
+def chunk_of(rows: Rows, clock: Clock) -> Chunk:
+    """Return rows as a chunk, as if they had been recorded."""
     times = pa.array(clock.nanoseconds(rows.times)).cast(pa.duration("ns"))
     columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {
         STEP: (pa.array(rows.steps, pa.int64()), _INDEX),

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from carom.recording.errors import DamageError
+from carom.recording.read.impacts import impacts_until
 from carom.scene.names import body_called
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "momentum": {"max_error": _largest(momenta, "momentum_error")},
         "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
         "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
+        "impacts": _impacts(recording),
         "warnings": [asdict(event) for event in recording.warnings()],
         "moments": _moments(recording),
         "profile": {} if clip else _below(recording.closing, "profile"),
@@ -60,6 +62,14 @@ def _clip(recording: Recording) -> dict[str, Any]:
     shown = recording.shown
     called = [body_called(body, recording.bodies.name[body]) for body in shown]
     return dict(recording.clip) | {"bodies": shown, "names": called, "first_step": first}
+
+
+def _impacts(recording: Recording) -> dict[str, int]:
+    """Count the impacts that are recorded, and those that are not; empty if none were to be."""
+    if not recording.records_contacts or not recording.frames:
+        return {}
+    last = int(recording.fingerprints()["step"][-1].as_py())
+    return asdict(impacts_until(recording, last))
 
 
 def _energy(energy: pa.Table) -> dict[str, float]:

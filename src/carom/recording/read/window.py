@@ -47,7 +47,7 @@ class Window:
         *,
         contacts: bool = False,
         threads: int | None = None,
-        watch: Watcher = lambda status: None,
+        watch: Watcher | None = None,
     ) -> None:
         self._recording = recording
         self._watch = watch
@@ -75,7 +75,8 @@ class Window:
             bits = recorded.get(frame.step)
             if bits is not None and bits != frame.fingerprint and self.differs is None:
                 self.differs = frame.step
-            self._watch(self._space.status)
+            if self._watch:
+                self._watch(self._space.status)
             yield frame
 
 

@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-7  # s; a step shorter than 100 ns would be rounded by more than half a per cent
@@ -48,10 +48,13 @@ class Clock:
             raise RecordingError(f"simulated time {np.max(np.abs(times)):g} s does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 
-    def columns(self, steps: Sequence[int], times: Sequence[float]) -> list[rr.TimeColumn]:
-        """Both timelines for the rows of a batch."""
-        duration = self.nanoseconds(times).astype("timedelta64[ns]")
-        return [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=duration)]
+    def columns(self, steps: Sequence[int], times: Sequence[float], impacts: Sequence[int] = ()) -> list[rr.TimeColumn]:
+        """Timelines for the rows of a batch: step and time, the number of the impact, or all three."""
+        columns = []
+        if len(steps):
+            duration = self.nanoseconds(times).astype("timedelta64[ns]")
+            columns = [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=duration)]
+        return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
 
 
 def _positive(value: float) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,7 @@ class Header:
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
+    record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
@@ -76,6 +77,11 @@ class Header:
         if self.colour_by != "auto":
             return self.colour_by
         return "graph" if self.body_colouring else "group"
+
+    @property
+    def records_contacts(self) -> bool:
+        """Whether what contacts and impacts did is recorded."""
+        return self.collides and self.record_impacts != "none"
 
     @property
     def bodies(self) -> int:

@@ -39,6 +39,16 @@ class Content(NamedTuple):
     why: str
 
 
+def _contact_data(header: Header) -> Iterator[Content]:
+    without = "no contact" if not header.collides else 'record.impacts = "none"'
+    kept = "all" if header.record_impacts == "all" else "at most a fifth of the file, else the largest"
+    for path, why in ((paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
+        yield Content(path, header.records_contacts, why if header.records_contacts else without)
+    rubs = header.records_contacts and header.has_friction
+    why = "the same contacts" if rubs else without if not header.records_contacts else "no friction"
+    yield Content(paths.FORCE_FRICTION, rubs, why)
+
+
 def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     """Return every entity that a recording may have."""
     parts = {part.name: part.modelled for part in needs.parts}
@@ -47,6 +57,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     for path, name in needed:
         there = name is None or parts[name]
         yield Content(path, there, (name or "always") if there else f"no {name}")
+    yield from _contact_data(header)
     for path, why in _ALWAYS.items():
         yield Content(path, True, why)
     yield Content(paths.PLANES, header.planes is not None, ONCE if header.planes is not None else "no planes")

@@ -1,6 +1,6 @@
 """Paths of the entities of a recording, those of scalars apart (`series`), and the version of the schema."""
 
-SCHEMA_VERSION = 2  # 2: a run can be resumed from a checkpoint; 1: checkpoints could only be read
+SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed; 1: checkpoints could only be read
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
@@ -12,6 +12,10 @@ PERIODIC_BOX = "world/box"
 TORQUE = "world/torque"
 ANGULAR_ACCELERATION = "world/angular_acceleration"
 CONTACTS = "world/contacts"
+FORCE_NORMAL = "world/forces/normal"
+FORCE_FRICTION = "world/forces/friction"
+IMPACTS = "impacts"
+IMPACT_ENERGY = "impacts.energy"  # no entity: in the property `arrows`
 ENERGY = "energy"
 STEP = "step"
 DT_LIMIT = "step/limit"

@@ -9,6 +9,7 @@ from carom.recording.schema.header import Header
 from carom.recording.view.additions import NONE, Additions
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area
+from carom.recording.view.contact_overrides import recent_impacts
 from carom.recording.view.drawn_bodies import drawn_bodies
 from carom.recording.view.eye import background, eye
 from carom.recording.view.trails import TRAILS, up_to_cursor
@@ -26,6 +27,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *entities.surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
+            *([paths.IMPACTS] if header.records_contacts else []),
         ],
         background=background(),
         line_grid=False,
@@ -33,5 +35,6 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
         overrides={
             **drawn_bodies(header, view, area, added.recoloured),
             **(up_to_cursor() if added.trails else {}),
+            **recent_impacts(header),
         },
     )

@@ -13,7 +13,7 @@ from carom.recording.schema.palette import LINES
 from carom.recording.view.canvas import Area
 from carom.recording.view.curve import Curve
 from carom.recording.view.plot_views import time_series_view
-from carom.recording.write.encoder import Rows
+from carom.recording.write.rows import Rows
 from carom.recording.write.statics import curve_style
 
 TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}

@@ -28,7 +28,7 @@ from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
 from carom.recording.write import encoder as entities
-from carom.recording.write.encoder import Rows
+from carom.recording.write.rows import Rows
 
 FloatArray = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area
+from carom.recording.view.contact_overrides import edges_by_impulse, force_arrows
 from carom.recording.view.eye import background, eye
 from carom.recording.write import encoder as entities
 
@@ -24,21 +25,27 @@ def has_graph(header: Header) -> bool:
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
-    """Show edges, torques and angular accelerations."""
+    """Show edges, by their impulses if these are recorded, and arrows."""
     return rrb.Spatial3DView(
-        name="Collision graph, torques, angular accelerations",
+        name=_name(header),
         origin="/",
         contents=[
             paths.BODIES,
             *entities.surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
+            *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
         background=background(),
         line_grid=False,
         eye_controls=eye(camera.view(area.aspect, _arrows(header))),
-        overrides=faint_bodies(header),
+        overrides=faint_bodies(header) | edges_by_impulse(header),
     )
+
+
+def _name(header: Header) -> str:
+    edges = "Impulses" if header.records_contacts else "Collision graph"
+    return f"{edges}, torques, angular accelerations" if header.has_torque else edges
 
 
 def _arrows(header: Header) -> float:

@@ -28,9 +28,10 @@ from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.trails import Trails, has_trails
-from carom.recording.write.encoder import BatchEncoder, Rows
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.rows import Rows
 
-_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM)  # not sent again for steps that were run again
+_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent again for steps that were run again
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +163,7 @@ def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Ro
     if all(np.any(recorded == frame.step) for frame in step.added):
         return
     before = None if step.before is None else step.before.checkpoint
-    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before)
+    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before, everything=True)
     for rows in encoder.rows(step.added):
         if rows.path not in _ONCE:
             yield rows

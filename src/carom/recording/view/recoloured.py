@@ -17,7 +17,7 @@ from carom.recording.schema.timelines import STEP
 from carom.recording.view import colouring
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.write import encoder as entities
-from carom.recording.write.encoder import Rows
+from carom.recording.write.rows import Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

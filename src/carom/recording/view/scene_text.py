@@ -7,7 +7,7 @@ import numpy as np
 from carom.recording.schema import palette
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import ANGULAR_ACCELERATION, TORQUE
+from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.write.encoder import arrow_length, shape
 from carom.scene.names import in_series
 
@@ -65,11 +65,28 @@ def _legend(header: Header) -> str:
             f"- Lines join the centres of touching bodies. Their colour is the stage in which the contact is resolved: "
             f"{stages}, then again from the start; white is the last, serial stage (past {palette.SERIAL_STAGE})."
         )
+    if header.records_contacts:
+        lines += _impulse_legend(header)
     if header.has_torque:
         lines.append("- Arrows: torque orange and thick, angular acceleration green and thin.")
     if shape(header) == "mesh":
         lines.append("- Dark and light halves of a sphere show how it turns.")
     return "\n".join(lines)
+
+
+def _impulse_legend(header: Header) -> list[str]:
+    """Say how impulses and impacts are drawn."""
+    longest = arrow_length(header, FORCE_NORMAL)
+    friction = ", and the friction on it (green)" if header.has_friction else ""
+    return [
+        "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
+        "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
+        "Chains of wide lines carry the load. m_ref (N s) is `world/contacts` in the recording's property `arrows`.",
+        "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
+        f"body (sky blue){friction}, {longest:.4g} m · u long.",
+        "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts`), as bright as "
+        "the energy lost (m_ref in J is `impacts.energy`). On the timeline `impact` one steps from each to the next.",
+    ]
 
 
 def _body_colours(header: Header) -> str:

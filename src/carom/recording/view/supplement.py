@@ -10,8 +10,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.recording.schema.clock import Clock
-from carom.recording.write.encoder import Rows
 from carom.recording.write.rerun_compat import send_layout
+from carom.recording.write.rows import Rows
 
 Static = tuple[str, rr.AsComponents]
 

@@ -17,7 +17,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.supplement import Static
-from carom.recording.write.encoder import Rows
+from carom.recording.write.rows import Rows
 
 TRAILS = "trails"
 

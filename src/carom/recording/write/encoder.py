@@ -1,13 +1,8 @@
-"""Encodes batches of frames as Rerun's columns.
-
-A `Rows` holds one entity's part of a batch, as `send_columns` takes it, and the size of its arrays. Parts of the model
-that the scene does not require have no entity.
-"""
+"""Encodes batches of frames as Rerun's columns. Parts of the model that the scene does not require have no entity."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +16,7 @@ from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.schema import checkpoint, palette
 from carom.recording.schema.header import Header
+from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import (
     ANGULAR_ACCELERATION,
     BODIES,
@@ -29,6 +25,8 @@ from carom.recording.schema.paths import (
     DT_LIMIT,
     EVENTS,
     FINGERPRINT,
+    FORCE_FRICTION,
+    FORCE_NORMAL,
     MOMENTUM,
     PERIODIC_BOX,
     PHASE,
@@ -37,28 +35,27 @@ from carom.recording.schema.paths import (
     WALLS,
 )
 from carom.recording.schema.series import Sample, recorded
-from carom.recording.view import arrows, colouring
+from carom.recording.view import arrows, colouring, impulse_scale
 from carom.recording.view.curve import Curve
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.contact_encoder import ContactEncoder
+from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
 _STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
-_INDEX_BYTES = 16  # a row's step and simulated time
+
+_REACH = {  # L_max in median body radii
+    TORQUE: arrows.TORQUE_REACH,
+    ANGULAR_ACCELERATION: arrows.ANGULAR_ACCELERATION_REACH,
+    FORCE_NORMAL: impulse_scale.REACH,
+    FORCE_FRICTION: impulse_scale.REACH,
+}
 
 FloatArray = NDArray[np.float64]
 
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """One entity's rows of a batch."""
-
-    path: str
-    steps: Sequence[int]
-    times: Sequence[float]  # s
-    columns: ComponentColumnList
-    bytes: int  # of the arrays in it, indices included
+NO_IMPACTS = RecordedImpacts()
 
 
 def shape(header: Header) -> str:
@@ -70,8 +67,7 @@ def shape(header: Header) -> str:
 
 def arrow_length(header: Header, path: str) -> float:
     """Return L_max (m) of the arrows at an entity."""
-    reach = arrows.TORQUE_REACH if path == TORQUE else arrows.ANGULAR_ACCELERATION_REACH
-    return arrows.longest(header.radius, reach)
+    return arrows.longest(header.radius, _REACH[path])
 
 
 def surroundings(header: Header) -> list[str]:
@@ -83,8 +79,19 @@ def surroundings(header: Header) -> list[str]:
 class BatchEncoder:
     """Turns batches of frames into rows, entity by entity.
 
-    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references and
-    the last frame. ``curves`` are the outlines of the series encoded so far.
+    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references, the
+    last frame, and what it kept of contacts. ``curves`` are the outlines of the series encoded so far.
+
+    Parameters
+    ----------
+    header
+        Of the recording.
+    origin
+        (3,) m, of what is drawn.
+    arrow_references, last_state, before, impacts_before
+        Where a run is resumed: what the rows before it depend on, and the impacts in them.
+    everything
+        Whether no impact is left out: for a comparison with what was recorded.
     """
 
     def __init__(
@@ -94,6 +101,9 @@ class BatchEncoder:
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
         before: Checkpoint | None = None,
+        *,
+        impacts_before: RecordedImpacts = NO_IMPACTS,
+        everything: bool = False,
     ) -> None:
         self.header = header
         self.origin = origin
@@ -102,7 +112,17 @@ class BatchEncoder:
         self._recorded = tuple(recorded(header))
         self.curves = {series.path: Curve() for series in self._recorded}
         self._before: Frame | Checkpoint | None = before
+        self._contacts = (
+            ContactEncoder(header, origin, self.arrow_references, impacts_before, everything=everything)
+            if header.records_contacts
+            else None
+        )
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+
+    @property
+    def impacts(self) -> RecordedImpacts | None:
+        """How many impacts are recorded so far; None if none are to be."""
+        return self._contacts.impacts if self._contacts else None
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
         """All entities' rows of a batch, checkpoints apart; in a store its frames follow each other."""
@@ -115,6 +135,8 @@ class BatchEncoder:
         deepest = np.zeros((len(batch), 2))
         if self.header.collides:
             yield self._collisions(batch, points, deepest)
+        if self._contacts:
+            yield from self._contacts.rows(batch)
         yield from self._series(batch, deepest)
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
@@ -126,9 +148,9 @@ class BatchEncoder:
         """Encode the exact state of some frames."""
         encoded = checkpoint.encode([frame.checkpoint for frame in frames])
         columns = [
-            column for name, (values, each) in encoded.items() for column in _any_column(name, values).partition(each)
+            column for name, (values, each) in encoded.items() for column in any_column(name, values).partition(each)
         ]
-        return _rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
+        return frame_rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
 
     def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
         each = [self.header.bodies] * len(batch)
@@ -142,16 +164,16 @@ class BatchEncoder:
         match shape(self.header):
             case "ellipsoids":
                 columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turned, colors=colours)
-                size = _bytes(centres, turned, colours)
+                size = array_bytes(centres, turned, colours)
             case "points":
                 columns = rr.Points3D.columns(positions=centres, colors=colours)
-                size = _bytes(centres, colours)
+                size = array_bytes(centres, colours)
             case _:
                 # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
                 scales = np.tile(np.repeat(self.header.radius, 3), len(batch)).reshape(-1, 3).astype(np.float32)
                 columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
-                size = _bytes(centres, turned, scales)
-        return _rows(BODIES, batch, columns.partition(each), size)
+                size = array_bytes(centres, turned, scales)
+        return frame_rows(BODIES, batch, columns.partition(each), size)
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
         match self.header.coloured_by:
@@ -207,9 +229,9 @@ class BatchEncoder:
         encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
         columns = [
             *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
-            *_any_column("body", body).partition(each),
+            *any_column("body", body).partition(each),
         ]
-        return _rows(path, batch, ComponentColumnList(columns), _bytes(vector, origin, body))
+        return frame_rows(path, batch, ComponentColumnList(columns), array_bytes(vector, origin, body))
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
         """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""
@@ -222,12 +244,13 @@ class BatchEncoder:
     def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32], deepest: FloatArray) -> Rows:
         """Draw the edges of the collision graphs, and find each frame's deepest overlaps (m, and relative)."""
         graphs = [frame.contacts for frame in batch]
+        pairs = np.concatenate([graph.pairs for graph in graphs])
         each = np.array([len(graph.pairs) for graph in graphs], dtype=np.int64)
         colours = np.concatenate([graph.colours for graph in graphs])
         strips, shown = np.empty((len(colours), 6), dtype=np.float32), np.empty(len(colours), dtype=np.uint32)
         encoding.draw_edges(
             each,
-            np.concatenate([graph.pairs for graph in graphs]),
+            pairs,
             np.concatenate([graph.normals for graph in graphs]),
             np.concatenate([graph.overlaps for graph in graphs]),
             colours,
@@ -245,7 +268,11 @@ class BatchEncoder:
             rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
             *rr.LineStrips3D.columns(colors=shown).partition(each),
         ]
-        return _rows(CONTACTS, batch, ComponentColumnList(columns), _bytes(strips, shown))
+        size = array_bytes(strips, shown)
+        if self._contacts:
+            did, more = self._contacts.columns(batch, pairs)
+            columns, size = [*columns, *did], size + more
+        return frame_rows(CONTACTS, batch, ComponentColumnList(columns), size)
 
     def _series(self, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
@@ -254,7 +281,7 @@ class BatchEncoder:
         for series in self._recorded:
             values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
             self.curves[series.path].see(time, values)
-            yield _rows(series.path, batch, rr.Scalars.columns(scalars=values), _bytes(values))
+            yield frame_rows(series.path, batch, rr.Scalars.columns(scalars=values), array_bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Yield rows only for frames whose state differs from the frame before."""
@@ -265,7 +292,7 @@ class BatchEncoder:
                 changed.append(frame)
         if changed:
             names = [state(frame) for frame in changed]
-            yield _rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
+            yield frame_rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
 
     def _momenta(self, batch: Sequence[Frame]) -> Rows:
         linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
@@ -291,8 +318,8 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
 def _fingerprints(batch: Sequence[Frame]) -> Rows:
     bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
     time = np.array([frame.time for frame in batch])
-    columns = [*_any_column("fingerprint", bits), *_any_column("time", time)]
-    return _rows(FINGERPRINT, batch, ComponentColumnList(columns), _bytes(bits, time))
+    columns = [*any_column("fingerprint", bits), *any_column("time", time)]
+    return frame_rows(FINGERPRINT, batch, ComponentColumnList(columns), array_bytes(bits, time))
 
 
 def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
@@ -304,8 +331,8 @@ def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
 def event_rows(events: Sequence[Event]) -> Rows:
     """Return one row of the log for each event."""
     log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-    columns = ComponentColumnList([*log, *_any_column("kind", [e.kind for e in events])])
-    size = sum(len(e.text) + len(e.level) + len(e.kind) for e in events) + _INDEX_BYTES * len(events)
+    columns = ComponentColumnList([*log, *any_column("kind", [e.kind for e in events])])
+    size = sum(len(e.text) + len(e.level) + len(e.kind) + 16 for e in events)  # 16: step and time
     return Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
 
 
@@ -315,14 +342,9 @@ def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray
     columns = [
         column
         for name, array in arrays.items()
-        for column in _any_column(name, array).partition([len(array) // count] * count)
+        for column in any_column(name, array).partition([len(array) // count] * count)
     ]
-    return _rows(path, frames, ComponentColumnList(columns), _bytes(*arrays.values()))
-
-
-def _any_column(name: str, array: NDArray[np.generic] | list[str]) -> ComponentColumnList:
-    """Make a column of any type. As an Arrow array: a NumPy array would be walked value by value, in Python."""
-    return rr.AnyValues.columns(True, **{name: pa.array(array)})
+    return frame_rows(path, frames, ComponentColumnList(columns), array_bytes(*arrays.values()))
 
 
 def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
@@ -330,12 +352,3 @@ def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
     vectors = pa.FixedSizeListArray.from_arrays(pa.array(points.ravel()), type=_VECTOR)
     offsets = pa.array(np.arange(0, 2 * len(points) + 1, 2, dtype=np.int32))
     return LineStrip3DBatch(pa.ListArray.from_arrays(offsets, vectors, type=_STRIP))
-
-
-def _rows(path: str, frames: Sequence[Frame], columns: ComponentColumnList, size: int) -> Rows:
-    steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
-    return Rows(path, steps, times, columns, size + _INDEX_BYTES * len(frames))
-
-
-def _bytes(*arrays: NDArray[np.generic] | None) -> int:
-    return sum(array.nbytes for array in arrays if array is not None)

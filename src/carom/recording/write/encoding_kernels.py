@@ -145,3 +145,48 @@ def draw_edges(
                 strips[c, 3 + k] = end
             drawn[c] = serial_colour if colours[c] >= serial else cycle[colours[c] % len(cycle)]
             c += 1
+
+
+@long_kernel
+def write_contacts(
+    edges: IntArray,
+    pairs: IntArray,
+    each: IntArray,
+    rows: NDArray[np.void],
+    reference: float,
+    scale: ColourArray,
+    widths: SingleArray,
+    ends: NDArray[np.uint32],
+    normal: SingleArray,
+    tangential: SingleArray,
+    mode: NDArray[np.uint8],
+    colour: ColourArray,
+    width: SingleArray,
+) -> None:
+    """Write what the contacts at edges did, and how the edges are drawn by their impulses.
+
+    Parameters
+    ----------
+    edges, each
+        (frames,) edges and contacts of each frame; they follow each other in ``pairs`` and ``rows``, sorted by pair.
+    scale, widths
+        (levels,) colours and radii by rising impulse.
+    """
+    first, c = 0, 0
+    for f in range(len(edges)):
+        a = first
+        for _ in range(edges[f]):
+            i, j = pairs[c, 0], pairs[c, 1]
+            while a < first + each[f] and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
+                a += 1
+            row = rows[a]
+            ends[c, 0], ends[c, 1] = i, j
+            x, y, z = row.friction_x, row.friction_y, row.friction_z
+            normal[c] = np.float32(row.normal_impulse)
+            tangential[c] = np.float32(np.sqrt(x * x + y * y + z * z))
+            mode[c] = row.mode
+            s = np.cbrt(max(0.0, row.normal_impulse) / reference)
+            level = min(len(scale) - 1, int(len(scale) * (1.0 - 1.0 / (1.0 + s))))
+            colour[c], width[c] = scale[level], widths[level]
+            c += 1
+        first += each[f]

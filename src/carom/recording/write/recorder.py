@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -20,6 +21,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
+from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.recorded_curves import recorded_curves
@@ -84,6 +86,11 @@ class Recorder:
     def payload_bytes(self) -> int:
         """Bytes of all arrays recorded so far, as handed to Rerun."""
         return self._stream.payload_bytes
+
+    @property
+    def impacts(self) -> RecordedImpacts | None:
+        """How many impacts are recorded so far; None if none are to be."""
+        return self._encoder.impacts if self._encoder else None
 
     def store_for(self, bodies: Bodies) -> FrameStore:
         """Return memory for the arrays of frames; a frame's arrays are reused once this recorder is done with it."""
@@ -157,7 +164,8 @@ class Recorder:
         if continued is not None:
             position, origin = continued.first_position(), continued.origin
             self._encoder = BatchEncoder(
-                self.header, origin, continued.arrow_references, continued.last_state, continued.checkpoint
+                *(self.header, origin, continued.arrow_references, continued.last_state, continued.checkpoint),
+                impacts_before=continued.impacts,
             )
             self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
@@ -205,7 +213,8 @@ class Recorder:
                     self._stream.send_event(event, self._clock)
                 self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}", "end"), self._clock)
                 self._look_again()
-            self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **summary})
+            kept = {} if self.impacts is None else {f"impacts.{key}": n for key, n in asdict(self.impacts).items()}
+            self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **kept, **summary})
         finally:
             self._stream.close()
         self._check()

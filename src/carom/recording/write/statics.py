@@ -18,7 +18,7 @@ from carom.recording.write import encoder as entities
 
 Static = tuple[str, rr.AsComponents]
 
-_THICK, _THIN = 0.16, 0.07  # of an arrow, in median body radii
+_THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _PLANE_LINES = 13  # in each direction
@@ -50,6 +50,10 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
         yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
     if header.collides:
         yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
+    if header.records_contacts:
+        yield paths.FORCE_NORMAL, _arrow_style(header, _FORCE, palette.SKY)
+        if header.has_friction:
+            yield paths.FORCE_FRICTION, _arrow_style(header, _FORCE, palette.GREEN)
     yield from _series(header)
     yield paths.PHASE, _states(palette.PHASES)
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)

@@ -19,9 +19,10 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write import encoder as entities
 from carom.recording.write.durable_sink import DurableSink
-from carom.recording.write.encoder import Rows, event_rows
+from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
+from carom.recording.write.rows import Rows
 from carom.recording.write.statics import statics
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
@@ -38,7 +39,7 @@ class Stream:
         self.payload_bytes = 0
         self._batch_bytes = batch_bytes
         self._header = header
-        self._indexed: tuple[Sequence[int], Sequence[float]] = ((), ())
+        self._indexed: tuple[Sequence[int], Sequence[float], Sequence[int]] = ((), (), ())
         self._index: list[rr.TimeColumn] = []
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
@@ -57,8 +58,8 @@ class Stream:
 
     def send(self, rows: Rows, clock: Clock) -> None:
         """Send one entity's rows."""
-        if (rows.steps, rows.times) != self._indexed:  # most entities of a batch have the same rows
-            self._indexed, self._index = (rows.steps, rows.times), clock.columns(rows.steps, rows.times)
+        if (index := (rows.steps, rows.times, rows.impacts)) != self._indexed:  # most entities of a batch share it
+            self._indexed, self._index = index, clock.columns(*index)
         for stream in self._streams():
             stream.send_columns(rows.path, self._index, rows.columns)
         self.payload_bytes += rows.bytes
@@ -147,6 +148,7 @@ class Stream:
             UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
             "body_colouring": header.body_colouring,
             "colour_by": header.coloured_by,
+            "records_contacts": header.records_contacts,
             "duration": float(header.duration),
             "time_scale": clock.scale,
             "origin": origin,
@@ -154,6 +156,9 @@ class Stream:
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}
         if header.has_torque:
             for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
+                identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
+        if header.records_contacts:
+            for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
                 identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
         if header.box is not None:
             identity["box"] = header.box

@@ -1,0 +1,62 @@
+"""How a recorded value differs from the replayed one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from carom.recording.schema import paths
+
+Value = float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """A recorded value that differs in the replayed frame."""
+
+    step: int
+    quantity: str
+    recorded: Value
+    replayed: Value
+    body: int | None = None
+
+
+def same(recorded: pa.Array, replayed: pa.Array) -> bool:
+    """Tell whether two columns have the same bits in rows of the same lengths."""
+    if pa.types.is_list(recorded.type):
+        lengths = [pc.list_value_length(column) for column in (recorded, replayed)]
+        if not lengths[0].equals(lengths[1]):
+            return False
+    one, other = _flat(recorded), _flat(replayed)
+    return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+
+
+def different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.Array) -> Mismatch | None:
+    """Compare the values of a row; name the first that differs."""
+    one, other = _flat(recorded), _flat(replayed)
+    quantity = f"/{path}" if name == "Scalars:scalars" else f"{name} of /{path}"
+    if len(one) != len(other):
+        return Mismatch(step, f"how many values {quantity} has", len(one), len(other))
+    if one.dtype.kind != other.dtype.kind or (one.dtype.kind != "S" and one.dtype != other.dtype):
+        return Mismatch(step, f"type of {quantity}", str(one.dtype), str(other.dtype))
+    if one.tobytes() == other.tobytes():
+        return None
+    if one.dtype.kind == "S":
+        return Mismatch(step, quantity, bytes(one[0]).decode(), bytes(other[0]).decode())
+    k = int(np.flatnonzero(one.view(np.uint8) != other.view(np.uint8))[0]) // one.itemsize
+    body = k // 3 if name in paths.CENTRES else None
+    return Mismatch(step, quantity, one[k].item(), other[k].item(), body)
+
+
+def _flat(row: pa.Array) -> NDArray[np.generic]:
+    """Return the numbers of a row, or its text as one value of bytes."""
+    values = row
+    while pa.types.is_nested(values.type):
+        values = values.flatten()
+    if pa.types.is_string(values.type):
+        return np.array(["\0".join(values.to_pylist()).encode()])
+    return np.ascontiguousarray(values.to_numpy(zero_copy_only=False))

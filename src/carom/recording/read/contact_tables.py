@@ -1,0 +1,74 @@
+"""Tables of contacts and impacts: their columns, and how rows of the contact table become one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.physics.contact.contact_table import MODES
+from carom.recording.errors import DamageError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+SCHEMA = pa.schema(
+    [
+        ("step", pa.int64()),
+        ("time", pa.float64()),  # s, of the impact, or the end of the step
+        ("i", pa.int64()),  # i < j
+        ("j", pa.int64()),  # from n on: planes and walls
+        *((name, pa.float64()) for name in ("x", "y", "z")),  # m, the contact point
+        *((name, pa.float64()) for name in ("nx", "ny", "nz")),  # the normal, from i to j
+        ("approach_speed", pa.float64()),  # m/s
+        ("normal_impulse", pa.float64()),  # N s
+        ("tangential_impulse", pa.float64()),  # N s
+        ("mode", pa.string()),
+        ("energy_lost", pa.float64()),  # J
+    ]
+)
+SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
+
+
+def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
+    """Make a table of columns; those that are not there are null."""
+    rows = len(columns["step"])
+    arrays = [
+        pa.array(columns[field.name], field.type) if field.name in columns else pa.nulls(rows, field.type)
+        for field in SCHEMA
+    ]
+    return pa.table(arrays, schema=SCHEMA).replace_schema_metadata({SOURCE: source})
+
+
+def table_of_rows(rows: NDArray[np.void], source: str) -> pa.Table:
+    """Make a table of rows, (k,) `CONTACT_ROW`."""
+    plain = ("step", "time", "i", "j", "x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse")
+    columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in plain}
+    friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
+    columns["tangential_impulse"] = np.sqrt(np.sum(friction * friction, axis=0))
+    columns["energy_lost"] = rows["restitution_loss"] + rows["friction_loss"]
+    return table_of(columns | {"mode": modes(rows["mode"], "a replay")}, source)
+
+
+def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
+    """Return the modes of contacts as texts."""
+    if len(numbers) and int(numbers.max()) >= len(MODES):
+        raise DamageError(f"/{path} has a contact in a mode that there is not")
+    return pa.array(MODES).take(pa.array(numbers))
+
+
+def of_body(table: pa.Table, body: int | None) -> pa.Table:
+    """Keep the rows of a body; None keeps all."""
+    if body is None:
+        return table
+    own = (table["i"].to_numpy() == body) | (table["j"].to_numpy() == body)
+    return table.filter(pa.array(own))
+
+
+def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
+    """Refuse pairs (k, 2) that cannot be. DamageError if there are any."""
+    if np.any((pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] >= bodies)):
+        raise DamageError(f"/{path} has contacts of bodies that are not there")

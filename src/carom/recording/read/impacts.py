@@ -1,0 +1,155 @@
+"""The impacts of a recording: as they were recorded, or else by running the steps again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.recording.errors import DamageError, RecordingError
+from carom.recording.read.body_names import body_number
+from carom.recording.read.contact_tables import check_pairs, modes, of_body, table_of, table_of_rows
+from carom.recording.read.damage import reading
+from carom.recording.read.moment import tolerance
+from carom.recording.read.tables import Column, flat
+from carom.recording.rrd.messages import Chunk
+from carom.recording.schema import paths
+from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+    from carom.recording.read.window import Watcher
+
+_SINGLE = Column(pa.float32())
+_SCALARS = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
+
+
+def impacts(
+    recording: Recording,
+    start: float | None,
+    end: float | None,
+    body: int | str | None,
+    *,
+    replay: bool,
+    watch: Watcher | None = None,
+) -> pa.Table:
+    """Return the impacts of an interval; see `Recording.impacts`."""
+    first, last = _interval(recording, start, end)
+    number = None if body is None else body_number(recording, body)
+    if recording.records_contacts and not replay:
+        with reading(recording.path):
+            return of_body(_recorded(recording, first, last), number)
+    return of_body(_replayed(recording, first, last, watch), number)
+
+
+def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
+    """Count the impacts up to a step that has a frame; of a clip those since its first frame.
+
+    Of a clip of some bodies only those that it has are counted: the others may have been of other bodies.
+    """
+    if not recording.records_contacts or not recording.frames:
+        return RecordedImpacts()
+    first = int(recording.fingerprints()[STEP][0].as_py())
+    steps = np.concatenate([np.empty(0, np.int64), *_steps(recording)])
+    recorded = int(np.count_nonzero(steps <= step))
+    if len(recording.shown) < int(recording.info["bodies"]):
+        return RecordedImpacts(recorded)
+    before = 0 if first == 0 else _count_at(recording, first) - int(np.count_nonzero(steps <= first))
+    count = _count_at(recording, step) - before
+    if recorded > count:
+        raise DamageError(f"{recorded} impacts up to step {step}, of {count}")
+    return RecordedImpacts(recorded, count - recorded)
+
+
+def _steps(recording: Recording) -> Iterator[NDArray[np.int64]]:
+    """Read the steps of all recorded impacts."""
+    found = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    for chunk in recording.chunks(found):
+        yield np.array(chunk.batch[STEP].to_numpy())
+
+
+def _count_at(recording: Recording, step: int) -> int:
+    """Return how many impacts the run had up to a frame; 0 if the frame does not say."""
+    held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
+    for chunk in recording.chunks(held):
+        rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+        if len(rows) and "impact_count" in chunk.components:
+            return int(flat(chunk, "impact_count", Column(pa.int64()))[int(rows[-1])].as_py())
+    return 0
+
+
+def _interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return the interval in which impacts are asked for, both ends included."""
+    times = recording.fingerprints()["time"].to_numpy()
+    if len(times) == 0:
+        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    first, last = -np.inf if start is None else start, np.inf if end is None else end
+    if first > last:
+        raise RecordingError(f"from {first:g} to {last:g} s: the end lies before the beginning")
+    if last < times[0] or first > times[-1]:
+        raise RecordingError(
+            f"{recording.path} goes from {times[0]:.9g} to {times[-1]:.9g} s: {first:g} to {last:g} s is not in it"
+        )
+    return first - tolerance(first), last + tolerance(last)
+
+
+def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
+    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    scale = 1e-9 * float(recording.info["time_scale"])
+    found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
+    for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+        numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
+        if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):
+            raise DamageError(f"rows of /{paths.IMPACTS} that are not in the order of their numbers")
+        before = int(numbers[-1])
+        time = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
+        if len(time) and time[0] <= last and time[-1] >= first:
+            table = _table(recording, chunk, time)
+            found.append(table.filter(pa.array((time >= first) & (time <= last))))
+    told = impacts_until(recording, int(recording.fingerprints()[STEP][-1].as_py()))
+    return pa.concat_tables(found).replace_schema_metadata({"source": "recorded", "left_out": str(told.left_out)})
+
+
+def _table(recording: Recording, chunk: Chunk, time: NDArray[np.float64]) -> pa.Table:
+    path, rows = paths.IMPACTS, chunk.batch.num_rows
+    pairs = flat(chunk, "bodies", Column(pa.uint32(), 2)).to_numpy().reshape(-1, 2).astype(np.int64)
+    check_pairs(pairs, len(recording.bodies.mass), path)
+    normal = flat(chunk, "normal", Column(pa.float32(), 3)).to_numpy().reshape(-1, 3)
+    points = chunk.batch["Points3D:positions"].flatten()
+    while pa.types.is_nested(points.type):
+        points = points.flatten()
+    point = points.to_numpy().reshape(rows, 3) + recording.origin
+    columns = {
+        STEP: chunk.batch[STEP],
+        "time": time,
+        **dict(zip(("i", "j"), pairs.T.copy(), strict=True)),
+        **dict(zip(("x", "y", "z"), point.T.copy(), strict=True)),
+        **dict(zip(("nx", "ny", "nz"), normal.T.astype(np.float64), strict=True)),
+        **{name: flat(chunk, name, _SINGLE).to_numpy().astype(np.float64) for name in _SCALARS},
+        "mode": modes(flat(chunk, "mode", Column(pa.uint8())).to_numpy(), path),
+    }
+    return table_of(columns, "")
+
+
+def _replayed(recording: Recording, first: float, last: float, watch: Watcher | None) -> pa.Table:
+    from carom.recording.read.window import Window  # noqa: PLC0415 - loads Numba
+
+    steps = recording.fingerprints()[STEP]
+    begin, end, left_out = int(steps[0].as_py()), int(steps[-1].as_py()), 0
+    window = Window(recording, first, contacts=True, watch=watch)
+    found = [np.empty(0, CONTACT_ROW)]
+    for frame in window.frames(np.inf):
+        if frame.impacts is not None:
+            found.append(frame.impacts)
+            left_out += frame.impacts_left_out
+        if frame.time > last or frame.step >= end:
+            break
+    rows = np.concatenate(found)
+    inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
+    table = table_of_rows(rows[inside], window.source)
+    return table.replace_schema_metadata({"source": window.source, "left_out": str(left_out)})

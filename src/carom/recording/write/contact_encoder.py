@@ -1,0 +1,121 @@
+"""Encodes what contacts and impacts did: columns beside the edges, arrows, and a row for each impact."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rerun import ComponentColumnList
+
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.frame import Frame
+from carom.recording.schema.header import Header
+from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.paths import CONTACTS, IMPACT_ENERGY, IMPACTS
+from carom.recording.view import arrows, impulse_scale
+from carom.recording.write.contact_columns import contact_columns, contact_rows, force_rows
+from carom.recording.write.impact_plan import ImpactPlan, Kept
+from carom.recording.write.impact_rows import impact_rows
+from carom.recording.write.rows import Rows, any_column
+
+FloatArray = NDArray[np.float64]
+
+_ROUND_OFF = 1e-12  # of J v_n: less energy than that is not lost but rounded
+
+
+class ContactEncoder:
+    """Turns the contacts and impacts of batches of frames into rows.
+
+    Parameters
+    ----------
+    header
+        Of the recording.
+    origin
+        (3,) m, of what is drawn.
+    references
+        Magnitudes in the middle of the scales; those not known yet are added when there is something to draw.
+    before
+        The impacts before the first frame.
+    everything
+        Whether nothing is left out, whatever the scene says: for a comparison with what was recorded.
+    """
+
+    def __init__(
+        self,
+        header: Header,
+        origin: FloatArray,
+        references: dict[str, float],
+        before: RecordedImpacts,
+        *,
+        everything: bool,
+    ) -> None:
+        self._header = header
+        self._origin = origin
+        self._references = references
+        self._plan = ImpactPlan(everything=everything or header.record_impacts == "all")
+        self._count, self._recorded = before.count, before.recorded
+        self._kept: list[Kept] = []
+
+    @property
+    def impacts(self) -> RecordedImpacts:
+        """The impacts of all batches so far."""
+        return RecordedImpacts(self._recorded, self._count - self._recorded)
+
+    def columns(self, batch: Sequence[Frame], pairs: NDArray[np.int64]) -> tuple[ComponentColumnList, int]:
+        """Return the columns beside the edges of a batch's frames, whose pairs these are, and their bytes."""
+        for frame in batch:
+            self._look(frame)
+        self._kept = [self._plan.choose(frame) for frame in batch]
+        rows, reference = contact_rows(batch), self._references.get(CONTACTS, 1.0)
+        columns, size = contact_columns(batch, rows, pairs, reference, self._header.radius)
+        before = self._count
+        counts = before + np.cumsum([_impacts(frame) for frame in batch])
+        self._count = int(counts[-1])
+        self._before = np.concatenate(([before], counts[:-1]))
+        return ComponentColumnList([*columns, *any_column("impact_count", counts)]), size + counts.nbytes
+
+    def rows(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        """Return arrows and impacts of the batch whose columns were asked for last."""
+        header, references = self._header, self._references
+        drawn = [kept.arrows for kept in self._kept]
+        yield from force_rows(  # also where none is drawn, which clears those of the frame before
+            *(batch, drawn, references.get(CONTACTS, 1.0)),
+            *(arrows.longest(header.radius, impulse_scale.REACH), self._origin, header.has_friction),
+        )
+        impacts, numbers = self._chosen(batch)
+        self._recorded += len(impacts)
+        if len(impacts):
+            yield impact_rows(impacts, numbers, references, header.radius, self._origin)
+
+    def _chosen(self, batch: Sequence[Frame]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
+        """Return the impacts that are recorded, and their numbers."""
+        found, numbers = [np.empty(0, CONTACT_ROW)], [np.empty(0, dtype=np.int64)]
+        for frame, kept, before in zip(batch, self._kept, self._before, strict=True):
+            if frame.impacts is not None and len(kept.impacts):
+                found.append(frame.impacts[kept.impacts])
+                # where the tap left out some itself, numbers go to those that it kept
+                numbers.append(before + 1 + kept.impacts)
+        return np.concatenate(found), np.concatenate(numbers)
+
+    def _look(self, frame: Frame) -> None:
+        """Choose references by the first frame that has something to draw."""
+        if frame.contact_rows is not None and CONTACTS not in self._references:
+            self._refer(CONTACTS, frame.contact_rows["normal_impulse"])
+        if frame.impacts is not None and len(frame.impacts):
+            rows = frame.impacts
+            if IMPACTS not in self._references:
+                self._refer(IMPACTS, rows["normal_impulse"])
+            if IMPACT_ENERGY not in self._references:
+                lost = rows["restitution_loss"] + rows["friction_loss"]
+                self._refer(IMPACT_ENERGY, lost[lost > _ROUND_OFF * rows["normal_impulse"] * rows["approach_speed"]])
+
+    def _refer(self, name: str, values: FloatArray) -> None:
+        positive = values[values > 0.0]
+        if len(positive):
+            self._references[name] = max(float(np.median(positive)), np.finfo(np.float64).tiny)
+
+
+def _impacts(frame: Frame) -> int:
+    """Count the impacts since the frame before."""
+    return frame.impacts_left_out + (0 if frame.impacts is None else len(frame.impacts))

@@ -1,0 +1,93 @@
+"""Chooses which impacts of each frame are recorded, and how many of its contacts get arrows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+
+IntArray = NDArray[np.int64]
+
+ONCE = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
+SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
+_ARROWS = 0.02  # of all else
+_CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
+_SCALARS = 500  # bytes of a frame's scalars, likewise
+
+
+class Kept(NamedTuple):
+    """What is recorded of a frame."""
+
+    impacts: IntArray  # which of those since the frame before, in order of time
+    arrows: int  # contacts that are drawn with arrows
+
+
+class ImpactPlan:
+    """Decides what is recorded of each frame's impacts and contacts.
+
+    All impacts are kept while everything that is recorded of contacts takes at most a fifth of the file so far. Then
+    those of the largest normal impulses are kept, of each frame at least one. The choice depends on the frames alone,
+    not on how they are batched, so that the same run always has the same rows.
+
+    Parameters
+    ----------
+    everything
+        Whether all impacts are kept and all contacts get arrows, whatever they cost.
+    """
+
+    def __init__(self, *, everything: bool) -> None:
+        self._everything = everything
+        self._others = float(ONCE)  # bytes of all else so far
+        self._spent = 0.0
+        self._drawn = 0.0  # of that on arrows
+        self._size = _Size()
+
+    def choose(self, frame: Frame) -> Kept:
+        """Decide for the next frame."""
+        impacts = 0 if frame.impacts is None else len(frame.impacts)
+        contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
+        if self._everything:
+            return Kept(np.arange(impacts), contacts)
+        self._others += self._size.of(frame)
+        self._spent += _CONTACT * contacts
+        room = int((SHARE * self._others - self._spent) / _IMPACT)
+        kept = _largest(frame.impacts, max(1, room))
+        self._spent += _IMPACT * len(kept)
+        left = min(SHARE * self._others - self._spent, _ARROWS * self._others - self._drawn)
+        each = _ARROW if frame.torque is None else 2 * _ARROW  # with friction two
+        arrows = max(0, min(contacts, int(left / each)))
+        self._spent += each * arrows
+        self._drawn += each * arrows
+        return Kept(kept, arrows)
+
+
+def _largest(impacts: NDArray[np.void] | None, count: int) -> IntArray:
+    """Return which impacts have the largest normal impulses, in order of time; of equal ones the first."""
+    if impacts is None or len(impacts) <= count:
+        return np.arange(0 if impacts is None else len(impacts))
+    return np.sort(np.argsort(-impacts["normal_impulse"], kind="stable")[:count])
+
+
+class _Size:
+    """Estimates what else each frame takes in the file: bodies, arrows of torques, edges, scalars, checkpoints.
+
+    What does not change from frame to frame is packed to little.
+    """
+
+    def __init__(self) -> None:
+        self._before: NDArray[np.float32] | None = None
+
+    def of(self, frame: Frame) -> float:
+        """Return bytes."""
+        position = frame.position.astype(np.float32)
+        bodies, contacts = len(position), len(frame.contacts)
+        moved = 1.0
+        if self._before is not None:
+            moved = float(np.count_nonzero(np.any(position != self._before, axis=1))) / bodies
+        self._before = position
+        drawn = bodies * (2 + moved * (10 if frame.orientation is None else 26))
+        turned = 0.0 if frame.torque is None else 22 * (1 + moved) * min(bodies, 2 * contacts)
+        return 1.08 * (drawn + turned + (5 + 12 * moved) * contacts + _SCALARS)

@@ -1,0 +1,71 @@
+"""Impacts, each as a row at its own time, and the bodies at the moments of some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+from rerun import ComponentColumnList
+
+from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
+from carom.recording.view import impulse_scale
+from carom.recording.write.rows import Rows, any_column, array_bytes
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_INDEX_BYTES = 24  # of a row: step, time and number
+
+
+def impact_rows(
+    impacts: NDArray[np.void],
+    numbers: IntArray,
+    references: Mapping[str, float],
+    radius: FloatArray,
+    origin: FloatArray,
+) -> Rows:
+    """Return one row for each impact.
+
+    Parameters
+    ----------
+    impacts
+        (k,) `CONTACT_ROW`, at least one.
+    numbers
+        (k,) their places among all impacts of the run, from 1 on.
+    references
+        The impulse (N s) and the energy (J) in the middle of their scales.
+    radius
+        (n,) m.
+    origin
+        (3,) m, of what is drawn.
+    """
+    count = len(impacts)
+    point = np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin
+    friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])
+    lost = impacts["restitution_loss"] + impacts["friction_loss"]
+    sizes = impulse_scale.point_radii(radius)
+    positions = point.astype(np.float32)
+    radii = sizes[impulse_scale.level(impacts["normal_impulse"], references.get(IMPACTS, 1.0))]
+    colours = impulse_scale.COLOURS[impulse_scale.level(lost, references.get(IMPACT_ENERGY, np.inf))]
+    bodies = np.stack([impacts["i"], impacts["j"]], axis=1).astype(np.uint32)
+    normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1).astype(np.float32)
+    scalars = {
+        "approach_speed": impacts["approach_speed"],
+        "normal_impulse": impacts["normal_impulse"],
+        "tangential_impulse": np.sqrt(np.sum(friction * friction, axis=0)),
+        "energy_lost": lost,
+    }
+    single = {name: values.astype(np.float32) for name, values in scalars.items()}
+    mode = np.ascontiguousarray(impacts["mode"])
+    columns = [
+        *rr.Points3D.columns(positions=positions, radii=radii, colors=colours).partition([1] * count),
+        *any_column("bodies", bodies.ravel()).partition([2] * count),
+        *any_column("normal", normal.ravel()).partition([3] * count),
+        *(column for name, values in single.items() for column in any_column(name, values)),
+        *any_column("mode", mode),
+    ]
+    size = array_bytes(positions, radii, colours, bodies, normal, mode, *single.values()) + _INDEX_BYTES * count
+    steps, times = impacts["step"].tolist(), impacts["time"].tolist()
+    return Rows(IMPACTS, steps, times, ComponentColumnList(columns), size, numbers.tolist())

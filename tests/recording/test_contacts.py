@@ -1,0 +1,221 @@
+"""What a recording tells about contacts and impacts, on short runs of a real scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import carom
+from carom.experiment.replay import replay
+from carom.experiment.resume import resumable_run, resume
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.recording.edit.clip import clip
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.write.impact_plan import ImpactPlan
+from carom.recording.write.impact_rows import impact_rows
+from carom.recording.write.rows import Rows
+from carom.scene.schema import Scene
+from examples import scene_of
+from merry import Merry
+
+SINGLE = 1e-6  # relative, of a few roundings to float32
+NUMBERS = ("x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
+
+
+def scene(impacts: str = "auto", duration: float = 2.0, every: float | str = 0.1) -> Scene:
+    """Three balls of different sizes that bounce and roll on a floor and meet each other."""
+    balls = [
+        {"name": "low", "position": [0.0, 0.0, 0.3], "velocity": [1.0, 0.0, 0.0], "radius": 0.3},
+        {"name": "high", "position": [1.0, 0.1, 1.5], "velocity": [0.0, 0.0, 0.0], "radius": 0.4},
+        {"name": "far", "position": [4.0, 0.0, 0.8], "angular_velocity": [0.0, 5.0, 0.0], "radius": 0.2},
+    ]
+    return scene_of(
+        [{"mass": 1.0, **ball} for ball in balls],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.5},
+        plane=[{"name": "floor", "point": [0.0, 0.0, 0.0]}],
+        time={"duration": duration, "fixed_dt": 0.005},
+        record={"every": every, "impacts": impacts},
+    )
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A run of 400 steps, of which every twentieth is recorded."""
+    return carom.run(scene(), tmp_path_factory.mktemp("run") / "run.rrd")
+
+
+@pytest.fixture(scope="module")
+def silent(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The same run without what contacts did."""
+    return carom.run(scene("none"), tmp_path_factory.mktemp("silent") / "silent.rrd")
+
+
+@pytest.fixture(scope="module")
+def truth() -> np.ndarray:
+    """All impacts of the run, as the solver tells them."""
+    frames = Space(scene(), record_contacts=True).run()
+    return np.concatenate([frame.impacts for frame in frames if frame.impacts is not None])
+
+
+def entities(recording: Recording) -> set[str]:
+    return {entry.entity_path for entry in recording.store.entries}
+
+
+def assert_close(table: pa.Table, exact: pa.Table) -> None:
+    for name in ("step", "i", "j", "mode"):
+        assert table[name].to_pylist() == exact[name].to_pylist()
+    for name in NUMBERS:
+        of = exact[name].to_numpy()
+        # a coordinate is rounded as a float32 of up to 5 m from the origin, a normal as one of length 1
+        np.testing.assert_allclose(table[name].to_numpy(), of, rtol=SINGLE, atol=5.0 * SINGLE)
+
+
+def test_every_impact_is_recorded_at_its_own_time_within_the_rounding_of_float32(
+    recording: Recording, truth: np.ndarray
+) -> None:
+    table = recording.impacts()
+    assert table.num_rows == len(truth) > 10
+    assert table["step"].to_pylist() == truth["step"].tolist()
+    np.testing.assert_allclose(table["time"].to_numpy(), truth["time"], atol=1e-9)  # the timeline counts nanoseconds
+    np.testing.assert_allclose(table["normal_impulse"].to_numpy(), truth["normal_impulse"], rtol=SINGLE)
+    assert table.schema.metadata == {b"source": b"recorded", b"left_out": b"0"}
+    assert_close(table, recording.impacts(replay=True))
+
+
+def test_impacts_of_a_recording_without_them_are_those_of_a_replay_with_the_same_bits(
+    silent: Recording, truth: np.ndarray
+) -> None:
+    assert not {"impacts", "world/forces/normal"} & entities(silent)
+    table = silent.impacts()
+    for name in ("step", "time", "normal_impulse", "approach_speed", "x"):
+        assert table[name].to_pylist() == truth[name].tolist()
+    assert table.schema.metadata[b"source"] == b"replayed from step 0, with the same bits"
+
+
+def test_impacts_of_an_interval_and_a_body_are_those_of_the_whole_run_that_fit(
+    recording: Recording, silent: Recording, truth: np.ndarray
+) -> None:
+    inside = (truth["time"] >= 0.5) & (truth["time"] <= 1.5) & ((truth["i"] == 1) | (truth["j"] == 1))
+    for source in (recording, silent):
+        table = source.impacts(0.5, 1.5, "high")
+        assert table["step"].to_pylist() == truth["step"][inside].tolist()
+
+
+@pytest.mark.parametrize("frame", [17, 19, 20])
+def test_the_contacts_of_a_frame_are_those_of_its_step(recording: Recording, silent: Recording, frame: int) -> None:
+    time = float(recording.fingerprints()["time"][frame].as_py())
+    table, exact = recording.contacts(time), silent.contacts(time)
+    seen = exact.filter(pa.array(np.isin(exact["j"].to_numpy() * 10 + exact["i"].to_numpy(), _pairs(table))))
+    assert table.num_rows > 0
+    for name in ("i", "j", "mode"):
+        assert table[name].to_pylist() == seen[name].to_pylist()
+    for name in ("x", "y", "z", "nx", "nz", "normal_impulse", "tangential_impulse"):
+        np.testing.assert_allclose(table[name].to_numpy(), seen[name].to_numpy(), rtol=SINGLE, atol=5.0 * SINGLE)
+    assert table.schema.metadata[b"source"] == b"recorded"
+    assert b"replayed" in exact.schema.metadata[b"source"]
+
+
+def _pairs(table: pa.Table) -> np.ndarray:
+    return np.asarray(table["j"].to_numpy() * 10 + table["i"].to_numpy())
+
+
+def test_the_contacts_of_a_step_without_a_frame_are_run_again(recording: Recording) -> None:
+    table = recording.contacts(1.012)  # between 1.010 and 1.015
+    assert set(table["step"].to_pylist()) == {203}
+    assert b"with the same bits" in table.schema.metadata[b"source"]
+
+
+def test_a_replay_compares_impacts_and_contacts(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = replay(recording)
+    assert found.same
+    assert found.not_compared == []
+    encode = impact_rows
+
+    def harder(impacts: Any, *others: Any) -> Rows:
+        changed = impacts.copy()
+        changed["approach_speed"] *= 1.0 + 1e-6
+        return encode(changed, *others)
+
+    monkeypatch.setattr("carom.experiment.impact_check.impact_rows", harder)
+    found = replay(recording)
+    assert found.difference is not None
+    assert found.difference.quantity == "approach_speed of /impacts"
+
+
+def test_a_resumed_run_has_the_impacts_of_one_that_never_stopped(recording: Recording, tmp_path: Path) -> None:
+    path = carom.run(scene(duration=1.0), tmp_path / "half.rrd").path
+    half = resumable_run(Recording.open(path), until=2.0)
+    resume(half, half.space(), tmp_path / "whole.rrd")
+    whole = Recording.open(tmp_path / "whole.rrd")
+    assert whole.impacts().equals(recording.impacts())
+    assert replay(whole).same
+
+
+def test_a_clip_has_its_impacts_and_those_of_its_bodies_only(recording: Recording, tmp_path: Path) -> None:
+    clip(recording.path, tmp_path / "clip.rrd", 0.45, 1.55)
+    table = recording.impacts()
+    steps = table["step"].to_numpy()
+    inside = table.filter(pa.array((steps >= 100) & (steps <= 300)))
+    assert Recording.open(tmp_path / "clip.rrd").impacts().equals(inside)
+    clip(recording.path, tmp_path / "few.rrd", 0.45, 1.55, bodies=[1])
+    few = Recording.open(tmp_path / "few.rrd").impacts()
+    assert set(few["i"].to_pylist()) == {1}
+    assert set(few["j"].to_pylist()) == {3}  # the floor
+    assert replay(Recording.open(tmp_path / "few.rrd")).same
+
+
+@pytest.mark.parametrize(
+    ("question", "message"),
+    [
+        (lambda r: r.impacts(3.0, 4.0), r"goes from 0 to 2 s: 3 to 4 s is not in it"),
+        (lambda r: r.impacts(2.0, 1.0), r"the end lies before the beginning"),
+        (lambda r: r.impacts(body="higg"), r'no body "higg"; did you mean "high"\?'),
+        (lambda r: r.contacts(9.0), r"goes from 0 to 2 s, 9 s is not in it"),
+    ],
+)
+def test_what_is_not_there_is_said_in_one_sentence(recording: Recording, question: Any, message: str) -> None:
+    with pytest.raises(RecordingError, match=message):
+        question(recording)
+
+
+def frames_with_impacts(count: int, each: int) -> list[Frame]:
+    """Frames that have impacts of rising impulses, made up."""
+    frames = []
+    for frame in Merry(20).frames(count):
+        rows = np.zeros(each, CONTACT_ROW)
+        rows["step"], rows["time"], rows["j"] = frame.step, frame.time, 1
+        rows["normal_impulse"] = np.random.default_rng(frame.step).permutation(each) + 1.0
+        frames.append(replace(frame, impacts=rows, contact_rows=np.zeros(0, CONTACT_ROW)))
+    return frames
+
+
+def test_all_impacts_are_kept_while_they_are_cheap() -> None:
+    plan = ImpactPlan(everything=False)
+    assert all(len(plan.choose(frame).impacts) == 3 for frame in frames_with_impacts(200, 3))
+
+
+def test_when_impacts_are_dear_the_largest_of_each_frame_are_kept_in_order_of_time() -> None:
+    frames = frames_with_impacts(300, 400)
+    plan = ImpactPlan(everything=False)
+    kept = [plan.choose(frame).impacts for frame in frames]
+    assert len(kept[0]) == 400
+    assert all(1 <= len(rows) < 400 for rows in kept[10:])
+    for frame, rows in zip(frames[10:], kept[10:], strict=True):
+        assert frame.impacts is not None
+        impulses = frame.impacts["normal_impulse"]
+        assert impulses[rows].min() > len(impulses) - len(rows)
+        assert np.all(np.diff(rows) > 0)
+
+
+def test_everything_is_kept_if_the_scene_says_so() -> None:
+    plan = ImpactPlan(everything=True)
+    assert all(len(plan.choose(frame).impacts) == 400 for frame in frames_with_impacts(50, 400))
