@@ -13,6 +13,7 @@ import typer
 
 from carom.cli import (
     clip,
+    contacts,
     diff,
     explain,
     inspect,
@@ -79,6 +80,7 @@ app.command("view", cls=Command)(view.view)
 app.command("picture", cls=Command)(view.picture)
 app.command("movie", cls=Command)(movie.movie)
 app.command("clip", cls=Command)(clip.clip)
+app.command("contacts", cls=Command)(contacts.contacts)
 app.command("diff", cls=Command)(diff.diff)
 app.command("repair", cls=Command)(repair.repair)
 app.command("warmup", cls=Command)(warmup.warmup)

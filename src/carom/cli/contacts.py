@@ -1,0 +1,244 @@
+"""`carom contacts`: which bodies touch at a moment, or collided in the course of a run, and how hard."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.text import say
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from carom.physics.status import StepStatus
+    from carom.recording.read.recording import Recording
+
+MOST_ROWS = 40  # that are printed for people
+
+Seconds = float | None
+
+
+def contacts(
+    file: RecordingArgument,
+    at: Annotated[
+        Seconds,
+        typer.Option(
+            "--at", parser=seconds, metavar="T", help="The step that this time (s) is in; default: the hardest impact."
+        ),
+    ] = None,
+    bodies: Annotated[
+        list[str] | None,
+        typer.Option("--body", metavar="N|NAME", help="Only contacts of this body; given twice, of these two."),
+    ] = None,
+    impacts: Annotated[
+        bool,
+        typer.Option("--impacts", help="The impacts of the run, or of an interval, not contacts of a step."),
+    ] = False,
+    start: Annotated[
+        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First time (s) of --impacts.")
+    ] = None,
+    end: Annotated[
+        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last time (s) of --impacts.")
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--replay", help="Run the steps again: all rows and columns, in double precision.")
+    ] = False,
+    as_json: JsonOption = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print as CSV.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE.parquet", help="Write a Parquet file.")
+    ] = None,
+    force: ForceOption = False,
+) -> None:
+    """List who touches whom at a moment, or all impacts, with impulses, modes and energies.
+
+    FILE may be the zip that `carom report` made. What the recording does not have is run again.
+    """
+    from carom.experiment.output import refuse_output
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.recording import Recording
+
+    _refuse_contradictions(at, impacts, start, end, bodies, as_json + as_csv + (output is not None))
+    if output is not None:
+        refuse_output(output, force)
+    with opened(file) as path:
+        recording = Recording.open(path)
+        recording.refuse_overlay()
+        table = _table(recording, at, bodies or [], impacts, start, end, again)
+        if output is not None:
+            _write(table, output)
+        elif as_csv:
+            say(_csv(table))
+        elif as_json:
+            say(_json(recording, table))
+        else:
+            _print(recording, table, impacts)
+
+
+def _refuse_contradictions(
+    at: Seconds, impacts: bool, start: Seconds, end: Seconds, bodies: list[str] | None, forms: int
+) -> None:
+    from carom.recording.errors import RecordingError
+
+    if forms > 1:
+        raise RecordingError("choose one of --json, --csv and -o")
+    if bodies is not None and len(bodies) > 2:
+        raise RecordingError(f"--body is given {len(bodies)} times: a contact has two ends")
+    if impacts and at is not None:
+        raise RecordingError("--at asks for the contacts of one step; with --impacts give --from and --to")
+    if not impacts and (start is not None or end is not None):
+        raise RecordingError("--from and --to choose impacts: add --impacts, or ask for one step with --at")
+
+
+def _table(
+    recording: Recording,
+    at: Seconds,
+    bodies: list[str],
+    impacts: bool,
+    start: Seconds,
+    end: Seconds,
+    again: bool,
+) -> pa.Table:
+    """Ask the recording, and keep the contacts of the bodies."""
+    from carom.recording.errors import RecordingError
+    from carom.recording.read.body_names import body_number
+    from carom.recording.read.contact_tables import of_body
+
+    numbers = [body_number(recording, body) for body in bodies]
+    if len(set(numbers)) < len(numbers):
+        raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
+    with _replaying(recording) as watch:
+        if impacts:
+            table = recording.impacts(start, end, replay=again, watch=watch)
+        else:
+            at = _hardest(recording, numbers) if at is None and numbers else at
+            table = recording.contacts(at, replay=again, watch=watch)
+    for number in numbers:
+        table = of_body(table, number)
+    if len(numbers) == 2 and table.num_rows == 0:
+        names = _names(recording)
+        when = "in that time" if impacts else f"at t = {recording.moment(at):.9g} s"
+        raise RecordingError(f"{recording.path}: {names.of(numbers[0])} and {names.of(numbers[1])} do not touch {when}")
+    return table
+
+
+def _hardest(recording: Recording, bodies: list[int]) -> Seconds:
+    """Return when these bodies were hit hardest, as far as impacts are recorded; None if they were not."""
+    import numpy as np
+
+    from carom.recording.read.contact_tables import of_body
+
+    if not recording.records_contacts:
+        return None
+    table = recording.impacts()
+    for body in bodies:
+        table = of_body(table, body)
+    if table.num_rows == 0:
+        return None
+    return float(table["time"][int(np.argmax(table["normal_impulse"].to_numpy()))].as_py())
+
+
+@contextmanager
+def _replaying(recording: Recording) -> Iterator[Any]:
+    """Show where a replay stands, if there is one and it takes a while."""
+    from carom.cli.live_line import LiveLine, bar
+
+    length = float(recording.fingerprints()["time"][-1].as_py()) if recording.frames else 0.0
+
+    class Line(LiveLine):
+        def update(self, status: StepStatus) -> None:
+            done = min(1.0, status.time / length) if length else 1.0
+            self._show(lambda now: f"{bar(done)} {done:4.0%}  run again to t = {status.time:.5g} s")
+
+    with Line() as line:
+        yield line.update
+
+
+def _names(recording: Recording) -> Any:
+    from carom.recording.read.names import names_of
+
+    return names_of(recording)
+
+
+def _write(table: pa.Table, path: Path) -> None:
+    """Write a Parquet file under a temporary name, and rename it."""
+    import pyarrow.parquet as pq
+
+    from carom.recording.errors import RecordingError
+
+    part = path.with_name(f".{path.name}.part")
+    try:
+        pq.write_table(table, part)
+        part.replace(path)
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)
+    say(f"{path} written: {table.num_rows} rows, {_source(table)}.")
+
+
+def _csv(table: pa.Table) -> str:
+    import io
+
+    import pyarrow.csv as pc
+
+    out = io.BytesIO()
+    pc.write_csv(table, out)
+    return str(out.getvalue().decode()).rstrip("\n")
+
+
+def _json(recording: Recording, table: pa.Table) -> str:
+    import json
+
+    names = _names(recording)
+    rows = [{**row, "between": [names.of(row["i"]), names.of(row["j"])]} for row in table.to_pylist()]
+    told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    left_out = {"left_out": int(told["left_out"])} if "left_out" in told else {}
+    return json.dumps({"source": told["source"], **left_out, "contacts": rows}, indent=2, ensure_ascii=False)
+
+
+def _source(table: pa.Table) -> str:
+    """Say where the rows come from, and what is not among them."""
+    told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    left_out = int(told.get("left_out", "0"))
+    more = f"; {left_out} smaller impacts of the run are not, --replay finds them" if left_out else ""
+    return f"{told['source']}{more}"
+
+
+def _print(recording: Recording, table: pa.Table, impacts: bool) -> None:
+    from rich.table import Table
+
+    from carom.cli.terminal import Terminal
+
+    names = _names(recording)
+    what = "impact" if impacts else "contact"
+    count = f"{table.num_rows} {what}{'' if table.num_rows == 1 else 's'}"
+    moment = f" at t = {table['time'][0].as_py():.9g} s" if table.num_rows and not impacts else ""
+    say(f"{count}{moment}, {_source(table)}")
+    if table.num_rows == 0:
+        return
+    shown = Table(box=None, padding=(0, 1), header_style="bold")
+    shown.add_column("t (s)", justify="right", no_wrap=True)
+    shown.add_column("step", justify="right")
+    shown.add_column("between", no_wrap=True)
+    shown.add_column("mode")
+    for column in ("approach (m/s)", "normal (N s)", "friction (N s)", "lost (J)"):
+        shown.add_column(column, justify="right", no_wrap=True)
+    for row in table.slice(0, MOST_ROWS).to_pylist():
+        pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
+        values = (row[name] for name in ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost"))
+        shown.add_row(f"{row['time']:.9g}", str(row["step"]), pair, row["mode"], *map(_number, values))
+    console = Terminal()
+    console.width = max(console.width, 160)  # names stay whole
+    console.print(shown)
+    if table.num_rows > MOST_ROWS:
+        say(f"… and {table.num_rows - MOST_ROWS} more; --csv, --json or -o FILE.parquet has all.")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.4g}"
