@@ -14,12 +14,12 @@ from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from examples import cloud
-from golden.fingerprints import AS_WRITTEN, moved, stored
+from golden.fingerprints import AS_WRITTEN, load, moved, stored
 from scenes import Document, documents, scene_from
 
 ROUNDING = 1e-12  # some 100 impulses a body and 100 iterations each, of 1e-16: the worst case found has 2e-14
 STORED = stored()
-RUNS_AWAY = ("golden/tray", "contact.stabilisation=baumgarte")
+RUN_AWAY = [(name, "contact.stabilisation=baumgarte") for name in ("golden/tray", "golden/wind")]
 
 
 def audited(scene: Scene, threads: int = 1) -> Space:
@@ -55,13 +55,18 @@ def test_walls_piles_drag_and_periodic_boxes_are_accounted_for(name: str) -> Non
 @pytest.mark.parametrize("name", sorted(STORED))
 def test_by_every_method_impulses_and_forces_are_all_that_changes_velocities(name: str) -> None:
     for overrides in STORED[name]:
-        if (name, overrides) != RUNS_AWAY:
+        if (name, overrides) not in RUN_AWAY:
             check(name, overrides)
 
 
-@pytest.mark.xfail(reason="a tangential impulse leaves the tangential plane, and 10¹⁶ N s of it cancel λ_n")
-def test_tangential_impulses_stay_in_the_tangential_plane_where_a_bias_pushes() -> None:
-    check(*RUNS_AWAY)
+@pytest.mark.xfail(reason="conjugate gradients grow without end there: impulses of 10¹⁶ N s, velocities of 10¹² m/s")
+@pytest.mark.parametrize("name", ["golden/tray", "golden/wind"])
+def test_where_a_bias_asks_of_squeezed_bodies_what_cannot_be_impulses_stay_bounded(name: str) -> None:
+    check(name, "contact.stabilisation=baumgarte")
+    space = Space(load(name, "contact.stabilisation=baumgarte"), 1)
+    for frame in islice(space.run(), 41):
+        assert np.abs(frame.velocity).max() < 20.0  # they are thrown at 2 m/s and fall 4 m; conjugate gradients once
+        # reached 10¹² m/s
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
@@ -75,7 +80,7 @@ def test_random_scenes_are_accounted_for(document: Document) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=1500, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
 @given(document=documents())
 def test_many_random_scenes_are_accounted_for(document: Document) -> None:
     space = audited(scene_from(document))
