@@ -93,3 +93,4 @@ def test_trails_lead_from_frame_to_frame_and_are_framed_with_the_bodies(tmp_path
     near = camera.view().distance
     found.show(camera, 8.0)
     assert near < camera.view().distance < 1.8 * near
+    assert not camera.view().follows, "the path of a body is no reason to follow it"

@@ -35,12 +35,18 @@ def region(pixels: Pixels, left: float, top: float, right: float, bottom: float)
     return pixels[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
 
 
+def view(pixels: Pixels, number: int, shares: tuple[float, ...] = (3, 2.2)) -> Pixels:
+    """Cut out one of the 3D views, given the widths of all."""
+    edges = np.concatenate([[0.0], np.cumsum(shares)]) / sum(shares)
+    return region(pixels, edges[number] + 0.003, 0.065, edges[number + 1] - 0.003, 0.54)
+
+
 def bodies_view(pixels: Pixels) -> Pixels:
-    return region(pixels, 0.0, 0.06, 0.59, 0.54)
+    return view(pixels, 0)
 
 
 def graph_view(pixels: Pixels) -> Pixels:
-    return region(pixels, 0.61, 0.06, 1.0, 0.54)
+    return view(pixels, 1)
 
 
 def plots(pixels: Pixels) -> Pixels:
@@ -64,22 +70,22 @@ def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:
 
 @pytest.mark.slow
 def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
-    view = bodies_view(picture)
+    shown = bodies_view(picture)
     for colour in (palette.SKY, palette.ORANGE, palette.GREEN):
-        assert of_hue(view, colour) > 0.005 * view.shape[0] * view.shape[1]
-    drawn = np.argwhere(view.sum(axis=2) > 150)
-    spread = np.ptp(drawn, axis=0) / view.shape[:2]
+        assert of_hue(shown, colour) > 0.005 * shown.shape[0] * shown.shape[1]
+    drawn = np.argwhere(shown.sum(axis=2) > 150)
+    spread = np.ptp(drawn, axis=0) / shown.shape[:2]
     assert spread[0] > 0.6, "the bodies are to fill the view from top to bottom"
 
 
 @pytest.mark.slow
 def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
-    view = graph_view(picture)
-    assert of_colour(view, 0x8A93A6FF, 60) > 1000, "wires"
-    assert of_hue(view, palette.ORANGE) > 300, "torques"
-    assert of_hue(view, palette.GREEN) > 100, "angular accelerations"
+    shown = graph_view(picture)
+    assert of_colour(shown, 0x8A93A6FF, 60) > 1000, "wires"
+    assert of_hue(shown, palette.ORANGE) > 300, "torques"
+    assert of_hue(shown, palette.GREEN) > 100, "angular accelerations"
     for stage in (palette.YELLOW, palette.PURPLE):
-        assert of_colour(view, stage) > 30, "contacts, by stage"
+        assert of_colour(shown, stage) > 30, "contacts, by stage"
 
 
 @pytest.mark.slow
@@ -112,9 +118,9 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     subprocess.run([*carom, "run", "cloud-collapse", "-o", recording], check=True)
     subprocess.run([*carom, "picture", recording, "--at", "7600", "-o", str(png)], check=True)
     pixels = np.asarray(Image.open(png).convert("RGB"), dtype=np.int64)
-    view = bodies_view(pixels)
-    assert of_hue(view, palette.SKY) > 0.05 * view.shape[0] * view.shape[1], "spheres"
-    graph = graph_view(pixels)
+    shares = (3, 2.2, 2)  # with the close-up
+    bodies, graph = view(pixels, 0, shares), view(pixels, 1, shares)
+    assert of_hue(bodies, palette.SKY) > 0.05 * bodies.shape[0] * bodies.shape[1], "spheres"
     assert of_colour(graph, 0x8A93A6FF, 60) > 1000, "wires"
     assert of_hue(graph, palette.ORANGE) > 300, "torques"
     assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"

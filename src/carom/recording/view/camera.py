@@ -99,6 +99,12 @@ class CameraFit:
         self._still = _joined(self._still, box)
         self._moving = _joined(self._moving, box - self._axes @ centre)
 
+    def include(self, points: FloatArray) -> None:
+        """Take points (k, 3) m into account, such as those of trails."""
+        along = points[np.all(np.isfinite(points), axis=1)] @ self._axes.T
+        if len(along):
+            self._still = _joined(self._still, np.array([along.min(axis=0), along.max(axis=0)]))
+
     def view(self, aspect: float = ASPECT, room: float = 0.0) -> View:
         """Return a view of the first moment and, unless bodies would look too small, of all others.
 

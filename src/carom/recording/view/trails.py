@@ -23,7 +23,6 @@ TRAILS = "trails"
 
 _MOST_BODIES = 40
 _MOST_FRAMES = 2000  # longer paths are drawn by every k-th frame
-_LOOKS = 60  # frames by which the camera takes the trails into account
 
 
 class Trails:
@@ -42,9 +41,8 @@ class Trails:
 
     def show(self, camera: CameraFit, until: float) -> None:
         """Let the camera take them into account, up to a time (s)."""
-        past = np.flatnonzero(self._times <= until)
-        for row in past[np.unique(np.linspace(0, len(past) - 1, _LOOKS).astype(int))] if len(past) else ():
-            camera.look(self._position[row].astype(np.float64))
+        past = self._position[self._times <= until]
+        camera.include(past.reshape(-1, 3).astype(np.float64))
 
     def statics(self) -> Iterable[Static]:
         """Yield their colours, those of the bodies."""

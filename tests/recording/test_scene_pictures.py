@@ -1,0 +1,91 @@
+"""Pictures of the bundled scenes at their hardest impact, and of orbits."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import carom
+from carom.recording.schema import palette
+from carom.recording.view.picture import render
+from carom.scene.schema import Scene
+from test_picture import of_colour, of_hue, view
+
+Pixels = NDArray[np.int64]
+SIZE = (1600, 1000)
+SHARES = (3.0, 2.2, 2.0)  # widths of the views of bodies, graph and close-up
+IMPACTS = {  # scenes with impacts, cut off after a hard one
+    "two-spheres": 1.7,
+    "newtons-cradle": 0.8,
+    "rack-break": 0.06,
+    "marbles-in-a-box": 0.8,
+    "elastic-gas": 0.5,
+    "planet-with-gravel": 300.0,
+    "rubble-collision": 600.0,
+    "cloud-collapse": 2000.0,
+}
+SUN = """
+title = "A sun with planetesimals"
+[time]
+duration = 3.15e7
+fixed_dt = 1e5
+[gravity]
+constant = 6.674e-11
+[[body]]
+radius = 6.96e8
+mass = 1.989e30
+[[group]]
+count = 12
+radius = 1e5
+density = 2000.0
+region = { shape = "ball", radius = 1.5e11 }
+velocity = { dispersion = 1e4 }
+"""
+
+
+def filled(pixels: Pixels) -> float:
+    """Return the share of a view's shorter side that what is drawn reaches across, but for a few stray pixels."""
+    drawn = np.argwhere(pixels.sum(axis=2) > 110)  # the ground has 54
+    low, high = np.percentile(drawn, [0.5, 99.5], axis=0)
+    return float(np.max(high - low) / min(pixels.shape[:2]))
+
+
+def picture(scene: Scene, folder: Path, *, view: str = "all", theme: str = "dark") -> Pixels:
+    carom.run(scene, folder / "run.rrd")
+    render(folder / "run.rrd", None, folder / "run.png", SIZE, view=view, theme=theme)
+    return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", IMPACTS)
+def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: str, tmp_path: Path) -> None:
+    pixels = picture(Scene.load(name, [f"time.duration={IMPACTS[name]}"]), tmp_path)
+    bodies, graph, close = (view(pixels, number, SHARES) for number in range(3))
+    for what, shown in (("bodies", bodies), ("graph", graph), ("close-up", close)):
+        assert filled(shown) > 0.5, what
+    assert sum(of_colour(graph, stage) for stage in (*palette.STAGES, palette.WHITE)) > 30, "edges of the graph"
+    assert of_colour(close, palette.VERMILION, 60) > 40, "the edge between the two bodies"
+    assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
+    assert of_hue(close, palette.SKY) > 0.01 * close.shape[0] * close.shape[1], "the first of the two bodies"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_orbits_are_seen_as_trails(theme: str, tmp_path: Path) -> None:
+    pixels = picture(Scene.load("kepler-orbits"), tmp_path, theme=theme)
+    shown = view(pixels, 0, (1.0,))
+    assert filled(shown) > 0.5
+    for colour in (palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
+        assert of_hue(shown, colour) > 200, "the trail of each planet"
+
+
+@pytest.mark.slow
+def test_bodies_far_smaller_than_a_pixel_are_seen_as_dots(tmp_path: Path) -> None:
+    file = tmp_path / "sun.toml"
+    file.write_text(SUN)
+    pixels = picture(Scene.load(str(file)), tmp_path, view="bodies")
+    assert filled(pixels) > 0.5
+    for hue in (palette.SKY, palette.ORANGE):
+        assert of_hue(pixels, hue) > 50
