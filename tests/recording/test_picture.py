@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from carom.recording.errors import RecordingError
@@ -12,9 +11,9 @@ from carom.recording.schema import palette
 from carom.recording.view.picture import render
 from carom.recording.write.recorder import Recorder
 from merry import Merry
+from pixels import Pixels, of_colour, of_hue, region, view
 
 SIZE = (1600, 1000)
-Pixels = NDArray[np.int64]
 
 
 @pytest.fixture(scope="module")
@@ -29,18 +28,6 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
     return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
 
 
-def region(pixels: Pixels, left: float, top: float, right: float, bottom: float) -> Pixels:
-    """Cut out a part of the window, given in fractions of its sides."""
-    height, width, _ = pixels.shape
-    return pixels[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
-
-
-def view(pixels: Pixels, number: int, shares: tuple[float, ...] = (3, 2.2)) -> Pixels:
-    """Cut out one of the 3D views, given the widths of all."""
-    edges = np.concatenate([[0.0], np.cumsum(shares)]) / sum(shares)
-    return region(pixels, edges[number] + 0.003, 0.065, edges[number + 1] - 0.003, 0.54)
-
-
 def bodies_view(pixels: Pixels) -> Pixels:
     return view(pixels, 0)
 
@@ -51,21 +38,6 @@ def graph_view(pixels: Pixels) -> Pixels:
 
 def plots(pixels: Pixels) -> Pixels:
     return region(pixels, 0.0, 0.58, 1.0, 0.78)
-
-
-def of_colour(pixels: Pixels, colour: int, tolerance: int = 25) -> int:
-    """Count the pixels near a colour of the palette."""
-    wanted = np.array([colour >> 24 & 0xFF, colour >> 16 & 0xFF, colour >> 8 & 0xFF])
-    return int(np.sum(np.all(np.abs(pixels - wanted) <= tolerance, axis=2)))
-
-
-def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:
-    """Count the pixels of a colour in any shade: light falls on the spheres from one side."""
-    wanted = np.array([colour >> 24 & 0xFF, colour >> 16 & 0xFF, colour >> 8 & 0xFF]) / 255
-    brightness = pixels.sum(axis=2)
-    share = pixels / np.maximum(brightness, 1)[..., None]
-    near = np.all(np.abs(share - wanted / wanted.sum()) < apart, axis=2)
-    return int(np.sum(near & (brightness > 90)))
 
 
 @pytest.mark.slow

@@ -134,7 +134,8 @@ def presentation(
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
     statics = list(close.statics(header)) if close else []
     if trails is not None:
-        trails.show(camera, step.time)
+        if not header.collides:  # orbits: without contacts, the paths are what there is to see
+            trails.show(camera, step.time)
         rows += trails.rows()
         statics += trails.statics()
     if plots is not None:
