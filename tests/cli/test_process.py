@@ -196,6 +196,26 @@ def test_an_address_space_that_is_too_small_is_refused_before_a_library_aborts(t
     assert not list(tmp_path.iterdir())
 
 
+def test_a_run_fits_into_an_address_space_that_allocators_would_reserve(tmp_path: Path) -> None:
+    # 2 GB: Rerun and Arrow reserved a GiB each, and OpenBLAS or Arrow aborted for want of a few kB.
+    script = f'ulimit -v 1950000; exec "{sys.executable}" -m carom run two-spheres -o x.rrd'
+    done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
+
+
+def test_a_scene_that_does_not_fit_into_the_address_space_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    big = "elastic-gas --set group.0.count=400000 -o x.rrd"
+    script = f'ulimit -v 1950000; exec "{sys.executable}" -m carom run {big}'
+    done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.strip().splitlines() == [
+        "carom: 4e+05 bodies need about 2.7 GB of address space and `ulimit -v` allows 2 GB; "
+        "raise the limit or lower the count"
+    ]
+    assert not (tmp_path / "x.rrd").exists()
+
+
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     script = f"{sys.executable} -m carom scenes | head -1"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", script], cwd=tmp_path, capture_output=True, check=False)

@@ -11,6 +11,8 @@ from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
+ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
+ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: 2400 abort at 4 × 10⁵ bodies
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130}  # 16 slabs of sums; boxes and sorted bodies
 
 
@@ -37,6 +39,7 @@ def refuse_impossible(scene: Scene) -> None:
             f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
             f"{there / 1e9:.3g} GB; lower the count"
         )
+    _refuse_small_address_space(scene)
     _refuse_narrow_box(scene)
 
 
@@ -102,6 +105,19 @@ def _refuse_narrow_box(scene: Scene) -> None:
         raise SceneError(
             f"domain.size = {list(scene.domain.size)}: a periodic box must be at least four times the largest "
             f"radius wide ({4 * largest:g} m), or a body meets another and its image at once"
+        )
+
+
+def _refuse_small_address_space(scene: Scene) -> None:
+    """Refuse what does not fit under ``ulimit -v``: Rerun and OpenBLAS abort the process when it is used up."""
+    import resource  # noqa: PLC0415 - POSIX only
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    needed = ADDRESSES_OF_LIBRARIES + ADDRESSES_PER_BODY * scene.count
+    if limit != resource.RLIM_INFINITY and limit < needed:
+        raise SceneError(
+            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of address space and `ulimit -v` allows "
+            f"{limit / 1e9:.3g} GB; raise the limit or lower the count"
         )
 
 
