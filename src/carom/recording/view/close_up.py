@@ -45,6 +45,7 @@ _IMPULSE = 1.6  # length of an impulse's arrow in radii of its body: it sticks o
 _ROOM = 1.35  # radii about the bodies that are to be seen
 _THICK, _THIN = 0.07, 0.04  # of arrows, in the same
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
+_SPIN_COLOUR = 0x5CE0B0FF  # a label in the palette's green can hardly be read
 _UNSEEN = 1e-6  # of a radius: the size of the points that the eye follows
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
@@ -104,7 +105,7 @@ class CloseUp:
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
         yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, show_labels=True)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW, show_labels=True)
-        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.GREEN, show_labels=True)
+        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=_SPIN_COLOUR, show_labels=True)
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield where the bodies are at all frames, and what happened in the step."""
