@@ -8,6 +8,7 @@ from PIL import Image
 
 from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
+from carom.recording.view import impulse_scale
 from carom.recording.view.picture import render
 from carom.recording.write.recorder import Recorder
 from merry import Merry
@@ -96,8 +97,7 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     assert of_colour(graph, 0x8A93A6FF, 60) > 1000, "wires"
     assert of_hue(graph, palette.ORANGE) > 300, "torques"
     assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
-    for stage in (palette.YELLOW, palette.SKY):
-        assert of_colour(graph, stage) > 30, "contacts, by stage"
+    assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 300, "contacts, by impulse"
     for name in ("blue", "red", "purple", "grey"):
         assert of_colour(plots(pixels), palette.LINES[name]) > 50, name
 
