@@ -19,11 +19,12 @@ from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.messages import Entry
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
-from examples import scene_of
+from examples import pair, scene_of
 from merry import Merry
 
 SINGLE = 1e-6  # relative, of a few roundings to float32
@@ -68,6 +69,12 @@ def truth() -> np.ndarray:
 
 def entities(recording: Recording) -> set[str]:
     return {entry.entity_path for entry in recording.store.entries}
+
+
+def at_impacts(recording: Recording) -> list[Entry]:
+    """Return the chunks of bodies that are on the timeline of impacts only."""
+    own = [e for e in recording.store.entries if e.entity_path == "world/bodies" and not e.is_static]
+    return [entry for entry in own if entry.first_step is None]
 
 
 def assert_close(table: pa.Table, exact: pa.Table) -> None:
@@ -132,6 +139,21 @@ def test_the_contacts_of_a_step_without_a_frame_are_run_again(recording: Recordi
     table = recording.contacts(1.012)  # between 1.010 and 1.015
     assert set(table["step"].to_pylist()) == {203}
     assert b"with the same bits" in table.schema.metadata[b"source"]
+
+
+def test_stepping_through_impacts_shows_the_two_bodies_where_they_touch(tmp_path: Path) -> None:
+    recording = carom.run(
+        pair(time={"duration": 2.0, "fixed_dt": 0.1}, contact={"timing": "time-of-impact"}, record={"every": 0.7}),
+        tmp_path / "pair.rrd",
+    )
+    (entry,) = at_impacts(recording)
+    (chunk,) = recording.chunks([entry])
+    assert chunk.batch["impact"].to_pylist() == [1]
+    centres = np.array(chunk.batch["Ellipsoids3D:centers"][0].as_py()) + recording.origin
+    np.testing.assert_allclose(centres, [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], atol=SINGLE)  # radii of 1 m
+    assert replay(recording).same
+    clip(recording.path, tmp_path / "clip.rrd", 0.5, 1.5)
+    assert [entry.rows for entry in at_impacts(Recording.open(tmp_path / "clip.rrd"))] == [1]
 
 
 def test_a_replay_compares_impacts_and_contacts(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import Scalar
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.names import bodies_called
@@ -97,7 +97,13 @@ def clip(
             if first is not None:
                 writer.send(first)
             writer.send_property(PROPERTY, _identity(recording, cut, shown))
+            numbers = list[NDArray[np.int64]]()
             for chunk in _moving(recording, cut):
+                kept = chunk if selection is None else selection.of(chunk)
+                writer.send(kept)
+                if chunk.entity_path == paths.IMPACTS:
+                    numbers.append(np.array(kept.batch[IMPACT].to_numpy()))
+            for chunk in _at_impacts(recording, numbers):
                 writer.send(chunk if selection is None else selection.of(chunk))
             if layout := recording.layout():
                 writer.send_layout(StoredLayout(layout))
@@ -160,6 +166,19 @@ def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
         rows = _within(chunk, cut)
         if rows.batch.num_rows:
             yield rows
+
+
+def _at_impacts(recording: Recording, numbers: Sequence[NDArray[np.int64]]) -> Iterator[Chunk]:
+    """Read the bodies at the moments of impacts that the clip has."""
+    if not numbers:
+        return
+    kept = pa.array(np.concatenate(numbers))
+    entries = [e for e in recording.store.entries if not e.is_static and e.first_step is None]
+    for chunk in recording.chunks(entries):
+        if IMPACT in chunk.batch.schema.names:
+            rows = chunk.batch.filter(pc.is_in(chunk.batch[IMPACT], value_set=kept))
+            if rows.num_rows:
+                yield Chunk(chunk.entity_path, rows)
 
 
 def _order(entry: Entry) -> tuple[int, bool]:

@@ -84,7 +84,7 @@ class RecordedRows:
 def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Iterator[Chunk]:
     """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
     for rows in encoder.rows(frames):
-        if rows.path not in _BY_EVENT:
+        if rows.path not in _BY_EVENT and rows.steps:
             yield chunk_of(rows, clock)
 
 

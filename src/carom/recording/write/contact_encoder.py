@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rerun import ComponentColumnList
 
+from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
@@ -15,11 +17,13 @@ from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import CONTACTS, IMPACT_ENERGY, IMPACTS
 from carom.recording.view import arrows, impulse_scale
 from carom.recording.write.contact_columns import contact_columns, contact_rows, force_rows
+from carom.recording.write.impact_frames import orientations_at, positions_at
 from carom.recording.write.impact_plan import ImpactPlan, Kept
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows, any_column
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _ROUND_OFF = 1e-12  # of J v_n: less energy than that is not lost but rounded
 
@@ -52,10 +56,12 @@ class ContactEncoder:
     ) -> None:
         self._header = header
         self._origin = origin
+        self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
         self._references = references
         self._plan = ImpactPlan(everything=everything or header.record_impacts == "all")
         self._count, self._recorded = before.count, before.recorded
         self._kept: list[Kept] = []
+        self._shows_bodies = not everything
 
     @property
     def impacts(self) -> RecordedImpacts:
@@ -87,6 +93,31 @@ class ContactEncoder:
         self._recorded += len(impacts)
         if len(impacts):
             yield impact_rows(impacts, numbers, references, header.radius, self._origin)
+
+    def scenes(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> tuple[IntArray, FloatArray, Any]:
+        """Return numbers of impacts (k,), and positions (k, n, 3) m and orientations of all bodies at them.
+
+        Parameters
+        ----------
+        batch
+            The frames whose rows were asked for last.
+        before
+            The frame before them.
+        """
+        numbers, positions, turned = list[IntArray](), list[FloatArray](), list[FloatArray]()
+        earlier = [before, *batch[:-1]]
+        for frame, last, kept, count in zip(batch, earlier, self._kept, self._before, strict=True):
+            if last is None or frame.impacts is None or not kept.scenes or frame.time <= last.time:
+                continue
+            chosen = kept.impacts[: kept.scenes]
+            times = frame.impacts["time"][chosen]
+            numbers.append(count + 1 + chosen)
+            positions.append(positions_at(times, last, frame, frame.impacts, self._header.radius, self._box))
+            if (orientation := orientations_at(times, last, frame)) is not None:
+                turned.append(orientation)
+        if not numbers or not self._shows_bodies:
+            return np.empty(0, np.int64), np.empty((0, self._header.bodies, 3)), None
+        return np.concatenate(numbers), np.concatenate(positions), np.concatenate(turned) if turned else None
 
     def _chosen(self, batch: Sequence[Frame]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
         """Return the impacts that are recorded, and their numbers."""

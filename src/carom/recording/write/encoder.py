@@ -137,6 +137,7 @@ class BatchEncoder:
             yield self._collisions(batch, points, deepest)
         if self._contacts:
             yield from self._contacts.rows(batch)
+            yield from self._at_impacts(batch)
         yield from self._series(batch, deepest)
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
@@ -153,14 +154,29 @@ class BatchEncoder:
         return frame_rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
 
     def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
-        each = [self.header.bodies] * len(batch)
         turned = None
         if self.header.has_orientation:
             turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
             encoding.cast_orientations(_stacked("orientation", batch, store), turned)
             turned = turned.reshape(-1, 4)
-        centres = points.reshape(-1, 3)
-        colours = self._node_colours(batch)
+        columns, size = self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch))
+        return frame_rows(BODIES, batch, columns, size)
+
+    def _at_impacts(self, batch: Sequence[Frame]) -> Iterable[Rows]:
+        """Draw the bodies at the moments of impacts, on the timeline of impacts only."""
+        assert self._contacts, "contacts are recorded"
+        numbers, position, orientation = self._contacts.scenes(batch, self._before)
+        if len(numbers):
+            points = (position - self.origin).reshape(-1, 3).astype(np.float32)
+            turned = None if orientation is None else orientation.reshape(-1, 4).astype(np.float32)
+            columns, size = self._drawn(points, turned, None)
+            yield Rows(BODIES, [], [], columns, size, numbers.tolist())
+
+    def _drawn(
+        self, centres: NDArray[np.float32], turned: NDArray[np.float32] | None, colours: NDArray[np.uint32] | None
+    ) -> tuple[ComponentColumnList, int]:
+        """Return the columns that draw all bodies, row after row, and their bytes."""
+        rows = len(centres) // self.header.bodies
         match shape(self.header):
             case "ellipsoids":
                 columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turned, colors=colours)
@@ -170,10 +186,10 @@ class BatchEncoder:
                 size = array_bytes(centres, colours)
             case _:
                 # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
-                scales = np.tile(np.repeat(self.header.radius, 3), len(batch)).reshape(-1, 3).astype(np.float32)
+                scales = np.tile(np.repeat(self.header.radius, 3), rows).reshape(-1, 3).astype(np.float32)
                 columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
                 size = array_bytes(centres, turned, scales)
-        return frame_rows(BODIES, batch, columns.partition(each), size)
+        return columns.partition([self.header.bodies] * rows), size
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
         match self.header.coloured_by:

@@ -13,7 +13,8 @@ IntArray = NDArray[np.int64]
 
 ONCE = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
-_ARROWS = 0.02  # of all else
+_ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames of the bodies at impacts
+_ROW = 60  # bytes of a row besides its arrays
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars, likewise
 
@@ -23,6 +24,7 @@ class Kept(NamedTuple):
 
     impacts: IntArray  # which of those since the frame before, in order of time
     arrows: int  # contacts that are drawn with arrows
+    scenes: int  # of the impacts, the first so many have a frame of all bodies
 
 
 class ImpactPlan:
@@ -43,25 +45,33 @@ class ImpactPlan:
         self._others = float(ONCE)  # bytes of all else so far
         self._spent = 0.0
         self._drawn = 0.0  # of that on arrows
+        self._shown = 0.0  # of that on frames of bodies
         self._size = _Size()
 
     def choose(self, frame: Frame) -> Kept:
         """Decide for the next frame."""
         impacts = 0 if frame.impacts is None else len(frame.impacts)
         contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
-        if self._everything:
-            return Kept(np.arange(impacts), contacts)
         self._others += self._size.of(frame)
+        if self._everything:
+            return Kept(np.arange(impacts), contacts, self._scenes(frame, impacts, np.inf))
         self._spent += _CONTACT * contacts
-        room = int((SHARE * self._others - self._spent) / _IMPACT)
-        kept = _largest(frame.impacts, max(1, room))
+        kept = _largest(frame.impacts, max(1, int((SHARE * self._others - self._spent) / _IMPACT)))
         self._spent += _IMPACT * len(kept)
-        left = min(SHARE * self._others - self._spent, _ARROWS * self._others - self._drawn)
         each = _ARROW if frame.torque is None else 2 * _ARROW  # with friction two
+        left = min(SHARE * self._others - self._spent, _ARROWS * self._others - self._drawn)
         arrows = max(0, min(contacts, int(left / each)))
         self._spent += each * arrows
         self._drawn += each * arrows
-        return Kept(kept, arrows)
+        return Kept(kept, arrows, self._scenes(frame, len(kept), SHARE * self._others - self._spent))
+
+    def _scenes(self, frame: Frame, impacts: int, room: float) -> int:
+        """Return at how many impacts the bodies are drawn, in so many bytes at most."""
+        each = _ROW + len(frame.position) * (12 if frame.orientation is None else 28)
+        scenes = max(0, int(min(impacts, min(room, _SCENES * self._others - self._shown) / each)))
+        self._spent += each * scenes
+        self._shown += each * scenes
+        return scenes
 
 
 def _largest(impacts: NDArray[np.void] | None, count: int) -> IntArray:

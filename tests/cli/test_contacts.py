@@ -1,0 +1,71 @@
+"""`carom contacts`: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import carom as library
+from command import carom
+from examples import pair
+from merry import RUN_ID
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recording of two spheres that collide once, at 1 s."""
+    folder = tmp_path_factory.mktemp("run")
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
+    library.run(scene, folder / "run.rrd")
+    return folder
+
+
+def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:
+    done = carom("contacts", "run.rrd", "--impacts", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("1 impact, recorded\n")
+    assert "body 0 and body 1" in done.stdout
+
+
+def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
+    told = json.loads(carom("contacts", "run.rrd", "--json", cwd=folder).stdout)
+    (row,) = told["contacts"]
+    assert row.pop("between") == ["body 0", "body 1"]
+    (line,) = csv.DictReader(io.StringIO(carom("contacts", "run.rrd", "--csv", cwd=folder).stdout))
+    assert {name: float(line[name]) for name in ("time", "normal_impulse", "energy_lost")} == {
+        name: row[name] for name in ("time", "normal_impulse", "energy_lost")
+    }
+    assert carom("contacts", "run.rrd", "-o", "c.parquet", cwd=folder).returncode == 0
+    assert pq.read_table(folder / "c.parquet").to_pylist() == [row]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
+        (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
+        (("--body", "0", "--body", "1", "--at", "0.5"), "body 0 and body 1 do not touch at t = 0.5 s"),
+        (("--body", "1", "--body", "1"), "a body has no contact with itself"),
+        (("--json", "--csv"), "choose one of --json, --csv and -o"),
+        (("--from", "1"), "add --impacts"),
+        (("--impacts", "--from", "8"), "goes from 0 to 2 s: 8 to inf s is not in it"),
+        (("-o", "nowhere/c.parquet"), "there is no folder nowhere"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(folder: Path, options: tuple[str, ...], message: str) -> None:
+    done = carom("contacts", "run.rrd", *options, cwd=folder)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_file_of_another_program_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.rrd").write_text(RUN_ID)
+    done = carom("contacts", "x.rrd", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "is not a recording" in done.stderr
