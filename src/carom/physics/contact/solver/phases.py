@@ -58,6 +58,7 @@ HELP = -1  # in the place of a job
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # of them in a round
 MAX_SETTLING = 256  # iterations after those
+GROWN = 1e6  # times the largest impulse before them, to which they grow where no impulse can remove a residual
 WORTH = 0.5  # of what was missed before; a round that leaves more is the last
 SOLVED = 1e-3  # of the first residual, squared and preconditioned
 
@@ -232,7 +233,8 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     settings.iteration = 0
     _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     first = rho = _residual_norm(phases)
-    iterations = 0
+    largest = _largest_impulses(phases)[0]
+    iterations, push, pull = 0, 0.0, 0.0
     while rho > SOLVED * first and iterations < MAX_ITERATIONS:
         _share_colours(board, phases, CONJUGATE_DIRECTION)
         _share(board, phases, LINE_SEARCH, 0, len(phases.sums), True)
@@ -246,14 +248,24 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
         before, rho = rho, _residual_norm(phases)
         settings.beta = rho / before
-        push, pull = 0.0, 0.0
-        for k in range(pieces):
-            push, pull = max(push, phases.found[k].largest_push), max(pull, phases.found[k].largest_pull)
+        push, pull = _largest_impulses(phases)
         _forget_changes(board, phases)
-        if pull > push:  # a residual that no impulse can remove makes them grow without end
+        if pull > push or push > GROWN * largest > 0.0:
             break
+    if push > GROWN * largest > 0.0:  # no impulses can do what is asked; beginning anew drops the change
+        settings.iteration = 0
+        _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     _share_colours(board, phases, PROJECT)
     return iterations
+
+
+@inline
+def _largest_impulses(phases: Phases) -> tuple[float, float]:
+    """Return the largest pushing and the largest pulling impulse that the last step of the search found, in N s."""
+    push, pull = 0.0, 0.0
+    for k in range(len(phases.found)):
+        push, pull = max(push, phases.found[k].largest_push), max(pull, phases.found[k].largest_pull)
+    return push, pull
 
 
 @inner
