@@ -121,11 +121,11 @@ def test_a_recorded_command_names_no_folders(tmp_path: Path) -> None:
 def test_a_space_that_cannot_be_built_is_one_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def space(*_: object) -> None:
+    def space(*_: object, **__: object) -> None:
         raise PhysicsError("the state is not finite at its start")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("carom.physics.space.Space", space)
+    monkeypatch.setattr("carom.experiment.run.Space", space)
     monkeypatch.setattr("sys.argv", ["carom", *QUICK, "-o", "x.rrd"])
     with pytest.raises(SystemExit) as ended:
         main()
