@@ -14,9 +14,9 @@ def announce_compilation(say: Callable[[str], None] | None = None) -> None:
     from carom.experiment.compile_ahead import start_compiling
     from carom.physics.parallel.jit import cache_folder, on_compilation
 
-    text = "Compiling kernels, once on this machine (about 20 s) …"
+    text = "Compiling kernels, once on this machine (about 15 s) …"
     if not cache_folder():
-        text = f"Compiling kernels (about half a minute), at every start: {NO_CACHE} …"
+        text = f"Compiling kernels (about 20 s), at every start: {NO_CACHE} …"
 
     def announce() -> None:
         if say:
