@@ -20,4 +20,4 @@ class RecordedImpacts:
     def __str__(self) -> str:
         if not self.left_out:
             return f"all {self.recorded} recorded" if self.recorded else "none"
-        return f"{self.recorded} of {self.count} recorded, the largest between frames, {self.left_out} left out"
+        return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
