@@ -81,10 +81,11 @@ def _impulse_legend(header: Header) -> list[str]:
     return [
         "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
-        "Chains of wide lines carry the load. m_ref (N s) is `world/contacts` in the recording's property `arrows`.",
+        "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
         f"body (sky blue){friction}, {longest:.4g} m · u long.",
-        "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts`), as bright as "
+        "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
+        "property `arrows`), as bright as "
         "the energy lost (m_ref in J is `impacts.energy`). On the timeline `impact` one steps from each to the next.",
     ]
 

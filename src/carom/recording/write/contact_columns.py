@@ -27,7 +27,7 @@ def contact_rows(batch: Sequence[Frame]) -> NDArray[np.void]:
 
 
 def contact_columns(
-    batch: Sequence[Frame], rows: NDArray[np.void], pairs: IntArray, reference: float, radius: FloatArray
+    batch: Sequence[Frame], rows: NDArray[np.void], pairs: IntArray, radius: FloatArray
 ) -> tuple[ComponentColumnList, int]:
     """Return columns with a value for each edge, and their bytes.
 
@@ -39,8 +39,6 @@ def contact_columns(
         (k,) `CONTACT_ROW` of all frames, those of each sorted by pair.
     pairs
         (m, 2), of the edges of all frames, likewise.
-    reference
-        N s, the impulse in the middle of the scale.
     radius
         (n,) m.
     """
@@ -50,7 +48,7 @@ def contact_columns(
     impulses = np.empty((2, len(pairs)), dtype=np.float32)
     colour, width = np.empty(len(pairs), dtype=np.uint32), np.empty(len(pairs), dtype=np.float32)
     encoding.write_contacts(
-        *(edges, pairs, each, rows, reference, impulse_scale.COLOURS, impulse_scale.edge_radii(radius)),
+        *(edges, pairs, each, rows, middles(batch), impulse_scale.COLOURS, impulse_scale.edge_radii(radius)),
         *(ends, impulses[0], impulses[1], mode, colour, width),
     )
     columns = [
@@ -65,7 +63,7 @@ def contact_columns(
 
 
 def force_rows(
-    batch: Sequence[Frame], drawn: Sequence[int], reference: float, longest: float, origin: FloatArray, friction: bool
+    batch: Sequence[Frame], drawn: Sequence[int], longest: float, origin: FloatArray, friction: bool
 ) -> Iterable[Rows]:
     """Draw the normal and the friction impulses on body j as arrows at the contact point.
 
@@ -73,8 +71,6 @@ def force_rows(
     ----------
     drawn
         How many contacts of each frame, those of the largest normal impulses.
-    reference
-        N s, the impulse whose arrow is half as long as the longest.
     longest
         m.
     origin
@@ -85,6 +81,7 @@ def force_rows(
     chosen = [strongest(frame.contact_rows, count) for frame, count in zip(batch, drawn, strict=True)]
     rows = np.concatenate(chosen)
     each = np.array([len(part) for part in chosen], dtype=np.int64)
+    middle = np.repeat(middles(batch), each)
     at = (np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin).astype(np.float32)
     ends = np.stack([rows["i"], rows["j"]], axis=1).astype(np.uint32)
     normal = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1) * rows["normal_impulse"][:, None]
@@ -92,12 +89,23 @@ def force_rows(
     for path, impulse in ((FORCE_NORMAL, normal), (FORCE_FRICTION, tangential)):
         if path == FORCE_FRICTION and not friction:
             continue
-        vectors = _drawn(impulse, reference, longest)
+        vectors = _drawn(impulse, middle, longest)
         columns = [
             *rr.Arrows3D.columns(vectors=vectors, origins=at).partition(each),
             *any_column("bodies", ends.ravel()).partition(2 * each),
         ]
         yield frame_rows(path, batch, ComponentColumnList(columns), array_bytes(vectors, at, ends))
+
+
+def middles(batch: Sequence[Frame]) -> FloatArray:
+    """Return the impulse (N s) in the middle of each frame's scale: the median of those that are not zero."""
+    return np.array([_median(frame.contact_rows) for frame in batch])
+
+
+def _median(rows: NDArray[np.void] | None) -> float:
+    impulses = np.empty(0) if rows is None else rows["normal_impulse"]
+    positive = impulses[impulses > 0.0]
+    return max(float(np.median(positive)), np.finfo(np.float64).tiny) if len(positive) else 1.0
 
 
 def strongest(rows: NDArray[np.void] | None, count: int) -> NDArray[np.void]:
@@ -107,10 +115,10 @@ def strongest(rows: NDArray[np.void] | None, count: int) -> NDArray[np.void]:
     return rows[np.argsort(-rows["normal_impulse"], kind="stable")[:count]]
 
 
-def _drawn(impulse: FloatArray, reference: float, longest: float) -> NDArray[np.float32]:
+def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[np.float32]:
     """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.view.arrows`."""
     size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
-    s = np.cbrt(size / reference)
+    s = np.cbrt(size / middle)
     length = longest * (1.0 - 1.0 / (1.0 + s))
     scale = np.divide(length, size, out=np.zeros_like(size), where=size > 0.0)
     return np.asarray(impulse * scale[:, None], dtype=np.float32)

@@ -14,7 +14,7 @@ from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
 from carom.recording.schema.impacts import RecordedImpacts
-from carom.recording.schema.paths import CONTACTS, IMPACT_ENERGY, IMPACTS
+from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.view import arrows, impulse_scale
 from carom.recording.write.contact_columns import contact_columns, contact_rows, force_rows
 from carom.recording.write.impact_frames import orientations_at, positions_at
@@ -73,8 +73,7 @@ class ContactEncoder:
         for frame in batch:
             self._look(frame)
         self._kept = [self._plan.choose(frame) for frame in batch]
-        rows, reference = contact_rows(batch), self._references.get(CONTACTS, 1.0)
-        columns, size = contact_columns(batch, rows, pairs, reference, self._header.radius)
+        columns, size = contact_columns(batch, contact_rows(batch), pairs, self._header.radius)
         before = self._count
         counts = before + np.cumsum([_impacts(frame) for frame in batch])
         self._count = int(counts[-1])
@@ -85,10 +84,9 @@ class ContactEncoder:
         """Return arrows and impacts of the batch whose columns were asked for last."""
         header, references = self._header, self._references
         drawn = [kept.arrows for kept in self._kept]
-        yield from force_rows(  # also where none is drawn, which clears those of the frame before
-            *(batch, drawn, references.get(CONTACTS, 1.0)),
-            *(arrows.longest(header.radius, impulse_scale.REACH), self._origin, header.has_friction),
-        )
+        longest = arrows.longest(header.radius, impulse_scale.REACH)
+        # also where none is drawn, which clears those of the frame before
+        yield from force_rows(batch, drawn, longest, self._origin, header.has_friction)
         impacts, numbers = self._chosen(batch)
         self._recorded += len(impacts)
         if len(impacts):
@@ -131,8 +129,6 @@ class ContactEncoder:
 
     def _look(self, frame: Frame) -> None:
         """Choose references by the first frame that has something to draw."""
-        if frame.contact_rows is not None and CONTACTS not in self._references:
-            self._refer(CONTACTS, frame.contact_rows["normal_impulse"])
         if frame.impacts is not None and len(frame.impacts):
             rows = frame.impacts
             if IMPACTS not in self._references:

@@ -153,7 +153,7 @@ def write_contacts(
     pairs: IntArray,
     each: IntArray,
     rows: NDArray[np.void],
-    reference: float,
+    middle: FloatArray,
     scale: ColourArray,
     widths: SingleArray,
     ends: NDArray[np.uint32],
@@ -169,6 +169,8 @@ def write_contacts(
     ----------
     edges, each
         (frames,) edges and contacts of each frame; they follow each other in ``pairs`` and ``rows``, sorted by pair.
+    middle
+        (frames,) N s, the impulse in the middle of the scale.
     scale, widths
         (levels,) colours and radii by rising impulse.
     """
@@ -185,7 +187,7 @@ def write_contacts(
             normal[c] = np.float32(row.normal_impulse)
             tangential[c] = np.float32(np.sqrt(x * x + y * y + z * z))
             mode[c] = row.mode
-            s = np.cbrt(max(0.0, row.normal_impulse) / reference)
+            s = np.cbrt(max(0.0, row.normal_impulse) / middle[f])
             level = min(len(scale) - 1, int(len(scale) * (1.0 - 1.0 / (1.0 + s))))
             colour[c], width[c] = scale[level], widths[level]
             c += 1
