@@ -1,8 +1,8 @@
 """Compiles kernels in a second process, beside the first run on a machine.
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
-and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with the last
-phases of the solver, which a run needs last. It only fills the cache; if it fails, the run compiles everything itself.
+and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with what a run
+needs last. It only fills the cache; if it fails, the run compiles everything itself.
 """
 
 from __future__ import annotations
@@ -17,11 +17,13 @@ import numpy as np
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.jit import cache_folder
 from carom.physics.parallel.thread_team import SOLO, cores
 from carom.physics.space import Space
+from carom.physics.time_step import Timestep
 from carom.scene.half_space import half_spaces
 from carom.scene.placement import place
 from carom.scene.schema import Scene
@@ -57,23 +59,21 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
 
 
 def compile_ahead() -> None:
-    """Compile the kernels that most runs need, the solver's last ones first."""
+    """Compile the kernels that most runs need, the last first: the two processes meet once, and neither waits."""
     scene = Scene.from_dict(POINTS)
-    solver = _solver_of(scene)
-    solver.statistics()
-    solver.compile_phases()
-    Space(scene, threads=1).energy()
+    bodies = Bodies.at_start(place(scene), spins=True, orients=True)
+    Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
     HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
-
-
-def _solver_of(scene: Scene) -> ContactSolver:
-    """Build a solver without contacts."""
-    bodies = Bodies.at_start(place(scene), spins=True, orients=True)
-    frictionless = materials_of(np.zeros((1, 3)))
-    solver = ContactSolver(bodies, half_spaces(scene), frictionless, np.zeros(3), friction=True, team=SOLO)
+    Space(scene, threads=1).energy()
+    frictionless, open_space = materials_of(np.zeros((1, 3))), np.zeros(3)
+    solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
     solver.lay(solver.order)
-    return solver
+    tap = ContactTap(bodies, frictionless, open_space, friction=True)
+    tap.see_impacts(solver.order.pairs, solver)
+    tap.rows(solver.order.pairs, solver)
+    solver.statistics()
+    solver.compile_phases()
 
 
 def _end_with_parent() -> None:
