@@ -16,7 +16,7 @@ COLOURS = np.array(
     [0x6A176EFF, 0x932667FF, 0xBC3754FF, 0xDD513AFF, 0xF37819FF, 0xFCA50AFF, 0xF6D746FF, 0xFCFFA4FF], dtype=np.uint32
 )
 LEVELS = len(COLOURS)
-_THINNEST, _THICKEST = 0.015, 0.12  # radius of an edge, in median body radii
+_THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
 _SMALLEST, _LARGEST = 0.12, 0.60  # radius of the point at an impact, likewise
 REACH = 2.0  # L_max of an arrow in median body radii
 
