@@ -156,11 +156,11 @@ def test_a_scene_that_is_refused_says_why(tmp_path: Path) -> None:
 def test_a_run_that_stops_being_finite_points_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     spaces: list[Space] = []
 
-    def keep(scene: Scene) -> Space:
-        spaces.append(Space(scene))
+    def keep(*arguments: Any, **options: Any) -> Space:
+        spaces.append(Space(*arguments, **options))
         return spaces[0]
 
-    monkeypatch.setattr("carom.experiment.stress.Space", keep)
+    monkeypatch.setattr("carom.experiment.run.Space", keep)
 
     def break_it(status: StepStatus) -> None:
         spaces[0].state.velocity[3] = np.nan
