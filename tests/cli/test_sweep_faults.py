@@ -146,6 +146,7 @@ def assert_the_small_ones_are_there(folder: Path, ended: subprocess.CompletedPro
     assert len(list((folder / "runs").iterdir())) == 2 and not list((folder / "partial").iterdir())
 
 
+@pytest.mark.slow
 def test_a_run_too_large_for_the_disk_leaves_the_others(tmp_path: Path) -> None:
     write_scene(tmp_path)
     ended = carom_process("sweep", "spheres.toml", *durations(20.0), "-o", "out", cwd=tmp_path, limit=12_000_000)

@@ -67,6 +67,7 @@ def test_keys_are_combined_until_no_change_of_one_is_an_improvement(tmp_path: Pa
         assert misses(tuning, result) or not result.cost < tuning.best.cost
 
 
+@pytest.mark.slow
 def test_a_scene_that_misses_a_limit_gets_shorter_steps_until_it_is_kept(tmp_path: Path) -> None:
     tuning = search(eight(fixed_dt=0.05), tmp_path, position=1e-9)
     assert tuning.best is not None and tuning.misses(tuning.written)

@@ -67,6 +67,7 @@ def test_a_bullet_of_a_million_radii_a_second_is_not_stepped_over() -> None:
     assert exact.time == pytest.approx([met], abs=1e-16)
 
 
+@pytest.mark.slow
 def test_friction_turns_the_spheres_as_the_impulse_law_says() -> None:
     # stick or slide: the test is that angular momentum, spin included, is kept, and that Space finds the same
     scene = pair(offset=0.5, contact={"restitution": 0.8}, time={"duration": 4.0, "max_dt": 1e-4})

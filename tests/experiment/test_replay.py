@@ -29,7 +29,13 @@ from crafted import changed, mapped
 from examples import cloud
 
 # parts of their durations
-SHORT = {"kepler-orbits": 0.1, "marbles-in-a-box": 0.2, "planet-with-gravel": 0.2, "rubble-collision": 0.3}
+SHORT = {
+    "cloud-collapse": 0.6,
+    "kepler-orbits": 0.1,
+    "marbles-in-a-box": 0.1,
+    "planet-with-gravel": 0.1,
+    "rubble-collision": 0.15,
+}
 
 
 @pytest.mark.parametrize("name", bundled_scenes())

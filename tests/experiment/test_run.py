@@ -102,6 +102,7 @@ def test_a_missed_expectation_is_said_in_the_file(tmp_path: Path) -> None:
     assert Recording.open(outcome.path).outcome.startswith("expectation missed: max_overlap")
 
 
+@pytest.mark.slow
 def test_a_run_that_is_watched_without_a_pause_records_what_one_alone_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -237,7 +238,12 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
     return run
 
 
-@pytest.mark.parametrize("name", bundled_scenes())
+LONG = ("marbles-in-a-box", "planet-with-gravel")  # four to six seconds each
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LONG else []) for name in bundled_scenes()]
+)
 def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: str, bundled: Bundled) -> None:
     outcome = bundled(name)
     assert outcome.status == "completed", outcome.reason

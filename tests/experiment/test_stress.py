@@ -18,7 +18,7 @@ from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from examples import cloud
 
-SLOW = ("hub-4000", "million-steps", "pile-1000", "pythagorean")  # more than five seconds each
+SLOW = ("balls-at-rest", "hub-4000", "million-steps", "pile-1000", "pythagorean")  # more than five seconds each
 
 
 def cases() -> list[Any]:

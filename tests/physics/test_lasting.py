@@ -70,6 +70,7 @@ def test_a_stack_of_twenty_stands(restitution: float) -> None:
     assert np.allclose(space.state.position[:, 2], 1.0 + 2.0 * np.arange(20), rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_same_stack_does_not_stand_on_stages_alone() -> None:
     stack = [{"position": [0, 0, 1.0 + 2.0 * k]} for k in range(20)]
     scene = scene_of(

@@ -105,7 +105,7 @@ def errors(found: FloatArray, expected: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1))
 
 
-@pytest.mark.parametrize("theta", [0.2, 0.3, 0.5, 0.7, 0.8])
+@pytest.mark.parametrize("theta", [pytest.param(0.2, marks=pytest.mark.slow), 0.3, 0.5, 0.7, 0.8])
 @pytest.mark.parametrize("shape", [plummer, ball])
 def test_the_error_is_that_of_the_opening_angle(shape: Shape, theta: float) -> None:
     position, mass = shape(3000), masses(3000)

@@ -72,6 +72,7 @@ def test_the_first_contact_comes_when_kepler_says() -> None:
     assert 0.0 <= space.extremes.contacts.time - BOUNCES[0] <= 0.01
 
 
+@pytest.mark.slow
 def test_the_apocentres_are_keplers() -> None:
     # An impact found up to a step late, δ ≤ v dt deep, leaves with the energy that it would have at the surface, but
     # for the change of gravity over δ: g' δ²/2 of the kinetic energy, g' = 4 G m/r³ = 1/16 and v = 0.89. With that the
@@ -105,6 +106,7 @@ def test_the_pair_is_at_rest_in_the_end() -> None:
     assert space.energy().translational <= 1e-20
 
 
+@pytest.mark.slow
 def test_the_bounces_come_when_kepler_says_and_end_when_their_series_does() -> None:
     # An impact is found up to dt late, and comes out of its overlap at half the speed, so twice as late again: each
     # bounce delays the rest by up to 3 dt. The series ends when a step sees no approach faster than 2 a dt; 11 bounces

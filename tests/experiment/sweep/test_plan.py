@@ -41,7 +41,7 @@ def test_values_go_side_by_side_and_seeds_with_each(tmp_path: Path) -> None:
         "restitution=0.8,static_friction=0.6,seed=5",
         "restitution=0.8,static_friction=0.6,seed=6",
     ]
-    with pytest.raises(ExperimentError, match="side by side"):
+    with pytest.raises(ExperimentError, match="zipped keys need equally many values"):
         names(tmp_path, *vary, "time.duration=1,2,3", zipped=True)
 
 
