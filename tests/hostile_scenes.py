@@ -146,7 +146,7 @@ def document(rng: random.Random) -> Document:
     if boundary == "periodic":
         scene["gravity"] = {"constant": 0.0}
     elif rng.random() < 0.3:
-        plane = {"point": lambda: [0.0, 0.0, -number(usual=(10.0,))], "normal": vector, "restitution": number}
+        plane = {"point": lambda: [0.0, 0.0, number(usual=(-10.0,))], "normal": vector, "restitution": number}
         scene["plane"] = [some(plane) for _ in range(rng.choice((1, 1, 2, 4)))]
     if rng.random() < 0.5:
         scene["group"] = [group() for _ in range(rng.choice((1, 1, 2)))]

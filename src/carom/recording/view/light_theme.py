@@ -41,7 +41,8 @@ def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
         settings.write_text(_SETTINGS.format(version=rr.__version__))
         with _screen(program, size) as display:
             kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
-            yield {**kept, "DISPLAY": display, "XDG_DATA_HOME": folder}
+            # RUST_LOG: a viewer with a window shows its log in boxes over the picture
+            yield {**kept, "DISPLAY": display, "XDG_DATA_HOME": folder, "RUST_LOG": "off"}
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from carom.recording.view.viewer import Viewer
 _ALIKE = 3  # equal pictures in a row, after which nothing is still loading
 _PAUSE = 0.7  # s between two of them
 _LIMIT = 120.0  # s
+_NOTE = 6.0  # s for which a viewer with a window shows a note over the picture, once it has started
 _BORDER = (7, 71)  # points of a window about its only view, that is title, edges and the strip to move the window by
 
 
@@ -97,10 +98,12 @@ def render(
         )
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(window_of(size, whole), theme) as viewer:
+        noted = time.monotonic() + (_NOTE if theme == "light" else 0.0)
         viewer.show(recording)
         viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
+        time.sleep(max(0.0, noted - time.monotonic()))
         png = settled(viewer, None if whole else viewer.only_view())
         reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:
