@@ -19,7 +19,7 @@ from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.plan.auto import frame_interval
+from carom.plan.auto import frame_interval, integrator
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -133,6 +133,7 @@ class _Watch:
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times = space, times
         self._recorded = every(frame_interval(space.scene))
+        self._has_solution = integrator(space.scene).controls_error  # between its steps
         self._frames, self._last_recorded = 1, True  # the start
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
@@ -181,7 +182,7 @@ class _Watch:
         n, graph = len(frame.position), frame.contacts
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
-        if self._space.between(frame.time) is not None:
+        if self._has_solution:
             self._sample_solution(frame)
             return
         begin, x, v, a = self._before

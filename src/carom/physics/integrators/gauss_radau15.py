@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.time_step import END_TOLERANCE
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -58,7 +59,6 @@ STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
 CONVERGED = 1e-16  # of the largest acceleration, tolerated residual at a node: half a last bit
 MAX_ITERATIONS = 12  # rounding prevents some from converging
-END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
 LIMITS = ("error", "cap", "fixed", "end")  # limits that set a step
 ERROR, CAP, FIXED, END = range(len(LIMITS))
 
