@@ -14,6 +14,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
+from crafted import changed, without_column
 from merry import Merry
 
 Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)
@@ -126,6 +127,13 @@ def test_a_position_that_is_no_number_is_as_far_away_as_can_be(tmp_path: Path) -
     b = record(tmp_path / "b.rrd", lambda t: 1e300 if t > 0.2 else 0.0, frames=10)
     found = diff(a, b)
     assert found.verdict.kind == "jump" and found.verdict.jump == np.inf
+
+
+def test_a_recording_that_lost_its_total_energy_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    whole = record(tmp_path / "a.rrd")
+    changed(whole.path, tmp_path / "b.rrd", "energy/total", lambda rows: without_column(rows, "Scalars:scalars"))
+    with pytest.raises(RecordingError, match=r"b\.rrd has no /energy/total: a piece of it is missing$"):
+        diff(whole, Recording.open(tmp_path / "b.rrd"))
 
 
 def test_across_a_periodic_boundary_bodies_are_near(tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ class _Frames:
         self.positions = RecordedPositions(recording)
         self.origin = recording.origin
         self.radius = float(np.max(recording.bodies.radius))
-        table = recording.energy()
+        table = recording.energy("total")
         self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
 
     def energy(self, frame: int) -> float:

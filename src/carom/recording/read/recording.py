@@ -29,6 +29,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.event_kinds import CLOSING, kind_of
 from carom.recording.schema.properties import checked
+from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import SIM_TIME, STEP
 
 if TYPE_CHECKING:
@@ -340,13 +341,16 @@ class Recording:
     def energy(self, *names: str) -> pa.Table:
         """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
 
-        With names, only these are read.
+        With names, only these are read. RecordingError if nothing is left of one that the scene has.
         """
         return self._series(paths.ENERGY, names)
 
     @_named
     def steps(self, *names: str) -> pa.Table:
-        """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame, or those named."""
+        """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame.
+
+        With names, only these are read. RecordingError if nothing is left of one that the scene has.
+        """
         return self._series(paths.STEP, names)
 
     @_named
@@ -521,7 +525,8 @@ class Recording:
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         """Return all scalars below an entity as one table, of the frames that have a value in each.
 
-        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing.
+        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing: without names,
+        a column that has no rows is left out.
         """
         series = {entry.entity_path for entry in self.store.entries if not entry.is_static}
         paths = {path.rsplit("/", 1)[1]: path for path in sorted(series) if path.startswith(f"{root}/")}
@@ -531,6 +536,8 @@ class Recording:
             found = tables.table(f"{root}/{name}", chunks, tables.SCALARS)
             if found.num_rows:
                 parts[name] = found
+            elif names and self.frames and is_recorded(root, name, self.info):
+                raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
         frames = self._fingerprints
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
         columns |= {name: part["Scalars:scalars"] for name, part in parts.items()}

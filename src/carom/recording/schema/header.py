@@ -20,7 +20,12 @@ _FLAGS = {
     "spin": "spins",
     "stabilisation": "stabilises",
 }
-_FORCES = {kind.recorded_with: kind.name for kind in FORCES}
+_FORCES = {kind.recorded_with: kind for kind in FORCES}
+
+
+def flag_of(part: str) -> str:
+    """Return the property of a recording that tells whether its scene requires a part of the model."""
+    return _FORCES[part].present if part in _FORCES else _FLAGS[part]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +74,7 @@ class Header:
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
-        return _FORCES[part] in self.forces if part in _FORCES else bool(getattr(self, _FLAGS[part]))
+        return _FORCES[part].name in self.forces if part in _FORCES else bool(getattr(self, _FLAGS[part]))
 
     @property
     def coloured_by(self) -> str:

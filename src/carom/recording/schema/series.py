@@ -5,12 +5,12 @@ A scalar is added by adding a `Series` here, and its row to the table in docs/re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, flag_of
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY
 from carom.scene.forces import FORCES, ForceKind
@@ -172,3 +172,9 @@ SERIES = (
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
     return (series for series in SERIES if series.part is None or header.models(series.part))
+
+
+def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
+    """Tell whether a recording with these properties has a series, given by the first and the last part of its path."""
+    rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.rpartition("/")[2] == name]
+    return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)

@@ -14,14 +14,10 @@ from carom.recording.view.curve import Curve
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:
     """Return the outlines of all plotted series that are there, by their paths; up to a step if one is given."""
     curves: dict[str, Curve] = {}
+    tables = {ENERGY: recording.energy(), STEP: recording.steps()}
     for series in SERIES:
-        root, _, name = series.path.partition("/")
-        read = {ENERGY: recording.energy, STEP: recording.steps}[root]
-        name = name.rpartition("/")[2]
-        if series.plot is None:
-            continue
-        table = read(name)
-        if name in table.column_names:
+        table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
+        if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEPS].to_numpy() <= until
             curves[series.path] = Curve.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
     return curves
