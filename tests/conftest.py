@@ -3,33 +3,45 @@
 In a fresh clone the processes of a test run would compile the same kernels, one waiting for the other: a process of its
 own begins with the last ones, as beside the first run on a machine.
 
-CI judges a commit by the same examples of Hypothesis each time; elsewhere every run looks for new ones. Tests that
-damage files or write scenes at random take a new seed in every run, in CI, too: the report begins with it, and
-CAROM_TEST_SEED sets it. A shell that starts us in the background has us ignore the interrupt key, and with us the
-programs that tests start and then interrupt.
+What tests draw at random, and the examples of Hypothesis, are the same in every run, so that no commit fails by chance.
+CAROM_SEED=random looks for what was not tried yet. The report of a test that failed has its seed.
+
+A shell that starts us in the background has us ignore the interrupt key, and with us the programs that tests start and
+then interrupt.
 """
 
-import os
-import random
 import signal
+from collections.abc import Generator
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-settings.register_profile("ci", derandomize=True, database=None)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+from seeds import VARIABLE, chosen_seed, is_random
+
+settings.register_profile("same", deadline=None, derandomize=True, database=None)
+settings.register_profile("new", deadline=None, print_blob=True)
+settings.load_profile("new" if is_random() else "same")
+SEED = chosen_seed()
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-SEED = os.environ.setdefault("CAROM_TEST_SEED", str(random.randrange(2**32)))  # processes of pytest-xdist inherit it
-
 
 def pytest_report_header() -> str:
-    return f"CAROM_TEST_SEED={SEED}"
+    return f"{VARIABLE}={SEED}"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Say how to repeat a test that failed with what it drew."""
+    report = yield
+    if report.failed and "seed" in getattr(item, "fixturenames", ()):
+        report.sections.append(("seed", f"{VARIABLE}={SEED} repeats this"))
+    return report
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
@@ -45,4 +57,4 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 @pytest.fixture
 def seed() -> int:
     """The seed of this run, for tests that draw at random."""
-    return int(SEED)
+    return SEED

@@ -26,6 +26,7 @@ from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 
 MEMORY = 3 * 2**30  # bytes that the process may take besides what it has when it begins
+SLOWEST = 60  # s of CPU for one scene, after which its process ends; the slowest seen took 10
 STEPS = 12
 PATIENCE = 2.0  # s of steps; a scene of many bodies makes fewer
 Document = dict[str, Any]
@@ -210,18 +211,23 @@ def faults_of(scene: Scene) -> list[str]:
     return sorted(faults)
 
 
+def drawn(seed: int, index: int) -> Document | str:
+    """Draw a scene: a document, or the damaged text of one."""
+    rng = random.Random(f"{seed} {index}")
+    return damaged_text(rng) if rng.random() < 0.2 else document(rng)
+
+
 def judge(seed: int, index: int) -> Document:
     """Draw a scene, run it and judge what came of it."""
-    rng = random.Random(f"{seed} {index}")
+    scene = drawn(seed, index)
     began = time.monotonic()
     answer: Document = {"index": index, "faults": []}
     try:
-        if rng.random() < 0.2:
-            scene = scene_from_text(damaged_text(rng), "damaged")
+        if isinstance(scene, str):
+            scene_from_text(scene, "damaged")
             answer["ended"] = "read"
         else:
-            scene = Scene.from_dict(document(rng))
-            answer["faults"] = faults_of(scene)
+            answer["faults"] = faults_of(Scene.from_dict(scene))
             answer["ended"] = "ran"
     except (SceneError, PhysicsError) as error:
         answer["ended"] = type(error).__name__
@@ -243,6 +249,8 @@ def main(seed: int, first: int, count: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, taken + MEMORY))
     for index in range(first, first + count):
         print(json.dumps({"begun": index}), flush=True)  # noqa: T201
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(used.ru_utime + used.ru_stime) + SLOWEST, resource.RLIM_INFINITY))
         print(json.dumps(judge(seed, index)), flush=True)  # noqa: T201
 
 

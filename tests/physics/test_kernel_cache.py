@@ -118,7 +118,7 @@ def test_damaged_and_exchanged_files_are_compiled_anew(package: Path, seed: int)
     assert len(files) == COUNT
     damage(random.Random(seed), files)
     values, compiled, _ = call(package)
-    assert values == expected and compiled >= COUNT - 1
+    assert values == expected and compiled >= COUNT - 1, f"seed {seed}"
     assert call(package)[:2] == (expected, 0)
 
 

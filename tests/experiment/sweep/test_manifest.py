@@ -17,7 +17,6 @@ from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.manifest import DONE, Manifest, read, stored_runs
 from carom.experiment.sweep.plan import plan
 from carom.experiment.sweep.table import rows_of
-from seeds import fresh_seed
 from sweeps import write_scene
 
 
@@ -142,12 +141,11 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         yield from places(value, (*path, key))
 
 
-def test_a_damaged_manifest_is_read_or_refused_in_one_sentence(tmp_path: Path) -> None:
+def test_a_damaged_manifest_is_read_or_refused_in_one_sentence(tmp_path: Path, seed: int) -> None:
     manifest = begin(tmp_path)
     finish(manifest, "seed=6")
     manifest.save()
     whole = json.loads(manifest.folder.manifest.read_text())
-    seed = fresh_seed()
     for mutant in mutants(whole, np.random.default_rng(seed)):
         manifest.folder.manifest.write_text(json.dumps(mutant))
         try:
