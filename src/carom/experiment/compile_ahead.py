@@ -17,11 +17,16 @@ import numpy as np
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_tap import ContactTap
+from carom.physics.contact.islands import Islands, largest_coordinate, largest_square
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
+from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.diagnostics.finite import refuse_infinities
+from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.parallel.jit import cache_folder
-from carom.physics.parallel.thread_team import SOLO, cores
+from carom.physics.parallel.thread_team import SOLO, cores, load_helpers
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.scene.half_space import half_spaces
@@ -61,7 +66,8 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
 def compile_ahead() -> None:
     """Compile the kernels that most runs need, the last first: the two processes meet once, and neither waits."""
     scene = Scene.from_dict(POINTS)
-    bodies = Bodies.at_start(place(scene), spins=True, orients=True)
+    bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
+    _compile_second_steps(bodies)
     Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
     HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
@@ -74,6 +80,20 @@ def compile_ahead() -> None:
     tap.rows(solver.order.pairs, solver)
     solver.statistics()
     solver.compile_phases()
+
+
+def _compile_second_steps(bodies: Bodies) -> None:
+    """Compile what a run with contacts needs from its second step on, for two bodies in contact."""
+    pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
+    contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
+    ImpulseCache(pairs, place, contacts, 1.0).carry_to(pairs, place, 1.0, contacts, SOLO)
+    unequal = np.arange(3.0 * ends).reshape(ends, 3)
+    Islands(ends, SOLO).write_rest_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, states)
+    largest_square(unequal, none)
+    largest_coordinate(bodies.position)
+    Ledger().plus(np.zeros((1, 3)))
+    load_helpers()
+    refuse_infinities(bodies, ["", ""], 0, 0.0)
 
 
 def _end_with_parent() -> None:
