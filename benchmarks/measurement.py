@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.environment import environment
-from carom.physics.parallel.thread_team import cores
+from carom.physics.parallel.cores import cores
 
 RESULTS = Path(__file__).parent / "results"
 

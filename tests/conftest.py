@@ -12,12 +12,11 @@ then interrupt.
 
 import signal
 from collections.abc import Generator
-from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from carom.experiment.compiling_process import start_on_a_new_installation
 from seeds import VARIABLE, chosen_seed, is_random
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)
@@ -46,12 +45,8 @@ def pytest_runtest_makereport(
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile kernels beside the first tests, if there are none yet and several processes will need them."""
-    leads = not hasattr(session.config, "workerinput") and session.config.getoption("numprocesses", 0)
-    carom = find_spec("carom")
-    if leads and carom and carom.origin and not any(Path(carom.origin).parent.rglob("*.nbc")):
-        from carom.experiment.compile_ahead import start_compiling  # noqa: PLC0415 - slow to import
-
-        start_compiling()
+    if not hasattr(session.config, "workerinput") and session.config.getoption("numprocesses", 0):
+        start_on_a_new_installation()
 
 
 @pytest.fixture

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from carom.experiment import compile_ahead
+from carom.experiment import compiling_process
 from carom.experiment.warmup import SCENES
-from carom.physics.parallel.thread_team import cores
+from carom.physics import parallel
+from carom.physics.parallel.cores import cores
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 
@@ -43,7 +44,7 @@ print(json.dumps([space.fingerprint(), listener.compiled]))
 """
 START = """
 import sys
-from carom.experiment.compile_ahead import start_compiling
+from carom.experiment.compiling_process import start_compiling
 print(start_compiling().pid, flush=True)
 sys.stdin.read()
 """
@@ -73,11 +74,23 @@ def test_the_second_process_ends_with_the_first_however_that_ends(tmp_path: Path
 
 
 def test_no_second_process_is_started_where_it_could_not_help(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(compile_ahead, "cache_folder", lambda: "")
-        assert compile_ahead.start_compiling() is None
-    monkeypatch.setattr(compile_ahead, "cores", lambda: 1)
-    assert compile_ahead.start_compiling() is None
+    monkeypatch.setattr(compiling_process, "cores", lambda: 1)
+    assert compiling_process.start_compiling() is None
+
+
+def test_on_a_new_installation_the_second_process_starts_at_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    kernels = tmp_path / "__pycache__"
+    kernels.mkdir()
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    started: list[str] = []
+    monkeypatch.setattr(parallel, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(compiling_process, "start_compiling", lambda: started.append("a process"))
+    compiling_process.start_on_a_new_installation()
+    (kernels / "a-kernel.nbc").touch()
+    compiling_process.start_on_a_new_installation()
+    assert len(started) == 1
 
 
 @pytest.mark.slow

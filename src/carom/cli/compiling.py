@@ -9,9 +9,15 @@ import typer
 NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of your own"
 
 
-def announce_compilation(say: Callable[[str], None] | None = None) -> None:
-    """Say so, on stderr unless told how, when kernels are compiled, once; let a second process compile some of them."""
-    from carom.experiment.compile_ahead import start_compiling
+def announce_compilation(say: Callable[[str], None] | None = None, helped: bool = False) -> None:
+    """Say so, on stderr unless told how, when kernels are compiled, once; let a second process compile some of them.
+
+    Parameters
+    ----------
+    helped
+        Whether that process has been started.
+    """
+    from carom.experiment.compiling_process import start_compiling
     from carom.physics.parallel.jit import cache_folder, on_compilation
 
     text = "Compiling kernels, once on this machine (about 15 s) …"
@@ -23,6 +29,7 @@ def announce_compilation(say: Callable[[str], None] | None = None) -> None:
             say(text)
         else:
             typer.echo(text, err=True)
-        start_compiling()
+        if not helped and cache_folder():
+            start_compiling()
 
     on_compilation(announce)

@@ -43,6 +43,9 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scene and record it to an .rrd file."""
+    from carom.experiment.compiling_process import start_on_a_new_installation
+
+    helped = start_on_a_new_installation() is not None
     from carom.scene.schema import Scene
 
     changes = list(overrides or [])
@@ -59,7 +62,7 @@ def run(
         from carom.experiment.run import recording_space, simulate
 
         progress = Progress(loaded, quiet=as_json)
-        announce_compilation(progress.say)
+        announce_compilation(progress.say, helped)
         space = recording_space(loaded, threads)
         address = live_viewer() if live else None
         with progress, telling_of(path):

@@ -1,4 +1,4 @@
-"""Compiles kernels in a second process, beside the first run on a machine.
+"""What the second process compiles, beside the first run on a machine (see `compiling_process`).
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
 and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with what a run
@@ -8,7 +8,6 @@ needs last. It only fills the cache; if it fails, the run compiles everything it
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 import threading
 from typing import Any
@@ -25,8 +24,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.parallel.jit import cache_folder
-from carom.physics.parallel.thread_team import SOLO, cores, load_helpers
+from carom.physics.parallel.thread_team import SOLO, load_helpers
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.scene.half_space import half_spaces
@@ -41,26 +39,6 @@ POINTS: dict[str, Any] = {
     "contact": {"enabled": False},
     "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
 }
-
-
-def start_compiling() -> subprocess.Popen[bytes] | None:
-    """Start the second process; returns None if it could not help: on one core, or without a shared cache.
-
-    It ends with this process and leaves no files except the kernels.
-    """
-    if cores() < 2 or not cache_folder():
-        return None
-    try:
-        helper = subprocess.Popen(
-            [sys.executable, "-P", "-m", "carom.experiment.compile_ahead"],
-            stdin=subprocess.PIPE,  # closed when this process ends
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-    except OSError:
-        return None
-    threading.Thread(target=helper.wait, name="compile-ahead", daemon=True).start()  # prevents a zombie process
-    return helper
 
 
 def compile_ahead() -> None:

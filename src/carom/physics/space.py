@@ -33,7 +33,8 @@ from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.kick_drift import drift, kick, wrap
-from carom.physics.parallel.thread_team import Team, cores
+from carom.physics.parallel.cores import cores
+from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.reference_api import BodyProxy
 from carom.physics.rotation import rotate

@@ -198,11 +198,6 @@ def _offer_core() -> None:
 OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @kernel
 def post(board: IntArray, pieces: int) -> None:
     """Post a phase of ``pieces`` pieces. Write the data that helpers read before."""
