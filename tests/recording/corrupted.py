@@ -16,10 +16,12 @@ import numpy as np
 from rerun.chunk import RrdReader
 
 from carom.experiment.diff.diff import diff
+from carom.physics.error import PhysicsError
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.scene.error import SceneError
 
 SLOWEST = 20  # s of CPU for one file; all of them take less than 1 s
 
@@ -81,6 +83,8 @@ def read_all(path: Path) -> None:
         lambda: recording.bodies,
         lambda: recording.scene_toml,
         lambda: list(recording.checkpoints()),
+        recording.impacts,
+        recording.contacts,
     ):
         attempt(question)
 
@@ -89,8 +93,8 @@ def attempt(operation: Callable[[], object]) -> None:
     """Do something to a file; that it refuses is all right."""
     try:
         operation()
-    except RecordingError as error:
-        assert str(error).count("\n") == 0, error
+    except (RecordingError, SceneError, PhysicsError) as error:
+        assert "\n" not in str(error), error
 
 
 def mended(path: Path, out: Path) -> None:

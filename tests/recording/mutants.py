@@ -7,21 +7,33 @@ What bytes that were changed at random hardly ever get to: chunks that can be de
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import resource
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
+from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
+from carom.cli.movie import _ends
 from carom.cli.terminal import Terminal
+from carom.experiment import report
 from carom.experiment.diff.diff import diff
+from carom.experiment.replay import replay
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
+from carom.recording.view.blueprint import ALL
+from carom.recording.view.canvas import Canvas
+from carom.recording.view.movie import _layout, frame_times
+from carom.recording.view.presentation import asked
 from crafted import assembled, messages_of, repacked, stream, with_column, without_column
 from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
 
@@ -78,7 +90,8 @@ def mutated(batch: pa.RecordBatch, random: Random) -> pa.RecordBatch:
 def shown(path: Path) -> None:
     """Print what `carom inspect` prints."""
     summary = Recording.open(path).summary()
-    with Path("/dev/null").open("w") as nowhere:
+    json.dumps(summary)
+    with Path(os.devnull).open("w") as nowhere:
         terminal = Terminal(file=nowhere)
         terminal.print(_overview(summary))
         for line in _moments(summary, path):
@@ -86,14 +99,66 @@ def shown(path: Path) -> None:
         terminal.print(_profile(summary))
 
 
+def listed(path: Path, impacts: bool) -> None:
+    """Print what `carom contacts` prints, as JSON and as a table."""
+    recording = Recording.open(path)
+    table = recording.impacts() if impacts else recording.contacts()
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stdout(nowhere):
+        _json(recording, table)
+        _print(recording, table, impacts)
+
+
+def pictured(path: Path) -> None:
+    """Plan a picture: what is shown of its moment, the close-up of a pair, and the plot of a body."""
+    recording = Recording.open(path)
+    asked(recording, None, None, None, Canvas(800, 500, framed=True), plot="3.speed")
+    asked(recording, 2.0, None, "3,17", Canvas(800, 500, framed=True), colour_by="speed")
+
+
+def filmed(path: Path) -> None:
+    """Plan a movie."""
+    recording = Recording.open(path)
+    times = frame_times(recording, *_ends(recording, None, None), 20)
+    _layout(recording, times.tolist(), (800, 500), ALL)
+
+
+def tracked(path: Path) -> None:
+    """Ask for the path of a body, and the state of all at a checkpoint and between two."""
+    recording = Recording.open(path)
+    attempt(lambda: recording.trajectory(3))
+    attempt(lambda: recording.bodies(0.0))
+    attempt(lambda: recording.bodies(2.01))
+
+
+def reported(path: Path, out: Path) -> None:
+    """Make a report without its picture."""
+    report.report(Recording.open(path), out)
+
+
+MANIFOLD = ("impacts", "world/contacts", "world/forces/normal", "world/forces/friction", "world/bodies")
+LONGER: tuple[tuple[Callable[[Path, Path], object], ...], ...] = (  # of every fifth mutant each
+    (mended,),
+    (lambda path, out: pictured(path),),
+    (lambda path, out: filmed(path), lambda path, out: tracked(path)),
+    (lambda path, out: replay(Recording.open(path), threads=1),),
+    (lambda path, out: reported(path, out.with_suffix(".zip")),),
+)
+
+
 def main(source: Path, folder: Path, seed: int, count: int) -> None:
     """Go through so many changes."""
     path, out = folder / "mutant.rrd", folder / "out.rrd"
+    report._picture = lambda *_: (None, "not rendered")
     parts = messages_of(source)
-    places = [k for k, (kind, body) in enumerate(parts) if kind == CHUNK and decode(body)[0].kind == RECORDING]
+    places: dict[str, list[int]] = {}
+    for place, (kind, body) in enumerate(parts):
+        if kind == CHUNK and decode(body)[0].kind == RECORDING:
+            places.setdefault(decode(body)[1].entity_path, []).append(place)
+    assert places.keys() >= set(MANIFOLD)
     for k in range(count):
         random = np.random.default_rng([seed, k])
-        changed, place = list(parts), places[random.integers(len(places))]
+        entity = random.choice(MANIFOLD if random.integers(3) == 0 else list(places))
+        changed, place = list(parts), int(random.choice(places[entity]))
         chunk = decode(parts[place][1])[1]
         changed[place] = (CHUNK, repacked(parts[place][1], stream(mutated(chunk.batch, random))))
         tell(k, chunk.entity_path, peak())
@@ -107,10 +172,12 @@ def main(source: Path, folder: Path, seed: int, count: int) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (spent + SLOWEST, resource.RLIM_INFINITY))
         attempt(lambda: read_all(path))
         attempt(lambda: shown(path))
+        attempt(lambda: listed(path, impacts=True))
+        attempt(lambda: listed(path, impacts=False))
         attempt(lambda: clip(path, out, 1.0, 3.0, bodies=[3, 17]))
         attempt(lambda: diff(Recording.open(source), Recording.open(path)))
-        if k % 5 == 0:
-            attempt(lambda: mended(path, out))
+        for task in LONGER[k % len(LONGER)]:
+            attempt(partial(task, path, out))
     tell("end", peak())
 
 

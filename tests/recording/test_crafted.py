@@ -73,6 +73,12 @@ def test_a_row_that_has_not_what_it_should_is_named(entity: str, change: Change,
         recording.summary()
 
 
+def test_rows_that_lost_their_time_are_refused(run_file: Path) -> None:
+    changed(run_file, run_file, "step/contacts", lambda batch: without_column(batch, "sim_time"), footer=False)
+    with pytest.raises(RecordingError, match="rows of /step/contacts with steps, but without sim_time"):
+        Recording.open(run_file)
+
+
 def test_names_of_fewer_bodies_than_there_are_are_refused(run_file: Path) -> None:
     changed(run_file, run_file, "state/bodies", mapped("name", lambda row: row[:-1]), static=True)
     with pytest.raises(RecordingError, match="names or groups of its bodies are not those of 60 bodies"):
