@@ -128,7 +128,7 @@ def test_what_is_not_required_has_no_array() -> None:
     assert len(state.angular_velocity) == 2 and state.orientation.size == 0, "spin alone was asked for"
     space = Space(SCENES["Kepler"])
     assert space._contact is None, "no search, no colours, no solver"
-    assert Space(SCENES["a smooth gas"])._forces == []
+    assert Space(SCENES["a smooth gas"])._world.forces._forces == []
 
 
 def test_frames_do_not_have_what_is_not_required() -> None:

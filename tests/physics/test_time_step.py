@@ -8,10 +8,12 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from carom.physics.batch_step import BatchStepper
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime
 from carom.physics.space import Space
+from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
@@ -190,7 +192,14 @@ def test_the_step_of_the_pulls_does_not_drift_in_or_out_of_an_encounter() -> Non
 
 
 def pull_step(scene: Scene) -> tuple[float, str]:
-    return Space(scene)._timestep.target(Space(scene).state)
+    stepper = Space(scene)._stepper
+    assert isinstance(stepper, KickDriftStepper | BatchStepper)
+    return stepper.timestep.target(Space(scene).state)
+
+
+def stepper_of(space: Space) -> KickDriftStepper:
+    assert isinstance(space._stepper, KickDriftStepper)
+    return space._stepper
 
 
 def test_a_circular_orbit_gets_the_stated_part_of_the_time_of_its_pair() -> None:
@@ -253,7 +262,9 @@ def test_what_rests_on_each_other_gets_the_step_of_many_bodies_whatever_their_nu
     # Each is pulled by √3/4, and held by 1/4 at two contacts. Three in flight get 0.003 of a fall, 33 times the steps.
     space = after(huddle(), 60)
     pull = math.sqrt(3.0) / 4.0
-    assert Space(huddle())._timestep.target(space.state)[0] == pytest.approx(0.003 * math.sqrt(2.0 / pull), rel=1e-6)
+    assert stepper_of(Space(huddle())).timestep.target(space.state)[0] == pytest.approx(
+        0.003 * math.sqrt(2.0 / pull), rel=1e-6
+    )
     assert space.first_dt == pytest.approx(0.1 * math.sqrt(2.0 / 0.5), rel=1e-6)
     assert space.dt > 0.9 * space.first_dt and space.dt_limit in ("held", "growth")
     assert kinetic_energy_of(space.state) < 1e-15, "and stays at rest"
@@ -262,7 +273,7 @@ def test_what_rests_on_each_other_gets_the_step_of_many_bodies_whatever_their_nu
 def test_a_body_in_flight_keeps_its_own_step_beside_a_pile_at_rest() -> None:
     space = after(huddle({"position": [30.0, 0.0, 0.0], "velocity": [0.0, 0.3, 0.0], "mass": 1e-6, "radius": 1.0}), 60)
     fall = np.linalg.norm(space.state.acceleration[3])
-    dt, limit = space._timestep.target(space.state, space._borne())
+    dt, limit = stepper_of(space).timestep.target(space.state, stepper_of(space).borne())
     assert limit == "acceleration" and dt == pytest.approx(0.004 * math.sqrt(2.0 / fall), rel=1e-12)
 
 
@@ -282,7 +293,8 @@ def test_what_holds_a_body_is_in_the_checkpoint() -> None:
     again = Space(huddle())
     again.restore(space.frame().checkpoint)
     assert again.first_dt == space.first_dt
-    assert np.array_equal(again._borne(), space._borne()) and len(space._borne()) == 3
+    borne = stepper_of(space).borne()
+    assert np.array_equal(stepper_of(again).borne(), borne) and len(borne) == 3
 
 
 def test_what_is_squeezed_between_heavy_bodies_keeps_the_short_step() -> None:

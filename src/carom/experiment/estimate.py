@@ -16,7 +16,8 @@ from carom.physics.forces.gravity import gravity_of
 from carom.physics.frame import Frame
 from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import every
-from carom.physics.space import WARM_UP_STEPS, Space
+from carom.physics.space import Space
+from carom.physics.step import WARM_UP_STEPS
 from carom.plan.auto import frame_interval
 from carom.plan.features import Requirements
 from carom.plan.limits import memory_estimate

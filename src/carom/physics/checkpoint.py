@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import MonitorState
@@ -49,6 +50,18 @@ class Checkpoint:
     contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books
     integrator: IntegratorCheckpoint | None = None  # None where each step begins anew
+
+    def write_to(self, bodies: Bodies) -> None:
+        """Restore the state of the bodies. Torques are not stored, so they are zero until the next step."""
+        bodies.position[:] = self.position
+        bodies.velocity[:] = self.velocity
+        bodies.acceleration[:] = self.acceleration
+        bodies.torque[:] = 0.0
+        bodies.angular_acceleration[:] = 0.0
+        if self.orientation is not None:
+            bodies.orientation[:] = self.orientation
+        if self.angular_velocity is not None:
+            bodies.angular_velocity[:] = self.angular_velocity
 
     @property
     def fingerprint(self) -> int:

@@ -31,8 +31,8 @@ from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.pull_time import PullTime
-from carom.plan.step_limits import HELD_PART
-from carom.scene.schema import Time
+from carom.plan.step_limits import HELD_PART, StepLimits
+from carom.scene.schema import Scene, Time
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -122,6 +122,23 @@ class Timestep:
         self._team = team
         self.previous = 0.0  # s, the average; 0 until there is one
 
+    @classmethod
+    def of(cls, scene: Scene, limits: StepLimits, bodies: Bodies, field: FloatArray, team: Team) -> Timestep:
+        """Make the rule of a scene with these limits; ``field`` as above."""
+        fraction = limits.pull_fraction
+        return cls(
+            scene.time.model_copy(update={"max_dt": limits.max_dt}),
+            limits.cfl,
+            limits.target_dx,
+            field,
+            scene.anchored,
+            team,
+            pull=None if fraction is None else PullTime(scene.gravity, fraction, bodies),
+            smoothing=limits.smoothing,
+            held_dx=limits.held_dx,
+            held_part=limits.held_part,
+        )
+
     @property
     def spares_held(self) -> bool:
         """Whether the choice depends on what contacts bear."""
@@ -158,6 +175,10 @@ class Timestep:
             target, limit = smoothed, limit if self._smoothing == 1.0 else "growth"
         self.previous = target
         return target, limit
+
+    def first(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> float:
+        """Return the first step of a run that begins with the present state, in s."""
+        return self._time.fixed_dt or self.target(bodies, borne)[0]
 
     def target(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""

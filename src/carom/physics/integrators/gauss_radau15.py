@@ -32,9 +32,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.bodies import Bodies
+from carom.physics.integrators.batch import Batch
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.time_step import END_TOLERANCE
+from carom.plan.features import Requirements
+from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -189,27 +193,14 @@ class GaussRadau15:
         self._progress[0] = np.zeros(1, PROGRESS)[0]
         self._progress["next_dt"] = dt
 
-    def advance(self, time: float, end: float, until: float, steps: int) -> tuple[int, float, float, float, str]:
-        """Make steps until a time is reached, the run ends, or the number of steps is reached.
-
-        Parameters
-        ----------
-        time, end, until
-            s; the last step is cut to end at ``end``, but not at ``until``.
-        steps
-            Largest number of steps.
-
-        Returns
-        -------
-        steps, before, time, dt, limit
-            Number of steps; times before and after the last one and its length, in s; the limit that set it.
-        """
+    def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
+        """Make steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
         progress = self._progress
         progress["time"], progress["steps"] = time, 0
         advance(self._motion, self._softening_squared, progress, end, until, steps, self._max_dt, self._adapts)
         last = progress[0]
-        taken = int(last["steps"]), float(last["before"]), float(last["time"])
-        return *taken, float(last["last_dt"]), LIMITS[last["limit"]]
+        times = float(last["before"]), float(last["time"]), float(last["last_dt"])
+        return Batch(int(last["steps"]), *times, LIMITS[last["limit"]])
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
         """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
@@ -242,6 +233,15 @@ class GaussRadau15:
         motion.velocity_rest[:] = checkpoint.velocity_rest
         motion.accepted[:] = checkpoint.accepted
         motion.correction[:] = checkpoint.correction
+
+
+def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> GaussRadau15:
+    """Make the integrator of a scene's bodies in a uniform field, (3,) m/s²."""
+    rule, gravity = scene.time, scene.gravity
+    pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
+    fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
+    steps = (rule.max_dt, rule.fixed_dt)
+    return GaussRadau15(bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps)
 
 
 @long_kernel

@@ -1,0 +1,66 @@
+"""The sum of all forces of a scene."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.diagnostics.profile import Profile
+from carom.physics.forces.force import Damping, Potentials, accelerate, forces_of
+from carom.physics.forces.gravity import gravity_of
+from carom.physics.parallel.thread_team import Team
+from carom.plan.features import Requirements
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+class TotalForce:
+    """Accelerates the bodies of a scene by all its forces.
+
+    Attributes
+    ----------
+    uniform
+        (3,) m/s², the part of the acceleration that is the same for every body.
+    damping
+        The force that depends on velocities, if there is one.
+    losses
+        The ledger's entries for forces without a potential.
+    """
+
+    def __init__(self, scene: Scene, needs: Requirements, bodies: Bodies, team: Team, profile: Profile) -> None:
+        self._scene = scene
+        self._bodies = bodies
+        self._team = team
+        self._profile = profile
+        self._fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
+        self._forces = forces_of(scene, needs, bodies, team)
+        self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
+        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
+        self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
+
+    def accelerate(self, potential: bool) -> Potentials:
+        """Update the accelerations of the bodies; return the potential energies if requested."""
+        bodies = self._bodies
+        energies = accelerate(self._forces, bodies.position, bodies.acceleration, potential, self._profile)
+        if len(self._fixed):
+            bodies.acceleration[self._fixed] = 0.0
+        return energies
+
+    def potentials(self) -> Potentials:
+        """Return the potential energies of the present positions.
+
+        The accelerations are not changed. Those of drift-kick-drift are of the middle of the step, and the next step is
+        chosen by them whether or not an energy is requested.
+        """
+        unused = np.empty_like(self._bodies.acceleration)
+        return accelerate(self._forces, self._bodies.position, unused, True, Profile())
+
+    def potential_of_fixed_bodies(self) -> float:
+        """Return the constant gravitational energy of fixed bodies among each other, in J."""
+        fixed = self._fixed
+        gravity = gravity_of(self._scene, self._bodies.mass[fixed], self._team) if len(fixed) > 1 else None
+        if gravity is None:
+            return 0.0
+        return gravity.accelerate(self._bodies.position[fixed], np.empty((len(fixed), 3)), potential=True) or 0.0

@@ -1,0 +1,76 @@
+"""The protocol of integrators that choose their own steps and take many of them per call.
+
+The module of such an integrator is named like its row in `carom.scene.integrators.INTEGRATORS`, with underscores, and
+defines ``make(scene, needs, bodies, uniform)``. The other integrators are sequences of kicks and drifts, which
+`carom.physics.step` takes one at a time.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.plan.auto import integrator
+from carom.plan.features import Requirements
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+class Batch(NamedTuple):
+    """Steps that were taken in one call."""
+
+    steps: int
+    before: float  # s, time before the last one
+    time: float  # s, time after it
+    dt: float  # s, its length
+    limit: str  # what set it
+
+
+class BatchIntegrator(Protocol):
+    """Moves bodies in place, by many steps per call."""
+
+    @property
+    def next_dt(self) -> float:
+        """The next step in seconds."""
+
+    @property
+    def checkpoint(self) -> IntegratorCheckpoint:
+        """A copy of the state that the next step needs, besides the bodies."""
+
+    def begin(self, dt: float) -> None:
+        """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
+
+    def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
+        """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
+
+    def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
+        """Make steps until a time is reached, the run ends, or the number of steps is reached.
+
+        Parameters
+        ----------
+        time, end, until
+            s; the last step is cut to end at ``end``, but not at ``until``.
+        steps
+            Largest number of steps.
+        """
+
+    def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
+
+
+def batch_integrator_of(
+    scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray
+) -> BatchIntegrator | None:
+    """Make the integrator of a scene if it takes many steps per call; ``uniform`` is the field, (3,) m/s²."""
+    row = integrator(scene)
+    if not row.controls_error:
+        return None
+    module = import_module(f"{__package__}.{row.name.replace('-', '_')}")
+    made: BatchIntegrator = module.make(scene, needs, bodies, uniform)
+    return made

@@ -1,0 +1,258 @@
+"""One step of kicks and drifts, in the order of docs/physics.md, section 2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.contact.support import NOTHING_BORNE
+from carom.physics.diagnostics.bookkeeper import Bookkeeper
+from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
+from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
+from carom.physics.integrators.kick_drift import drift, kick, wrap
+from carom.physics.rotation import rotate
+from carom.physics.stepper import Goal
+from carom.physics.time_step import Timestep
+from carom.physics.world import World
+from carom.plan.auto import integrator
+
+FloatArray = NDArray[np.float64]
+
+WARM_UP_STEPS = 3
+
+
+class KickDriftStepper:
+    """Advances a world by kicks, drifts and contacts, one step at a time; see `Stepper`.
+
+    Parameters
+    ----------
+    world, books
+        What is advanced, and its books.
+    timestep
+        Chooses the steps.
+    asked
+        Chooses those that the scene asks for, if ``timestep`` takes longer ones.
+    """
+
+    def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
+        self._world = world
+        self._books = books
+        self.timestep = timestep
+        self._asked = asked
+        self._substeps = integrator(world.scene).substeps
+        self._ends_with_forces = integrator(world.scene).ends_with_forces
+        self._damping = world.forces.damping
+        self._exchanges: list[Exchange] = []  # with a medium, in this step
+
+    @property
+    def checkpoint(self) -> None:
+        """None: a step needs only the bodies, the contacts and `previous_dt`."""
+
+    @property
+    def previous_dt(self) -> float:
+        """The smoothed step, in s."""
+        return self.timestep.previous
+
+    @property
+    def first_dt(self) -> float:
+        """The step in s that the limits allow in the present state."""
+        return self.timestep.first(self._world.bodies, self.borne())
+
+    def borne(self) -> FloatArray:
+        """Return the part of each acceleration that contacts bear, (n + p,) m/s²; empty if no step depends on it."""
+        contact = self._world.contact
+        return contact.borne if contact and self.timestep.spares_held else NOTHING_BORNE
+
+    def warm_up(self, dt: float) -> None:
+        """Take a few steps of dt seconds, which also find the accelerations that a step begins with."""
+        for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # one loads the kernels
+            self._step(dt, with_potential=False)
+        self._exchanges.clear()
+
+    def begin(self) -> None:
+        """Begin at the present state; contacts that touch carry no impulses yet."""
+        world = self._world
+        if world.needs.adaptive_step.modelled:
+            self.timestep.previous = self.timestep.target(world.bodies)[0]
+        if world.contact:
+            world.contact.forget()
+            world.contact.begin(self.first_dt)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint."""
+        self.timestep.previous = checkpoint.previous_dt
+        if self._world.contact:
+            self._world.contact.recall(checkpoint.contacts)
+
+    def advance(self, goal: Goal, checked: bool) -> bool:
+        """Do a step; return whether a frame is due."""
+        world, books, clock = self._world, self._books, self._world.clock
+        clock.advance(1, clock.time, *self._choose(goal.end))
+        due = goal.is_reached(clock)  # a schedule sees every step
+        checked = checked or due
+        books.begin_step(checked)
+        world.profile.mark("timestep")
+        potentials = self._step(clock.dt, with_potential=checked)
+        if self._damping:
+            books.book_exchanges(self._damping.kind.loss, self._exchanges)
+            self._exchanges.clear()
+        books.finish_step(potentials, checked)
+        if books.pace and clock.step % world.scene.record.check_every == 0:
+            books.check_pace(*self.timestep.target(world.bodies, self.borne()))
+        return due
+
+    def between(self, earlier: float) -> None:
+        """Return None: there is no solution between the steps."""
+
+    def _choose(self, end: float) -> tuple[float, float, str]:
+        """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
+        world, time = self._world, self._world.clock.time
+        dt, limit = self.timestep.choose(world.bodies, end - time, self.borne())
+        if self._asked:
+            asked, asked_limit = self._asked.target(world.bodies, self.borne())
+            world.clock.foresee(asked_limit, dt / asked if asked > 0.0 else np.inf)
+        return end if limit == "end" else time + dt, dt, limit
+
+    def _step(self, dt: float, with_potential: bool) -> Potentials:
+        """Take a step of dt seconds; return the potential energies at its end if requested.
+
+        Overlaps are undone after the last drift, so that forces belong to the final positions. The reference engine
+        pushes bodies apart at the end of the step. The forces would then be those of other positions, the next kick
+        would not be central, and angular momentum would drift by overlap × force; or they would have to be computed
+        twice.
+        """
+        world, contact, damping = self._world, self._world.contact, self._damping
+        potentials: Potentials = {}
+        last_kick = 0.0
+        self._turn(dt)
+        for index, substep in enumerate(self._substeps):
+            is_last = index == len(self._substeps) - 1
+            damped = damping.step(dt) if damping else None
+            first_kick, last_kick = substep.before * dt, substep.after * dt
+            share = first_kick  # s, of the work of forces in the drift, that the first kick has done
+            if damped:
+                share, last_kick = damped.share, damped.last_kick
+            self._kick_before_drift(first_kick, damped)
+            if index == 0 and contact:
+                self._hold(contact, first_kick, dt, share, damped)
+            self._drift(substep.drift * dt, share, damped)
+            if is_last and contact:
+                self._find(contact, dt)
+            if world.is_periodic:
+                wrap(world.bodies.position, world.box, world.team)
+            if world.needs.pulls:
+                potentials = self._sum_forces(is_last, with_potential)
+                self._kick_after_drift(last_kick, damped)
+            world.profile.mark("integrate")
+        if contact:
+            self._resolve(contact, dt, last_kick)
+        return potentials
+
+    def _turn(self, dt: float) -> None:
+        """Turn the orientations."""
+        world, bodies = self._world, self._world.bodies
+        if world.needs.orientation.modelled:
+            rotate(bodies.orientation, bodies.angular_velocity, dt, world.team)
+            world.profile.mark("orientation")
+
+    def _kick_before_drift(self, dt: float, damped: DampedStep | None) -> None:
+        """Kick with the forces at the old positions; drag then takes the place of the kick."""
+        if self._damping and damped:
+            self._exchange(self._damping, self._damping.begin, damped)
+        elif dt and self._world.needs.pulls:
+            self._kick(dt)
+
+    def _hold(self, contact: ContactPipeline, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
+        """Hold lasting contacts after the first kick, against what accelerates the bodies; times in s."""
+        profile = self._world.profile
+        profile.mark("integrate")
+        if self._damping and damped:
+            before = self._world.bodies.ends.velocity.copy()
+            contact.hold(damped.held_kick, dt, share, self._damping.against())
+            if len(contact.held):
+                self._exchange_energy(self._damping.lost_in_hold(damped, before))
+        else:
+            contact.hold(kick, dt, share)
+        profile.mark("resting")
+
+    def _drift(self, dt: float, kick: float, damped: DampedStep | None) -> None:
+        """Drift for a time in s, with impacts at their own times if the scene asks for them.
+
+        ``kick`` is the length in s of the kick before.
+        """
+        world, bodies, clock = self._world, self._world.bodies, self._world.clock
+        if world.is_periodic:
+            refuse_lost_turns(bodies.velocity, dt, world.box, clock.step, clock.time)
+        if world.contact and world.needs.impact_time.modelled:
+            refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, world.team)
+            self._drift_to_impacts(world.contact, kick, dt, damped)
+            world.profile.mark("impacts")
+        else:
+            drift(bodies.position, bodies.velocity, dt, world.team)
+            world.profile.mark("integrate")
+
+    def _drift_to_impacts(self, contact: ContactPipeline, kick: float, dt: float, damped: DampedStep | None) -> None:
+        """Drift, and resolve impacts at their own times; kick and drift in s."""
+        if not (self._damping and damped):
+            contact.drift(kick, dt)
+            return
+        before = self._world.bodies.ends.velocity.copy()
+        contact.drift(kick, dt, self._damping.along(damped))
+        if len(contact.impacts):
+            self._exchange_energy(self._damping.lost_in_impacts(damped, before, contact.impacts))
+
+    def _find(self, contact: ContactPipeline, dt: float) -> None:
+        """Find contacts at the final positions, and correct the overlaps of those at rest."""
+        world, clock = self._world, self._world.clock
+        refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, world.team)
+        contact.find(dt, world.profile)
+
+    def _sum_forces(self, is_last: bool, with_potential: bool) -> Potentials:
+        """Update the accelerations if a kick will use them; return the potential energies if requested."""
+        forces = self._world.forces
+        if not is_last or self._ends_with_forces:
+            return forces.accelerate(with_potential and is_last)
+        if not with_potential:
+            return {}
+        potentials = forces.potentials()
+        self._world.profile.mark("gravity")
+        return potentials
+
+    def _kick_after_drift(self, dt: float, damped: DampedStep | None) -> None:
+        """Kick with the forces at the new positions; drag then takes the place of the kick."""
+        if self._damping and damped:
+            self._exchange(self._damping, self._damping.end, damped)
+        elif dt:
+            self._kick(dt)
+
+    def _resolve(self, contact: ContactPipeline, dt: float, last_kick: float) -> None:
+        """Apply the impulses of the contacts after the last kick; find the torques that they amount to."""
+        world = self._world
+        contact.resolve(dt, last_kick, world.profile)
+        if world.needs.torque.modelled:
+            contact.turn(dt)
+            world.profile.mark("torque")
+
+    def _kick(self, dt: float) -> None:
+        """Kick for a time in s."""
+        bodies = self._world.bodies
+        kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
+        if self._books.impulse_audit:
+            self._books.impulse_audit.see_kick(bodies.acceleration, dt)
+
+    def _exchange(self, damping: Damping, act: Callable[[DampedStep], Exchange], damped: DampedStep) -> None:
+        """Let drag act on the velocities before or after the drift."""
+        audit, velocity = self._books.impulse_audit, self._world.bodies.velocity
+        before = velocity.copy() if audit else None
+        self._exchanges.append(act(damped))
+        if audit and before is not None:
+            audit.see_change(before)
+        self._world.profile.mark(damping.kind.short_name)
+
+    def _exchange_energy(self, loss: float) -> None:
+        """Note a change of the energy that drag takes, in J."""
+        self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))

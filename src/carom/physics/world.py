@@ -1,0 +1,77 @@
+"""The world: bodies and everything that acts on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.clock import Clock
+from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.diagnostics.profile import Profile
+from carom.physics.forces.total import TotalForce
+from carom.physics.parallel.thread_team import Team
+from carom.plan.features import Requirements, require
+from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.names import Names
+from carom.scene.placement import Start
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """The parts of a simulation that its steps share."""
+
+    scene: Scene
+    needs: Requirements
+    names: Names
+    bodies: Bodies
+    planes: HalfSpaces
+    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
+    falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike, otherwise zeros
+    forces: TotalForce
+    contact: ContactPipeline | None  # None if no contact is possible
+    clock: Clock
+    team: Team
+    profile: Profile
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether the domain is a periodic box."""
+        return bool(self.box[0] > 0.0)
+
+    @classmethod
+    def at_start(cls, scene: Scene, start: Start, team: Team, records_contacts: bool) -> World:
+        """Build the world of a scene before its first step."""
+        needs, planes, profile = require(scene), half_spaces(scene), Profile()
+        bodies = Bodies.at_start(
+            start,
+            spins=needs.spin.modelled,
+            orients=needs.orientation.modelled,
+            torques=needs.torque.modelled,
+            planes=len(planes),
+        )
+        box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
+        forces = TotalForce(scene, needs, bodies, team, profile)
+        falling = np.zeros(3) if scene.anchored else forces.uniform
+        contact = None
+        if needs.contact.modelled:
+            contact = ContactPipeline(scene.contact, bodies, planes, needs, box, falling, team, records_contacts)
+        return cls(
+            scene=scene,
+            needs=needs,
+            names=Names(start.name, planes.name),
+            bodies=bodies,
+            planes=planes,
+            box=box,
+            falling=falling,
+            forces=forces,
+            contact=contact,
+            clock=Clock(),
+            team=team,
+            profile=profile,
+        )
