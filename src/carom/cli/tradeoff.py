@@ -29,6 +29,14 @@ VaryOption = Annotated[
     ),
 ]
 RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Time each setting N times.", min=1)]
+EngineOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--engine",
+        metavar="NAME",
+        help="Compare with another engine's integrators on the same scene: rebound. Needs that package.",
+    ),
+]
 COLUMNS = {
     "position": "position",
     "velocity": "velocity",
@@ -50,6 +58,7 @@ PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 def tradeoff(
     scene: SceneArgument,
     vary: VaryOption = None,
+    engines: EngineOption = None,
     repeats: RepeatsOption = 3,
     folder: Annotated[
         Path | None,
@@ -66,10 +75,13 @@ def tradeoff(
     """
     import json
 
+    from carom.experiment.engines.engine import engine_called
     from carom.experiment.work_precision.settings_grid import default_settings
 
+    others = [engine_called(name) for name in engines or ()]
     study, settings = opened(scene, vary, folder, overrides, threads, force)
     wanted = default_settings(study.scene) if settings is None else settings
+    wanted += [setting for engine in others for setting in engine.settings(study.scene)]
     finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
     if as_json:
         say(json.dumps(study.document(), indent=2, ensure_ascii=False))

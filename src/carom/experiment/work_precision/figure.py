@@ -26,6 +26,8 @@ PANELS = {
 MOST_PANELS = 6
 LEAST = 1e-14  # rounding: what is smaller is drawn there
 INK, FAINT, ACCENT = "#1b2a3a", "#8a94a0", "#d55e00"
+OWN, OTHER = "o", "D"  # markers of carom's settings, and of other engines'
+MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of each power of ten are labelled
 LINE = 9.0  # points between two lines of labels
 
 
@@ -58,6 +60,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
             ax.set_visible(False)
         figure.suptitle(document["scene"]["title"], fontsize=10)
         noise = f"costs ± half their range; filled: on the front; ring: in doubt; least noise {document['noise']:.1%}"
+        noise += "; diamonds: another engine" if any(entry.get("engine") for entry in done) else ""
         figure.supxlabel(f"cost / s ({noise})", fontsize=7, color=FAINT)
         figure.draw_without_rendering()
         for ax in axes[: len(panels)]:
@@ -70,7 +73,9 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
 
     points = [(e["cost"], max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
     ax.set(xscale="log", yscale="log", ylabel=PANELS[error])
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    costs = [point[0] for point in points]
+    wide = max(costs) > MOST_LABELLED * min(costs)
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
@@ -79,7 +84,8 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
         on, near = (entry["marks"][error] == mark for mark in ("front", "near"))
         ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=FAINT, elinewidth=0.8)
         edge, fill = ACCENT if on or near else FAINT, ACCENT if on else "white" if near else FAINT
-        ax.plot(cost, wrong, "o", markersize=5, color=edge, markerfacecolor=fill, zorder=3)
+        marker = OTHER if entry.get("engine") else OWN
+        ax.plot(cost, wrong, marker, markersize=5, color=edge, markerfacecolor=fill, zorder=3)
         name = entry["name"].replace("integrator = ", "")
         ax.annotate(
             name,

@@ -32,6 +32,7 @@ class Setting:
     name: str  # such as "step × 2, integrator = euler"
     overrides: tuple[str, ...]  # as given to ``--set``
     threads: int | None = None  # None for those of the study
+    engine: str = ""  # another engine, whose own keys `overrides` are then; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting.

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.experiment.engines.engine import engine_called
 from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
@@ -188,6 +189,7 @@ class Study:
             "name": result.setting.name,
             "overrides": list(result.setting.overrides),
             "threads": result.setting.threads,
+            "engine": result.setting.engine,
             "status": result.status,
             "reason": result.reason,
             "steps": result.steps,
@@ -201,14 +203,14 @@ class Study:
     def _result(self, setting: Setting) -> Result:
         """Return the result of a setting; creates one if there is none."""
         for result in self.results:
-            if (result.setting.overrides, result.setting.threads) == (setting.overrides, setting.threads):
+            if _key(result.setting) == _key(setting):
                 return result
         self.results.append(Result(setting))
         return self.results[-1]
 
     def _applied(self, result: Result) -> Scene | None:
-        """Return the scene with a setting; None if this version refuses it."""
-        if result.status == "refused":
+        """Return the scene with a setting; None if this version refuses it, or another engine runs it."""
+        if result.status == "refused" or result.setting.engine:
             return None
         scene = result.setting.apply(self.scene)
         reason = refusal(scene)
@@ -221,9 +223,13 @@ class Study:
 
     def _follow(self, result: Result) -> None:
         assert self.reference is not None, "the reference comes first"
+        times, setting = sample_times(self.scene), result.setting
         try:
-            run = follow(self._space(result), sample_times(self.scene))
-        except PhysicsError as error:
+            if setting.engine:
+                run = engine_called(setting.engine).follow(self.scene, setting, times)
+            else:
+                run = follow(self._space(result), times)
+        except (PhysicsError, ExperimentError) as error:
             result.status, result.reason = "failed", str(error)
             return
         run.save(self._path(result))
@@ -232,6 +238,8 @@ class Study:
 
     def _cost(self, result: Result) -> float:
         """Run a setting once without recording; return the time it took in s."""
+        if result.setting.engine:
+            return engine_called(result.setting.engine).run(self.scene, result.setting)
         space = self._space(result)
         began = time.perf_counter()
         for _ in space.run(schedule=at(())):
@@ -240,7 +248,8 @@ class Study:
 
     def _path(self, result: Result) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
-        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads]).encode()).hexdigest()[:12]
+        engine = [f"engine={result.setting.engine}"] if result.setting.engine else []
+        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads, *engine]).encode()).hexdigest()[:12]
         return self.folder / f"{name}.npz"
 
     def _save(self) -> None:
@@ -279,13 +288,19 @@ class Study:
                 known["text"],
             )
         for entry in settings:
-            setting = Setting(entry["name"], tuple(entry["overrides"]), entry.get("threads"))
+            overrides = tuple(entry["overrides"])
+            setting = Setting(entry["name"], overrides, entry.get("threads"), entry.get("engine", ""))
             result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
             if result.status == "measured" and self.reference is not None:
                 result.errors = self.reference.errors(self.trajectory(result))
             elif result.status in ("refused", "measured"):  # another version may run it
                 result.status = "pending"
             self.results.append(result)
+
+
+def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
+    """Return what tells settings apart; names may differ."""
+    return setting.overrides, setting.threads, setting.engine
 
 
 def _count(number: int, results: list[Result]) -> str:

@@ -1,0 +1,1 @@
+"""Other engines that run carom's scenes, to be compared with it."""

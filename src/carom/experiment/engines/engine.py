@@ -1,0 +1,56 @@
+"""What another engine must do to be compared with carom on a scene."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from carom.experiment.engines.rebound import Rebound
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.settings_grid import Setting
+from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
+from carom.scene.schema import Scene
+
+
+class Engine(Protocol):
+    """An engine that runs a scene with one of its own settings."""
+
+    @property
+    def name(self) -> str:
+        """The name in ``--engine`` and in names of settings."""
+
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return the engine's settings that are worth comparing on a scene.
+
+        Raises
+        ------
+        ExperimentError
+            If the engine is not installed, or cannot represent the scene; the message says what it lacks.
+        """
+
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
+        """Run a scene and sample it at some times in s.
+
+        Raises
+        ------
+        ExperimentError
+            If the state is no longer finite.
+        """
+
+    def run(self, scene: Scene, setting: Setting) -> float:
+        """Run a scene without sampling; return the seconds that the engine took."""
+
+
+ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(),)}
+
+
+def engine_called(name: str) -> Engine:
+    """Return an engine by its name.
+
+    Raises
+    ------
+    ExperimentError
+        If there is none of that name.
+    """
+    if name not in ENGINES:
+        raise ExperimentError(f"--engine {name}: unknown; known engines: {', '.join(ENGINES)}")
+    return ENGINES[name]

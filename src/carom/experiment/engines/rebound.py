@@ -1,0 +1,192 @@
+"""REBOUND: bodies that pull each other and do not touch. An optional package, under the GPL.
+
+Every integrator that can run the scene is compared: IAS15, which controls its error, and those with a constant step at
+several steps. The symplectic maps for one dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the
+shortest period about that body.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.settings_grid import STEPS, Setting
+from carom.experiment.work_precision.trajectory import FloatArray, IntArray, Trajectory
+from carom.physics.space import Space
+from carom.plan.features import require
+from carom.scene.placement import place
+from carom.scene.schema import Scene
+
+NAME = "rebound"
+INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
+OLDEST = 5  # major version; earlier ones name the settings of integrators otherwise
+ANY = ("leapfrog",)  # with the scene's own step
+DOMINATED = ("whfast", "mercurius", "trace")
+UNSYNCHRONISED = ("whfast", "mercurius")  # unless asked to end every step with a state that can be read
+DOMINANT = 0.99  # of the whole mass
+PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
+
+
+class Rebound:
+    """Runs scenes with REBOUND's integrators."""
+
+    name = NAME
+
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return IAS15, leapfrog at the scene's steps, and the maps for a dominant body; see `Engine`."""
+        _package()
+        _refuse(scene)
+        found = [_setting("ias15")]
+        step = scene.time.fixed_dt or Space(scene, 1).first_dt
+        found += [_setting(name, step * factor) for name in ANY for factor in STEPS]
+        if period := shortest_period(scene):
+            found += [_setting(name, period / part) for name in DOMINATED for part in PARTS]
+        return found
+
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
+        """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
+        simulation = _simulation(scene, setting, safe=True)
+        space = Space(scene, 1)
+        scale, mass = space.energy().scale, space.state.mass
+        energies, momenta, positions, velocities = [simulation.energy()], [_momenta(simulation, mass)], [], []
+        for moment in times.tolist():
+            if simulation.t < moment:  # or it would step back
+                simulation.integrate(moment, exact_finish_time=0)
+            sample = simulation.copy()
+            sample.integrate(moment, exact_finish_time=1)
+            position, velocity = _state(sample, mass)
+            if not np.isfinite(position).all():
+                raise ExperimentError(f"the state is no longer finite at t = {moment:.6g} s")
+            positions.append(position)
+            velocities.append(velocity)
+            energies.append(simulation.energy())
+            momenta.append(_momenta(simulation, mass))
+        energy, momentum = np.array(energies), np.array(momenta)
+        moved = np.abs(momentum - momentum[0]).max(axis=(0, 2))
+        scales = _momentum_scales(positions[0], velocities[0], mass)
+        return Trajectory(
+            time=times,
+            position=np.array(positions),
+            velocity=np.array(velocities),
+            pair=np.empty((0, 2), np.int64),
+            met=np.empty(0),
+            energy_error=float(np.abs(energy - energy[0]).max() / scale),
+            energy_gain=float((energy - np.minimum.accumulate(energy)).max() / scale),
+            momentum_error=float(moved[0] / scales[0]),
+            angular_momentum_error=float(moved[1] / scales[1]),
+            overlap=np.nan,
+            sinking=np.nan,
+            impacts=0,
+            steps=simulation.steps_done,
+            frames=0,
+        )
+
+    def run(self, scene: Scene, setting: Setting) -> float:
+        """Run a scene, as fast as the integrator allows; return the time it took in s."""
+        simulation = _simulation(scene, setting, safe=False)
+        began = time.perf_counter()
+        simulation.integrate(scene.time.duration, exact_finish_time=0)
+        simulation.synchronize()
+        return time.perf_counter() - began
+
+
+def shortest_period(scene: Scene) -> float:
+    """Return the shortest period about the dominant body in s; 0 without such a body, or if nothing orbits it."""
+    start = place(scene)
+    heavy = int(np.argmax(start.mass))
+    if start.mass[heavy] < DOMINANT * start.mass.sum() or len(start.mass) < 2:
+        return 0.0
+    others = np.arange(len(start.mass)) != heavy
+    away = start.position[others] - start.position[heavy]
+    speed = start.velocity[others] - start.velocity[heavy]
+    parameter = scene.gravity.constant * (start.mass[heavy] + start.mass[others])
+    inverse_axis = 2.0 / np.linalg.norm(away, axis=1) - (speed**2).sum(axis=1) / parameter
+    bound = inverse_axis > 0.0
+    if not bound.any():
+        return 0.0
+    return float((2.0 * np.pi / np.sqrt(parameter[bound] * inverse_axis[bound] ** 3)).min())
+
+
+def _refuse(scene: Scene) -> None:
+    """Refuse a scene that has more than point masses that pull each other."""
+    parts, start = require(scene), place(scene)
+    lacks = {
+        "contacts (contact.enabled = false leaves them out)": parts.contact.modelled,
+        "a boundary": scene.domain.boundary != "open",
+        "a uniform field": any(scene.gravity.uniform),
+        "drag": scene.drag is not None,
+        "fixed bodies": bool(np.any(start.fixed)),
+        "bodies without gravity": not parts.gravity.modelled,
+    }
+    found = [what for what, there in lacks.items() if there]
+    if found:
+        raise ExperimentError(f"rebound cannot represent this scene: {', '.join(found)}")
+
+
+def _setting(integrator: str, step: float = 0.0) -> Setting:
+    words = f"rebound {integrator}" + (f", dt = {step:.4g} s" if step else "")
+    keys = (f"integrator={integrator}", *((f"dt={step!r}",) if step else ()))
+    return Setting(words, keys, engine=NAME)
+
+
+def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
+    """Build a simulation in the frame of the scene.
+
+    Parameters
+    ----------
+    safe
+        Whether every step ends with a state that can be read, which symplectic maps do not need in between.
+    """
+    rebound, start, keys = _package(), place(scene), dict(key.split("=") for key in setting.overrides)
+    simulation = rebound.Simulation()
+    simulation.G = scene.gravity.constant
+    simulation.softening = scene.gravity.softening
+    simulation.integrator = keys["integrator"]
+    if "dt" in keys:
+        simulation.dt = float(keys["dt"])
+    if keys["integrator"] in UNSYNCHRONISED:
+        simulation.integrator.safe_mode = int(safe)
+    for k in _heaviest_first(start.mass).tolist():
+        (x, y, z), (vx, vy, vz) = start.position[k].tolist(), start.velocity[k].tolist()
+        simulation.add(m=float(start.mass[k]), x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+    return simulation
+
+
+def _heaviest_first(mass: FloatArray) -> IntArray:
+    """Return the bodies in the order in which the maps for a dominant body need them."""
+    return np.argsort(np.arange(len(mass)) != np.argmax(mass), kind="stable")
+
+
+def _state(simulation: Any, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities (n, 3) in the order of the scene."""
+    position, velocity = np.empty((2, len(mass), 3))
+    order = _heaviest_first(mass)
+    position[order] = [particle.xyz for particle in simulation.particles]
+    velocity[order] = [particle.vxyz for particle in simulation.particles]
+    return position, velocity
+
+
+def _momenta(simulation: Any, mass: FloatArray) -> FloatArray:
+    """Return momentum and angular momentum, (2, 3)."""
+    position, velocity = _state(simulation, mass)
+    return np.array([mass @ velocity, mass @ np.cross(position, velocity)])
+
+
+def _momentum_scales(position: FloatArray, velocity: FloatArray, mass: FloatArray) -> tuple[float, float]:
+    """Return Σ m |v| and Σ m |x| |v| about the centre of mass."""
+    heavy = np.linalg.norm(velocity - mass @ velocity / mass.sum(), axis=1)
+    away = np.linalg.norm(position - mass @ position / mass.sum(), axis=1)
+    return float(mass @ heavy) or 1.0, float(mass @ (away * heavy)) or 1.0
+
+
+def _package() -> Any:
+    try:
+        import rebound  # noqa: PLC0415 - optional
+    except ImportError:
+        raise ExperimentError(INSTALL) from None
+    if int(rebound.__version__.partition(".")[0]) < OLDEST:
+        raise ExperimentError(f"{INSTALL}; this is {rebound.__version__}")
+    return rebound

@@ -1,0 +1,92 @@
+"""Other engines run carom's scenes, and are measured by the same reference."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carom.experiment.engines.engine import engine_called
+from carom.experiment.engines.rebound import shortest_period
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.tradeoff import Study
+from carom.experiment.work_precision.trajectory import sample_times
+from carom.scene.schema import Scene
+
+STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
+ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses
+PLANET = {"mass": 1e-6, "radius": 0.01, "position": [1.0, 0.0, 0.0], "velocity": [0.0, ROUND, 0.0]}
+
+
+def orbit(**sections: object) -> Scene:
+    """A planet on a circle of period 2π; the planet is written first."""
+    return Scene.from_dict(
+        {
+            "title": "a planet",
+            "time": {"duration": 10.0, "fixed_dt": 0.01},
+            "gravity": {"constant": 1.0},
+            "contact": {"enabled": False},
+            "body": [PLANET, STAR],
+            **sections,
+        }
+    )
+
+
+def test_rebound_keeps_the_order_of_the_bodies_and_follows_the_circle() -> None:
+    scene, rebound = orbit(), engine_called("rebound")
+    exact = next(setting for setting in rebound.settings(scene) if setting.name == "rebound ias15")
+    run = rebound.follow(scene, exact, sample_times(scene))
+    apart = run.position[:, 0] - run.position[:, 1]
+    angle = ROUND * run.time
+    circle = np.stack((np.cos(angle), np.sin(angle), 0.0 * angle), axis=1)
+    assert np.abs(apart - circle).max() < 1e-12  # a few hundred roundings
+    assert run.energy_error < 1e-13  # a few hundred roundings
+
+
+def test_steps_of_maps_for_a_dominant_body_are_parts_of_the_shortest_period() -> None:
+    assert shortest_period(orbit()) == pytest.approx(2.0 * np.pi, rel=1e-6)
+    assert shortest_period(orbit(body=[PLANET, {**STAR, "mass": 1e-5}])) == 0.0
+    names = [setting.name for setting in engine_called("rebound").settings(orbit())]
+    assert "rebound whfast, dt = 0.3142 s" in names
+
+
+def test_each_halving_of_leapfrogs_step_in_rebound_quarters_its_error(tmp_path: Path) -> None:
+    scene = orbit()
+    leapfrog = [s for s in engine_called("rebound").settings(scene) if "leapfrog" in s.name]
+    study = Study(scene, tmp_path, threads=1)
+    study.measure(leapfrog, 1, lambda text: None)
+    errors = [result.errors.position for result in study.results if result.errors]
+    assert len(errors) == 4
+    assert np.allclose(np.array(errors[:-1]) / errors[1:], 4.0, rtol=0.02)  # second order; the fourth is 1e-4 of it
+    kept = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))["settings"]
+    assert {entry["engine"] for entry in kept} == {"rebound"} and all(entry["costs"] for entry in kept)
+    assert Study(scene, tmp_path).results[0].complete, "a study with engines can be resumed"
+
+
+@pytest.mark.parametrize(
+    ("sections", "lack"),
+    [
+        ({"contact": {"enabled": True}}, "contacts"),
+        ({"gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]}}, "a uniform field"),
+        ({"drag": {"relaxation_time": 1.0}}, "drag"),
+        ({"body": [PLANET, {**STAR, "fixed": True}]}, "fixed bodies"),
+    ],
+)
+def test_a_scene_that_rebound_lacks_something_for_is_refused_by_what_it_lacks(
+    sections: dict[str, object], lack: str
+) -> None:
+    with pytest.raises(ExperimentError, match=f"^rebound cannot represent this scene: .*{lack}"):
+        engine_called("rebound").settings(orbit(**sections))
+
+
+def test_an_engine_that_is_not_installed_or_unknown_is_refused_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(ExperimentError, match="--engine mujoko: unknown; known engines: rebound"):
+        engine_called("mujoko")
+    monkeypatch.setitem(sys.modules, "rebound", None)
+    with pytest.raises(ExperimentError, match="pip install 'rebound>=5'"):
+        engine_called("rebound").settings(orbit())
