@@ -144,7 +144,8 @@ def _check(chunk: Chunk) -> None:
             raise DamageError(f"a timeline {column.name} of type {column.type}")
         if kind == b"data" and not pa.types.is_list(column.type):
             raise DamageError(f"a component of /{chunk.entity_path} of type {column.type}")
-    if STEP in batch.schema.names and SIM_TIME not in batch.schema.names:
+    indices = {column.name for column in batch.schema if _kind(column) == b"index"}
+    if STEP in indices and SIM_TIME not in indices:
         raise DamageError(f"rows of /{chunk.entity_path} with steps, but without {SIM_TIME}")
     if len(set(batch.schema.names)) < len(batch.schema.names):
         raise DamageError(f"a component of /{chunk.entity_path} twice")
