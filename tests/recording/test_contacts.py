@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 
 import carom
+from carom.experiment.impact_check import LEFT_OUT
 from carom.experiment.replay import replay
 from carom.experiment.resume import resumable_run, resume
 from carom.physics.contact.contact_table import CONTACT_ROW
@@ -18,12 +20,15 @@ from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
+from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.messages import Entry
+from carom.recording.rrd.framing import CHUNK
+from carom.recording.rrd.messages import Entry, decode
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
+from crafted import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from examples import pair, scene_of
 from merry import Merry
 
@@ -171,6 +176,61 @@ def test_a_replay_compares_impacts_and_contacts(recording: Recording, monkeypatc
     found = replay(recording)
     assert found.difference is not None
     assert found.difference.quantity == "approach_speed of /impacts"
+
+
+@pytest.fixture
+def thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
+    """A run whose recording leaves out most of the impacts between frames."""
+    monkeypatch.setattr("carom.recording.write.impact_plan.SHARE", 1e-6)
+    recording = carom.run(scene(every=0.3), tmp_path / "thinned.rrd")
+    counts = recording.summary()["impacts"]
+    assert counts["recorded"] > 3 and counts["left_out"] > 3
+    return recording
+
+
+def test_where_impacts_were_left_out_a_replay_compares_the_largest(thinned: Recording) -> None:
+    for begin in (0.0, 1.0):
+        found = replay(thinned, begin)
+        assert found.same and LEFT_OUT in found.not_compared
+
+
+def test_a_replay_finds_that_not_the_largest_impacts_were_kept(thinned: Recording, tmp_path: Path) -> None:
+    hardest = pc.index(thinned.impacts()["normal_impulse"], pc.max(thinned.impacts()["normal_impulse"])).as_py()
+    number = impacts_by_number(thinned)[0][hardest]
+
+    def renumbered(batch: pa.RecordBatch) -> pa.RecordBatch:
+        numbers = batch["impact"].to_numpy() + (batch["impact"].to_numpy() == number)
+        return with_column(batch, "impact", pa.array(numbers))
+
+    changed(thinned.path, tmp_path / "altered.rrd", "impacts", renumbered)
+    found = replay(Recording.open(tmp_path / "altered.rrd")).difference
+    assert found is not None
+    assert (found.quantity, found.recorded, found.replayed) == (f"impact {number} in /impacts", "nothing", "a row")
+
+
+def test_a_replay_compares_the_bodies_that_are_drawn_at_impacts(recording: Recording, tmp_path: Path) -> None:
+    def moved(batch: pa.RecordBatch) -> pa.RecordBatch:
+        if "step" in batch.schema.names:
+            return batch
+        return mapped("Ellipsoids3D:centers", lambda row: [[row[0][0] + 1e-3, *row[0][1:]], *row[1:]])(batch)
+
+    assert at_impacts(recording)
+    changed(recording.path, tmp_path / "altered.rrd", "world/bodies", moved)
+    found = replay(Recording.open(tmp_path / "altered.rrd")).difference
+    assert found is not None and found.quantity == "Ellipsoids3D:centers of /world/bodies"
+    assert found.by == pytest.approx(-1e-3, rel=1e-3)
+
+
+def test_impacts_whose_columns_change_their_type_are_refused_by_a_replay(recording: Recording, tmp_path: Path) -> None:
+    parts = messages_of(recording.path)
+    (k,) = (k for k, (kind, body) in enumerate(parts) if kind == CHUNK and is_of(body, "impacts"))
+    body, batch = parts[k][1], decode(parts[k][1])[1].batch
+    rest = batch.slice(5)
+    rest = with_column(rest, "mode", rest["mode"].cast(pa.list_(pa.float64())))
+    pieces = [(CHUNK, repacked(body, stream(piece))) for piece in (batch.slice(0, 5), rest)]
+    path = assembled(recording.path, tmp_path / "altered.rrd", [*parts[:k], *pieces, *parts[k + 1 :]], footer=False)
+    with pytest.raises(RecordingError, match=r"altered\.rrd is not a recording, or is damaged \(ArrowInvalid"):
+        replay(Recording.open(path))
 
 
 def test_a_resumed_run_has_the_impacts_of_one_that_never_stopped(recording: Recording, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.experiment.environment import versions
-from carom.experiment.impact_check import LEFT_OUT, ImpactCheck
+from carom.experiment.impact_check import ImpactCheck
 from carom.experiment.mismatch import Mismatch, different, same
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
@@ -72,14 +72,15 @@ class FrameCheck:
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
         header = header if recording.records_contacts else replace(header, record_impacts="none")
-        self._impacts = ImpactCheck(recording, header, self._rows) if header.records_contacts else None
-        if self._impacts and self._impacts.leaves_out:
-            self.skipped[LEFT_OUT] = None
         self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
         self._arrows = references.keys()
         self._steps, self._begin, self._all_frames = steps, begin, all_frames
         self._shown, self._n = recording.shown, header.bodies
         self._box = header.box
+        self._impacts = None
+        if header.records_contacts:
+            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few())
+            self.skipped = self._impacts.skipped
         self._states = {
             paths.PHASE: _States.of(recording.phases()),
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
@@ -111,7 +112,7 @@ class FrameCheck:
     def see(self, frame: Frame) -> Mismatch | None:
         """Add a frame; compare the queued frames once there are enough of them."""
         if self._impacts:
-            found = self._impacts.see(frame.step)
+            found = self._impacts.see(frame)
             if found:
                 return found
         self._waiting.append(frame)
@@ -124,7 +125,7 @@ class FrameCheck:
         if not frames:
             return None
         first = frames[0].step == self._begin and self._begin > 0
-        few = None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
+        few = self._few()
         found: list[Mismatch] = []
         seen = {paths.CHECKPOINT}
         for replayed in rows_of(frames, self._encoder, self._clock):
@@ -146,6 +147,10 @@ class FrameCheck:
         for frame in frames:
             found += self._state(frame, first) + self._logged(frame, first)
         return min(found, key=lambda mismatch: mismatch.step, default=None)
+
+    def _few(self) -> Selection | None:
+        """Return what reduces rows to the bodies of a clip; None if it shows all."""
+        return None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
 
     def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
         """Compare the rows of an entity at once; if they differ, find the first row that does."""

@@ -1,44 +1,45 @@
-"""Compares the impacts of a replay with those recorded, bit for bit."""
+"""Compares the impacts of a replay with those recorded, and the bodies drawn at them, bit for bit."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.experiment.mismatch import Mismatch, different, same
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.contact.contact_tap import MOST_IMPACTS
 from carom.physics.frame import Frame
-from carom.recording.read.impacts import impacts_until
+from carom.recording.edit.selection import Selection
+from carom.recording.read.impacts import bodies_by_number, impacts_by_number, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.read.rows import RecordedRows, chunk_of
+from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.impact_frames import orientations_at, positions_at
+from carom.recording.write.impact_plan import largest
 from carom.recording.write.impact_rows import impact_rows
 
-LEFT_OUT = "impacts that the recording leaves out"
+LEFT_OUT = "impacts that the recording leaves out, and whether they should be (it has the largest between two frames)"
+OF_OTHERS = "impacts of bodies that the clip does not show"
 
 IntArray = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class _Recorded:
-    """The impacts of a recording by their numbers."""
+class _Interval(NamedTuple):
+    """The impacts between two recorded frames, as a replay finds them."""
 
-    number: IntArray  # (k,), rising
-    rows: pa.Table
-
-    @classmethod
-    def of(cls, recording: Recording) -> _Recorded:
-        found = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
-        batches = [chunk.batch for chunk in recording.chunks(found)]
-        if not batches:
-            return cls(np.empty(0, dtype=np.int64), pa.table({STEP: pa.array([], pa.int64())}))
-        table = pa.Table.from_batches(batches).combine_chunks()
-        return cls(np.array(table[IMPACT].to_numpy()), table)
+    frame: Frame  # at its end
+    before: Frame | None  # at its beginning
+    impacts: NDArray[np.void]  # (k,) CONTACT_ROW, in order of time
+    numbers: IntArray  # (k,)
+    begin: int  # the impacts of the run before it
+    end: int  # and up to its end
 
 
 class ImpactCheck:
@@ -48,25 +49,33 @@ class ImpactCheck:
     ----------
     recording
         What was recorded.
-    header
-        Of the replayed space.
+    encoder
+        Of the replayed frames.
     rows
         The rows of the recording.
+    few
+        The bodies of a clip that does not show all.
     """
 
-    def __init__(self, recording: Recording, header: Header, rows: RecordedRows) -> None:
-        self._recorded = _Recorded.of(recording)
-        self._rows, self._header = rows, header
+    def __init__(
+        self, recording: Recording, encoder: BatchEncoder, rows: RecordedRows, few: Selection | None = None
+    ) -> None:
+        self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
+        self._numbers, self._recorded = impacts_by_number(recording)
+        self._drawn_at, self._drawn = bodies_by_number(recording)
+        self._rows, self._encoder, self._few = rows, encoder, few
         self._clock = Clock(float(recording.info["time_scale"]))
-        self._origin = recording.origin
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
         steps = recording.fingerprints()[STEP]
-        told = impacts_until(recording, int(steps[-1].as_py())) if recording.frames else None
-        self.leaves_out = told is not None and told.left_out > 0
-        self._all_of_them = not self.leaves_out and not recording.clip
+        self._last_step = int(steps[-1].as_py()) if len(steps) else -1
+        self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
+        if self._leaves_out:
+            self.skipped[LEFT_OUT] = None
+        if few:
+            self.skipped[OF_OTHERS] = None
         self._since: list[NDArray[np.void]] = []
         self._missed = 0  # that the replay left out itself
-        self._count: int | None = None  # at the recorded frame before
+        self._before: tuple[Frame, int | None] | None = None  # the recorded frame before, and the impacts up to it
 
     def gather(self, frame: Frame) -> None:
         """Take the impacts that led to a frame, recorded or not."""
@@ -74,38 +83,78 @@ class ImpactCheck:
             self._since.append(frame.impacts)
         self._missed += frame.impacts_left_out
 
-    def see(self, step: int) -> Mismatch | None:
+    def see(self, frame: Frame) -> Mismatch | None:
         """Compare the impacts gathered up to a recorded frame."""
-        since, missed, before = self._since, self._missed, self._count
-        self._since, self._missed = [], 0
-        self._count = self._count_at(step)
-        if self._count is None or missed:
+        impacts = np.concatenate([np.empty(0, CONTACT_ROW), *self._since])
+        found = len(impacts) + self._missed
+        before, counted = self._before or (None, None)
+        count = self._count_at(frame.step)
+        self._since, self._missed, self._before = [], 0, (frame, count)
+        if count is None:
+            self.skipped[f"impacts, where rows of /{paths.CONTACTS} are missing"] = None
             return None
-        found = sum(map(len, since))
-        if before is not None and self._count - before != found:
-            return Mismatch(step, "impacts since the frame before", self._count - before, found)
-        return self._compare(step, np.concatenate(since), self._count) if found else None
+        if counted is not None and count - counted != found:
+            return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
+        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
+        numbers = count - found + 1 + np.arange(len(impacts))
+        interval = _Interval(frame, before, impacts, numbers, count - found, count)
+        return self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
 
-    def _compare(self, step: int, impacts: NDArray[np.void], count: int) -> Mismatch | None:
-        numbers = np.arange(count - len(impacts) + 1, count + 1)
-        place = np.searchsorted(self._recorded.number, numbers)
-        there = place < len(self._recorded.number)
-        there[there] = self._recorded.number[place[there]] == numbers[there]
-        if self._all_of_them and not there.all():
-            return Mismatch(step, f"rows of /{paths.IMPACTS}", int(np.count_nonzero(there)), len(impacts))
-        if not there.any():
+    def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
+        recorded = _within(self._numbers, interval)
+        own = self._numbers[recorded]
+        if self._few:
+            chosen = np.flatnonzero(np.isin(interval.numbers, own))
+        elif self._leaves_out:
+            chosen = largest(interval.impacts, max(1, len(own)))
+        else:
+            chosen = np.arange(len(interval.impacts))
+        numbers, impacts = interval.numbers[chosen], interval.impacts[chosen]
+        if not np.array_equal(numbers, own):
+            return _other_choice(interval.frame.step, paths.IMPACTS, own, numbers)
+        if not len(own):
             return None
-        replayed = chunk_of(
-            impact_rows(impacts[there], numbers[there], self._references, self._header.radius, self._origin),
-            self._clock,
-        )
-        recorded = self._recorded.rows.take(pa.array(place[there])).combine_chunks()
-        for name in (STEP, SIM_TIME, *replayed.components):
+        encoder = self._encoder
+        rows = impact_rows(impacts, numbers, self._references, encoder.header.radius, encoder.origin)
+        replayed = chunk_of(rows, self._clock)
+        columns = [STEP, SIM_TIME, *replayed.components]
+        return self._differ(impacts["step"], self._recorded.slice(recorded.start, len(own)), replayed, columns)
+
+    def _bodies_differ(self, interval: _Interval) -> Mismatch | None:
+        """Compare the bodies that are drawn at the first of the recorded impacts."""
+        drawn = _within(self._drawn_at, interval)
+        own = self._drawn_at[drawn]
+        if not len(own):
+            return None
+        recorded = self._numbers[_within(self._numbers, interval)]
+        expected = recorded[np.isin(recorded, own)] if self._few else recorded[: len(own)]
+        if interval.before is None or not np.array_equal(own, expected):
+            return _other_choice(interval.frame.step, f"{paths.BODIES} at impacts", own, expected)
+        impacts, header = interval.impacts, self._encoder.header
+        chosen = impacts[np.isin(interval.numbers, own)]
+        box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+        places = positions_at(chosen["time"], interval.before, interval.frame, impacts, header.radius, box)
+        turned = orientations_at(chosen["time"], interval.before, interval.frame)
+        replayed = chunk_of(self._encoder.bodies_at_impacts(own, places, turned), self._clock)
+        replayed = replayed if self._few is None else self._few.of(replayed)
+        rows = self._drawn.slice(drawn.start, len(own))
+        return self._differ(chosen["step"], rows, replayed, [IMPACT, *replayed.components])
+
+    def _differ(self, steps: IntArray, recorded: pa.Table, replayed: Chunk, columns: list[str]) -> Mismatch | None:
+        for name in columns:
             if name not in recorded.column_names:
-                return Mismatch(step, f"{name} of /{paths.IMPACTS}", "nothing", "values")
-            one, other = (_whole(rows[name]) for rows in (recorded, replayed.batch))
+                return Mismatch(int(steps[0]), f"{name} of /{replayed.entity_path}", "nothing", "values")
+            one, other = _whole(recorded[name]), _whole(replayed.batch[name])
             if not same(one, other):
-                return _first_that_differs(replayed.batch[STEP].to_numpy(), name, one, other)
+                return _first_that_differs(steps, replayed.entity_path, name, one, other)
+        return None
+
+    def _stray(self, step: int, count: int) -> Mismatch | None:
+        """Find rows of impacts after the last frame."""
+        if step == self._last_step:
+            for path, numbers in ((paths.IMPACTS, self._numbers), (f"{paths.BODIES} at impacts", self._drawn_at)):
+                if len(numbers) and numbers[-1] > count:
+                    return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
         return None
 
     def _count_at(self, step: int) -> int | None:
@@ -116,14 +165,29 @@ class ImpactCheck:
         return None
 
 
+def _within(numbers: IntArray, interval: _Interval) -> slice:
+    """Return which of rising numbers are those of impacts in an interval."""
+    first, last = np.searchsorted(numbers, [interval.begin, interval.end], side="right")
+    return slice(int(first), int(last))
+
+
+def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) -> Mismatch:
+    """Name the first impact that is recorded and should not be, or the other way round."""
+    number = int(np.setxor1d(recorded, expected)[0])
+    values = ("nothing", "a row") if number in expected else ("a row", "nothing")
+    return Mismatch(step, f"impact {number} in /{path}", *values)
+
+
 def _whole(column: pa.Array | pa.ChunkedArray) -> pa.Array:
     whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     return whole.cast(pa.int64()) if pa.types.is_duration(whole.type) else whole
 
 
-def _first_that_differs(steps: IntArray, name: str, recorded: pa.Array, replayed: pa.Array) -> Mismatch | None:
+def _first_that_differs(
+    steps: IntArray, path: str, name: str, recorded: pa.Array, replayed: pa.Array
+) -> Mismatch | None:
     for row, step in enumerate(steps.tolist()):
-        found = different(step, paths.IMPACTS, name, recorded.slice(row, 1), replayed.slice(row, 1))
+        found = different(step, path, name, recorded.slice(row, 1), replayed.slice(row, 1))
         if found:
             return found
     return None

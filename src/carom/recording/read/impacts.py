@@ -16,7 +16,7 @@ from carom.recording.read.contact_tables import check_pairs, modes, of_body, tab
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.read.tables import Column, flat
-from carom.recording.rrd.messages import Chunk
+from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
@@ -24,6 +24,8 @@ from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
     from carom.recording.read.window import Watcher
+
+IntArray = NDArray[np.int64]
 
 _SINGLE = Column(pa.float32())
 _SCALARS = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
@@ -66,7 +68,34 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     return RecordedImpacts(recorded, count - recorded)
 
 
-def _steps(recording: Recording) -> Iterator[NDArray[np.int64]]:
+def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
+    """Read the numbers of all recorded impacts, (k,) rising, and their rows as they were recorded."""
+    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    return _rows_by_number(recording, entries)
+
+
+def bodies_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
+    """Read the numbers of the impacts at which the bodies are drawn, (k,) rising, and these rows."""
+    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and not e.is_static]
+    return _rows_by_number(recording, [entry for entry in entries if entry.first_step is None])
+
+
+def _rows_by_number(recording: Recording, entries: list[Entry]) -> tuple[IntArray, pa.Table]:
+    """Read some chunks of one entity on the timeline of impacts. RecordingError if one is not in their order."""
+    with reading(recording.path):
+        batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
+        if not batches:
+            return np.empty(0, dtype=np.int64), pa.table({STEP: pa.array([], pa.int64())})
+        if any(IMPACT not in batch.schema.names for batch in batches):
+            raise DamageError(f"rows of /{entries[0].entity_path} without the numbers of their impacts")
+        table = pa.Table.from_batches(sorted(batches, key=lambda batch: batch[IMPACT][0].as_py())).combine_chunks()
+        numbers = np.array(table[IMPACT].to_numpy())
+        if numbers[0] < 1 or np.any(np.diff(numbers) <= 0):
+            raise DamageError(f"rows of /{entries[0].entity_path} that are not in the order of their impacts")
+        return numbers, table
+
+
+def _steps(recording: Recording) -> Iterator[IntArray]:
     """Read the steps of all recorded impacts."""
     found = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
     for chunk in recording.chunks(found):

@@ -15,7 +15,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows
 
@@ -95,11 +95,12 @@ def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock)
 
 def chunk_of(rows: Rows, clock: Clock) -> Chunk:
     """Return rows as a chunk, as if they had been recorded."""
-    times = pa.array(clock.nanoseconds(rows.times)).cast(pa.duration("ns"))
-    columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {
-        STEP: (pa.array(rows.steps, pa.int64()), _INDEX),
-        SIM_TIME: (times, _INDEX),
-    }
+    columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {}
+    if rows.impacts:
+        columns[IMPACT] = pa.array(rows.impacts, pa.int64()), _INDEX
+    if rows.steps:
+        times = pa.array(clock.nanoseconds(rows.times)).cast(pa.duration("ns"))
+        columns |= {STEP: (pa.array(rows.steps, pa.int64()), _INDEX), SIM_TIME: (times, _INDEX)}
     for column in rows.columns:
         columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
     fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]

@@ -54,6 +54,7 @@ _REACH = {  # L_max in median body radii
 }
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 NO_IMPACTS = RecordedImpacts()
 
@@ -167,10 +168,22 @@ class BatchEncoder:
         assert self._contacts, "contacts are recorded"
         numbers, position, orientation = self._contacts.scenes(batch, self._before)
         if len(numbers):
-            points = (position - self.origin).reshape(-1, 3).astype(np.float32)
-            turned = None if orientation is None else orientation.reshape(-1, 4).astype(np.float32)
-            columns, size = self._drawn(points, turned, None)
-            yield Rows(BODIES, [], [], columns, size, numbers.tolist())
+            yield self.bodies_at_impacts(numbers, position, orientation)
+
+    def bodies_at_impacts(self, numbers: IntArray, position: FloatArray, orientation: FloatArray | None) -> Rows:
+        """Draw the bodies at some impacts.
+
+        Parameters
+        ----------
+        numbers
+            (k,) of the impacts.
+        position, orientation
+            (k, n, 3) m and (k, n, 4), of all bodies at these.
+        """
+        points = (position - self.origin).reshape(-1, 3).astype(np.float32)
+        turned = None if orientation is None else orientation.reshape(-1, 4).astype(np.float32)
+        columns, size = self._drawn(points, turned, None)
+        return Rows(BODIES, [], [], columns, size, numbers.tolist())
 
     def _drawn(
         self, centres: NDArray[np.float32], turned: NDArray[np.float32] | None, colours: NDArray[np.uint32] | None

@@ -56,7 +56,7 @@ class ImpactPlan:
         if self._everything:
             return Kept(np.arange(impacts), contacts, self._scenes(frame, impacts, np.inf))
         self._spent += _CONTACT * contacts
-        kept = _largest(frame.impacts, max(1, int((SHARE * self._others - self._spent) / _IMPACT)))
+        kept = largest(frame.impacts, max(1, int((SHARE * self._others - self._spent) / _IMPACT)))
         self._spent += _IMPACT * len(kept)
         each = _ARROW if frame.torque is None else 2 * _ARROW  # with friction two
         left = min(SHARE * self._others - self._spent, _ARROWS * self._others - self._drawn)
@@ -74,7 +74,7 @@ class ImpactPlan:
         return scenes
 
 
-def _largest(impacts: NDArray[np.void] | None, count: int) -> IntArray:
+def largest(impacts: NDArray[np.void] | None, count: int) -> IntArray:
     """Return which impacts have the largest normal impulses, in order of time; of equal ones the first."""
     if impacts is None or len(impacts) <= count:
         return np.arange(0 if impacts is None else len(impacts))
