@@ -22,6 +22,7 @@ from carom.physics.space import Space
 from carom.plan.limits import refuse_impossible
 from carom.scene.bundled import bundled_scenes
 from carom.scene.error import SceneError
+from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 
@@ -110,7 +111,7 @@ def document(rng: random.Random) -> Document:
         "smoothing": lambda: rng.choice((1.0, 0.2, 1e-90)),
         "velocity_limit": lambda: rng.choice(("every-body", "fastest-body")),
         "fixed_dt": lambda: number(usual=(1e-3, 1e-2, 0.1)),
-        "integrator": lambda: rng.choice(("auto", "euler", "leapfrog", "leapfrog-dkd", "yoshida4", "gauss-radau15")),
+        "integrator": lambda: rng.choice((AUTO, *INTEGRATORS)),
     }
     gravity = {
         "constant": lambda: rng.choice((0.0, 0.0, 1.0, number())),

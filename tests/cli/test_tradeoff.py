@@ -48,7 +48,7 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
         (("figure-eight", "--vary", "step"), "expected key=a,b,c"),
         (
             ("figure-eight", "--vary", "time.integrator=rk4"),
-            "must be 'auto', 'euler', 'leapfrog', 'leapfrog-dkd', 'yoshida4' or 'gauss-radau15'",
+            "must be 'auto', 'euler', 'leapfrog', 'leapfrog-dkd', 'yoshida4', 'gauss-radau15' or 'wisdom-holman'",
         ),
         (("figure-eight", "--repeats", "0"), "--repeats"),
     ],

@@ -23,6 +23,7 @@ def test_contacts_can_rest_only_where_the_last_forces_are_those_of_the_final_pos
     assert [name for name, each in INTEGRATORS.items() if not each.holds_contacts] == [
         "leapfrog-dkd",
         "gauss-radau15",
+        "wisdom-holman",
     ]
 
 

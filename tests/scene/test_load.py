@@ -86,7 +86,11 @@ MISTAKES = {
     "density and mass": ("[[body]]\nmass = 1\ndensity = 1\n", ["body.0", "leave one out"]),
     "a word that is none of the choices": (
         "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
-        [":2:", "integrator", "'auto', 'euler', 'leapfrog', 'leapfrog-dkd', 'yoshida4' or 'gauss-radau15'"],
+        [
+            ":2:",
+            "integrator",
+            "'auto', 'euler', 'leapfrog', 'leapfrog-dkd', 'yoshida4', 'gauss-radau15' or 'wisdom-holman'",
+        ],
     ),
     "a plane that faces nowhere": (
         ONE_BODY + "[[plane]]\nnormal = [0, 0, 0]\n",

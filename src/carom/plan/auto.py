@@ -6,6 +6,7 @@ from typing import Literal
 
 from carom.plan import contacts, pulls
 from carom.plan.forced import forced_parts
+from carom.plan.hierarchy import FEWEST_ORBITS, orbits_often
 from carom.scene.forces import GRAVITY
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.schema import Scene
@@ -76,6 +77,8 @@ def integrator(scene: Scene) -> Integrator:
         return INTEGRATORS[scene.time.integrator]
     if not _is_smooth(scene):
         return INTEGRATORS["leapfrog"]
+    if _leaves_step_free(scene) and orbits_often(scene) >= FEWEST_ORBITS:
+        return INTEGRATORS["wisdom-holman"]
     return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
 
 

@@ -24,6 +24,7 @@ from carom.plan.auto import (
     why_late,
 )
 from carom.plan.forced import forced_parts
+from carom.plan.hierarchy import heaviest, orbits_often
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.integrators import AUTO
@@ -221,6 +222,10 @@ def _integrator(scene: Scene) -> Part:
     name, chosen = "integrator", integrator(scene).name
     if scene.time.integrator != AUTO:
         return Part(name, True, f'time.integrator = "{chosen}"')
+    if chosen == "wisdom-holman":
+        name_of, share = heaviest(scene)
+        turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
+        return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
     if chosen == "gauss-radau15":
         why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
         return Part(name, True, f"{chosen}: {why}")
@@ -242,6 +247,8 @@ def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
+    if integrator(scene).hierarchical:
+        return Part(name, True, "a twentieth of the shortest orbit, by its motion at the pericentre, and max_dt")
     if integrator(scene).controls_error:
         return Part(name, True, "the integrator's own estimate of its error, and max_dt")
     return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")

@@ -6,6 +6,7 @@ import os
 
 from carom.plan.auto import gravity_method, integrator
 from carom.plan.features import require
+from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
@@ -33,6 +34,7 @@ def refuse_impossible(scene: Scene) -> None:
     _refuse_forces_of_mid_step(scene)
     _refuse_damping(scene)
     _refuse_what_no_error_controls(scene)
+    _refuse_what_is_no_hierarchy(scene)
     needed, there = memory_estimate(scene), _memory()
     if needed > there:
         raise SceneError(
@@ -79,7 +81,7 @@ def _refuse_damping(scene: Scene) -> None:
 def _refuse_what_no_error_controls(scene: Scene) -> None:
     """Refuse contacts, trees and limits of the step where the integrator's own error sets the step."""
     chosen, needs = integrator(scene), require(scene)
-    if not chosen.controls_error:
+    if not chosen.controls_error or chosen.hierarchical:
         return
     name = f'time.integrator = "{chosen.name}"'
     if needs.contact.modelled:
@@ -94,6 +96,28 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
     for key in ("target_dx", "cfl", "pull_fraction"):
         if getattr(scene.time, key) != "auto":
             raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
+
+
+def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
+    """Refuse scenes in which bodies do not orbit a dominant one, where the integrator needs that."""
+    chosen = integrator(scene)
+    if not chosen.hierarchical:
+        return
+    name = f'time.integrator = "{chosen.name}"'
+    if require(scene).contact.modelled:
+        raise SceneError(
+            f"{name} where bodies may touch: it does not resolve contacts; set contact.enabled = false, "
+            'or take "leapfrog"'
+        )
+    if scene.domain.boundary == "periodic":
+        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog"')
+    if gravity_method(scene) == "tree":
+        raise SceneError(f'{name} with gravity.method = "tree": it sums all pairs; set "direct"')
+    if why := why_no_hierarchy(scene):
+        raise SceneError(f'{name} {why}, or take "auto"')
+    for key in ("target_dx", "cfl", "pull_fraction"):
+        if getattr(scene.time, key) != "auto":
+            raise SceneError(f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead")
 
 
 def _refuse_narrow_box(scene: Scene) -> None:

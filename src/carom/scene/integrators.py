@@ -9,7 +9,8 @@ on a Kepler orbit its energy oscillates a quarter as much, but its forces are th
 Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
 (Yoshida 1990, Phys. Lett. A 150, 262).
 
-Gauss–Radau integration has no such row: its own error sets the step (`carom.physics.integrators.gauss_radau15`).
+Two integrators have no such row. The error of Gauss–Radau integration sets its step, and the shortest orbit that of
+Wisdom–Holman integration (`carom.physics.integrators.gauss_radau15`, `carom.physics.integrators.wisdom_holman`).
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ class Integrator:
     name: str  # the value of time.integrator
     title: str  # in descriptions
     order: int  # of the error over a fixed time in dt
-    substeps: tuple[Substep, ...]  # none where its own error sets the step
+    substeps: tuple[Substep, ...]  # none where it chooses its own steps
+    hierarchical: bool = False  # whether it needs a body that dominates all others
 
     @property
     def controls_error(self) -> bool:
-        """Whether the step follows from an estimate of its error, and not from the limits of the scene."""
+        """Whether it chooses its steps itself, and not by the limits of the scene."""
         return not self.substeps
 
     @property
@@ -71,7 +73,7 @@ class Integrator:
     def force_sums(self) -> int:
         """How many times forces are summed in a step: at least, where iterations follow the error."""
         if self.controls_error:
-            return RADAU_NODES
+            return 1 if self.hierarchical else RADAU_NODES
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1
 
 
@@ -92,6 +94,7 @@ INTEGRATORS = {
         ),
         Integrator("yoshida4", "Yoshida's", 4, tuple(Substep(0.5 * w, w, 0.5 * w) for w in (_W1, _W0, _W1))),
         Integrator("gauss-radau15", "Gauss–Radau with a step by its own error (without contacts)", 15, ()),
+        Integrator("wisdom-holman", "Wisdom–Holman about a dominant body (without contacts)", 2, (), hierarchical=True),
     )
 }
 

@@ -223,6 +223,18 @@ def _group(
     )
 
 
+def body_mass(body: Body) -> float:
+    """Return the mass of a body in kg."""
+    return float(_mass(body, np.array(body.radius)))
+
+
+def mean_mass(group: Group) -> float:
+    """Return the expected mass of a body of a group in kg."""
+    if group.mass is not None:
+        return group.mass
+    return (DEFAULT_DENSITY if group.density is None else group.density) * _mean_volume(group)
+
+
 @np.errstate(over="ignore")
 def _mass(matter: Body | Group, radius: FloatArray) -> FloatArray:
     if matter.mass is not None:

@@ -96,7 +96,8 @@ class Time(Section):
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
-        "Yoshida's where such a scene also sets its step, otherwise leapfrog",
+        "Wisdom–Holman where they go around a dominant one 1000 times or more on orbits apart, Yoshida's where such a "
+        "scene also sets its step, otherwise leapfrog",
     )
 
 

@@ -11,6 +11,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.plan.auto import gravity_method, integrator, smoothing, timing
 from carom.plan.features import require
+from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
@@ -99,8 +100,10 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
 
 
 def _integrators(scene: Scene) -> tuple[str, ...]:
-    damped = damping(scene) is not None
-    return tuple(name for name, each in INTEGRATORS.items() if each.damps or not damped)
+    damped, orbits = damping(scene) is not None, not why_no_hierarchy(scene)
+    return tuple(
+        name for name, each in INTEGRATORS.items() if (each.damps or not damped) and (orbits or not each.hierarchical)
+    )
 
 
 def _in_effect(scene: Scene) -> dict[str, str]:

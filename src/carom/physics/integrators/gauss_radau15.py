@@ -219,8 +219,9 @@ class GaussRadau15:
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of the state that the next step needs."""
         motion = self._motion
-        kept = (motion.position_rest, motion.velocity_rest, motion.accepted, motion.correction)
-        return IntegratorCheckpoint(float(self._progress["last_dt"][0]), *(array.copy() for array in kept))
+        rests = motion.position_rest.copy(), motion.velocity_rest.copy()
+        last_dt = float(self._progress["last_dt"][0])
+        return IntegratorCheckpoint(last_dt, *rests, motion.accepted.copy(), motion.correction.copy())
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
         """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""

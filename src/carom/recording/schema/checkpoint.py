@@ -17,7 +17,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
@@ -39,6 +39,9 @@ _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
 _INTEGRATOR = "integrator_"
 _INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers of a body
+_ORBITS = "orbit_"
+_ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers of a body
+_SERIES = 5
 _FULL = 7  # contacts per body in a dense packing, near ones included
 
 
@@ -46,8 +49,16 @@ def size(frame: Frame) -> int:
     """Bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
-    integrator = 0 if frame.integrator is None else 8 * (1 + len(frame.position) * sum(_INTEGRATOR_ARRAYS.values()))
-    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + integrator
+    return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + _carried_size(frame)
+
+
+def _carried_size(frame: Frame) -> int:
+    if frame.integrator is None:
+        return 0
+    numbers: int = 1 + sum(getattr(frame.integrator, name).size for name in _INTEGRATOR_ARRAYS)
+    if frame.integrator.orbits is not None:
+        numbers += _SERIES + sum(getattr(frame.integrator.orbits, name).size for name in _ORBIT_ARRAYS)
+    return 8 * numbers
 
 
 def largest_size(header: Header) -> int:
@@ -100,8 +111,15 @@ def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
         columns[_INTEGRATOR + "last_dt"] = _each([memory.last_dt for memory in carried])
         for name in _INTEGRATOR_ARRAYS:
             columns[_INTEGRATOR + name] = _flat([getattr(memory, name) for memory in carried])
+        columns |= _encode_orbits([memory.orbits for memory in carried if memory.orbits is not None])
     memories = [c.contacts for c in checkpoints if c.contacts is not None]
     return columns | _encode_contacts(memories) if memories else columns
+
+
+def _encode_orbits(orbits: Sequence[OrbitCheckpoint]) -> dict[str, Column]:
+    if not orbits:
+        return {}
+    return {_ORBITS + name: _flat([getattr(one, name) for one in orbits]) for name in ("series", *_ORBIT_ARRAYS)}
 
 
 def _books(books: Books) -> str:
@@ -214,9 +232,10 @@ class _Row:
         return values
 
     def integrator(self) -> IntegratorCheckpoint:
+        orbits = self.orbits() if _ORBITS + "series" in self._stored else None
+        bodies = 0 if orbits is not None and len(self._stored[_INTEGRATOR + "accepted"]) == 0 else self._bodies
         found = {
-            name: self._finite(_INTEGRATOR + name, numbers * self._bodies)
-            for name, numbers in _INTEGRATOR_ARRAYS.items()
+            name: self._finite(_INTEGRATOR + name, numbers * bodies) for name, numbers in _INTEGRATOR_ARRAYS.items()
         }
         return IntegratorCheckpoint(
             self.number(_INTEGRATOR + "last_dt"),
@@ -224,7 +243,18 @@ class _Row:
             found["velocity_rest"].reshape(-1, 3),
             found["accepted"].reshape(-1, 8),
             found["correction"].reshape(-1, 8),
+            orbits,
         )
+
+    def orbits(self) -> OrbitCheckpoint:
+        series = self._finite(_ORBITS + "series", _SERIES)
+        found = {name: self._finite(_ORBITS + name, numbers * self._bodies) for name, numbers in _ORBIT_ARRAYS.items()}
+        if not np.array_equal(np.sort(found["order"]), np.arange(self._bodies)):
+            raise ValueError(f"{_ORBITS}order is not an order of the bodies")
+        if series[0] not in (0.0, 1.0, 2.0) or series[2] < 0.0 or series[4] not in (0.0, 1.0, 2.0):
+            raise ValueError(f"{_ORBITS}series is none of equal steps")
+        x, v = found["position"].reshape(-1, 3), found["velocity"].reshape(-1, 3)
+        return OrbitCheckpoint(series, found["order"], found["near"], x, v)
 
     def contacts(self) -> ContactCheckpoint:
         pairs = self._pairs("contact_pairs")

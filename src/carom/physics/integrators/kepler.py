@@ -1,0 +1,218 @@
+"""The Kepler problem in universal variables: motion about a fixed centre for any time, on any conic.
+
+With r = |x|, β = 2μ/r - v², η = x·v and ζ = μ - β r at the start, the universal anomaly X solves (Stumpff 1962)
+
+    r X + η G₂ + ζ G₃ = h,        G_k(X) = X^k c_k(β X²),        c_k(z) = Σ_j (-z)^j / (k + 2j)!
+
+and the state after a time h is
+
+    x' = f x + g v,     f = 1 - μ G₂/r,      g = h - μ G₃
+    v' = ḟ x + ġ v,     ḟ = -μ G₁/(r r'),    ġ = 1 - μ G₂/r',      r' = r + η G₁ + ζ G₂
+
+The left side of the equation for X rises with X, because its derivative is r'. Steps that also use its second and third
+derivatives solve it (Danby 1988), and bisection takes over where one of them leaves the bracket. Whole periods are left
+out first. All is done with sums, products, quotients and square roots, so the bits are the same on any processor.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import factorial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.parallel.jit import unowned
+
+FloatArray = NDArray[np.float64]
+
+SERIES_UP_TO = 0.3  # of |z|: there the terms that are left out are below half a last bit
+TERMS = 7  # of the series
+C2 = tuple(float(Fraction((-1) ** j, factorial(2 + 2 * j))) for j in range(TERMS))
+C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS))
+C2_0, C2_1, C2_2, C2_3, C2_4, C2_5, C2_6 = C2
+C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
+CONVERGED = 1e-5  # of X: after a step of this size the error of order four is below rounding
+PATIENCE = 8  # steps; from there on every other one is a bisection, since steps down an exponential are short
+MAX_STEPS = 150  # half of them bisections, of which some 60 are enough
+NEARLY = 1e-8  # of X: likewise for a last step of order two
+LANES = 64
+LANE_ROWS = 14
+TURN = 6.283185307179586  # rad
+
+
+@unowned
+def universal(beta: float, s: float) -> tuple[float, float, float, float]:
+    """Return G₀ to G₃ at an anomaly."""
+    z = beta * s * s
+    quarters = 0
+    while abs(z) > SERIES_UP_TO:
+        z *= 0.25
+        quarters += 1
+    c2 = C2_0 + z * (C2_1 + z * (C2_2 + z * (C2_3 + z * (C2_4 + z * (C2_5 + z * C2_6)))))
+    c3 = C3_0 + z * (C3_1 + z * (C3_2 + z * (C3_3 + z * (C3_4 + z * (C3_5 + z * C3_6)))))
+    c1 = 1.0 - z * c3
+    c0 = 1.0 - z * c2
+    for _ in range(quarters):  # at twice the anomaly
+        c3 = 0.25 * (c2 + c0 * c3)
+        c2 = 0.5 * c1 * c1
+        c1 = c0 * c1
+        c0 = 2.0 * c0 * c0 - 1.0
+    square = s * s
+    return c0, s * c1, square * c2, square * s * c3
+
+
+@unowned
+def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
+    """Move row i of positions and velocities, (n, 3) m and m/s, by a time h in s about a centre of G M = μ at 0."""
+    way = 1.0 if h >= 0.0 else -1.0  # back in time is forward with the opposite velocity
+    x0, x1, x2, v0, v1, v2 = x[i, 0], x[i, 1], x[i, 2], way * v[i, 0], way * v[i, 1], way * v[i, 2]
+    r = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    over_r = 1.0 / r
+    beta = 2.0 * mu * over_r - (v0 * v0 + v1 * v1 + v2 * v2)
+    eta = x0 * v0 + x1 * v1 + x2 * v2
+    zeta = mu - beta * r
+    t = abs(h)
+    low, high = 0.0, np.inf
+    if beta > 0.0:
+        root = np.sqrt(beta)
+        period = TURN * mu / (beta * root)
+        if t >= period:
+            t -= period * np.floor(t / period)
+        high = 1.01 * TURN / root
+    s = t * over_r
+    bend = 0.5 * s * over_r * eta
+    if abs(bend) < 0.5:
+        s *= 1.0 - bend  # to second order in t
+    if s > high:
+        s = 0.5 * high
+    g0, g1, g2, g3 = 1.0, 0.0, 0.0, 0.0
+    for trial in range(MAX_STEPS):
+        g0, g1, g2, g3 = universal(beta, s)
+        late = r * s + eta * g2 + zeta * g3 - t
+        d1 = r + eta * g1 + zeta * g2
+        d2 = eta * g0 + zeta * g1
+        d3 = zeta * g0 - beta * eta * g1
+        newton = -late / d1
+        halley = -late / (d1 + 0.5 * newton * d2)
+        step = -late / (d1 + 0.5 * halley * (d2 + halley * d3 * (1.0 / 3.0)))
+        if abs(newton) <= CONVERGED * s:
+            # the functions at the new anomaly, by their derivatives G'_k = G_{k-1}; the rest is below rounding
+            third = step * (1.0 / 3.0)
+            g3 += step * (g2 + 0.5 * step * (g1 + third * g0))
+            g2 += step * (g1 + 0.5 * step * (g0 - third * beta * g1))
+            g1 += step * (g0 - 0.5 * step * beta * (g1 + third * g0))
+            break
+        if late <= 0.0:
+            low = s
+        else:
+            high = s  # or an overflow
+        further = s + step
+        if not low < further < high or (trial > PATIENCE and trial % 2 == 0 and high < np.inf):
+            further = 0.5 * (low + high) if high < np.inf else 2.0 * s
+        if further == s:
+            break
+        s = further
+    moved = r + eta * g1 + zeta * g2
+    over = mu * over_r
+    f = -over * g2
+    g = t - mu * g3
+    rate = over * g1 / moved
+    slow = mu * g2 / moved
+    x[i, 0], x[i, 1], x[i, 2] = x0 + (f * x0 + g * v0), x1 + (f * x1 + g * v1), x2 + (f * x2 + g * v2)
+    v[i, 0] = way * (v0 - (rate * x0 + slow * v0))
+    v[i, 1] = way * (v1 - (rate * x1 + slow * v1))
+    v[i, 2] = way * (v2 - (rate * x2 + slow * v2))
+
+
+@unowned
+def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: FloatArray) -> None:
+    """Move all rows but the first, of positions and velocities (n, 3) m and m/s, by a time h in s; μ is (n,) m³/s².
+
+    ``lanes`` is a workspace of `LANE_ROWS` × `LANES` numbers.
+    """
+    n = len(x)
+    way = 1.0 if h >= 0.0 else -1.0
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        for k in range(count):
+            i = first + k
+            lanes[k], lanes[LANES + k], lanes[2 * LANES + k] = x[i, 0], x[i, 1], x[i, 2]
+            lanes[3 * LANES + k] = way * v[i, 0]
+            lanes[4 * LANES + k] = way * v[i, 1]
+            lanes[5 * LANES + k] = way * v[i, 2]
+            lanes[6 * LANES + k] = mu[i]
+        padded = (count + 3) // 4 * 4
+        for k in range(count, padded):
+            for row in range(7):
+                lanes[row * LANES + k] = lanes[row * LANES]
+        _revolve_lanes(lanes, padded, abs(h))
+        for k in range(count):
+            i = first + k
+            if lanes[13 * LANES + k] > 0.0:
+                x[i, 0], x[i, 1], x[i, 2] = lanes[7 * LANES + k], lanes[8 * LANES + k], lanes[9 * LANES + k]
+                v[i, 0] = way * lanes[10 * LANES + k]
+                v[i, 1] = way * lanes[11 * LANES + k]
+                v[i, 2] = way * lanes[12 * LANES + k]
+            else:
+                revolve(x, v, i, mu[i], h)
+
+
+@unowned
+def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
+    """Move bodies side by side in SIMD lanes by t ≥ 0, with two steps for X; row 13 says whether that was enough.
+
+    Rows are x, v, μ, and then the new x and v. They are parts of one array, so that the compiler sees that none
+    overlap.
+    """
+    for k in range(count):
+        x0, x1, x2 = lanes[k], lanes[LANES + k], lanes[2 * LANES + k]
+        v0, v1, v2 = lanes[3 * LANES + k], lanes[4 * LANES + k], lanes[5 * LANES + k]
+        mu = lanes[6 * LANES + k]
+        r = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+        over_r = 1.0 / r
+        beta = 2.0 * mu * over_r - (v0 * v0 + v1 * v1 + v2 * v2)
+        eta = x0 * v0 + x1 * v1 + x2 * v2
+        zeta = mu - beta * r
+        s = t * over_r
+        bend = 0.5 * s * over_r * eta
+        s *= 1.0 - bend + (2.0 * bend * bend - s * s * over_r * zeta * (1.0 / 6.0))  # to third order in t
+        # the first step
+        square = s * s
+        z = beta * square
+        w = z * z
+        c2 = (C2_0 + z * C2_1) + w * ((C2_2 + z * C2_3) + w * ((C2_4 + z * C2_5) + w * C2_6))
+        c3 = (C3_0 + z * C3_1) + w * ((C3_2 + z * C3_3) + w * ((C3_4 + z * C3_5) + w * C3_6))
+        g0, g1, g2, g3 = 1.0 - z * c2, s * (1.0 - z * c3), square * c2, square * s * c3
+        late = t - r * s - eta * g2 - zeta * g3
+        d1 = r + eta * g1 + zeta * g2
+        d2 = eta * g0 + zeta * g1
+        newton = late / d1
+        s += late / (d1 + 0.5 * newton * d2)
+        # the second one
+        square = s * s
+        z = beta * square
+        w = z * z
+        c2 = (C2_0 + z * C2_1) + w * ((C2_2 + z * C2_3) + w * ((C2_4 + z * C2_5) + w * C2_6))
+        c3 = (C3_0 + z * C3_1) + w * ((C3_2 + z * C3_3) + w * ((C3_4 + z * C3_5) + w * C3_6))
+        g0, g1, g2, g3 = 1.0 - z * c2, s * (1.0 - z * c3), square * c2, square * s * c3
+        late = t - r * s - eta * g2 - zeta * g3
+        step = late / (r + eta * g1 + zeta * g2)
+        g3 += step * g2
+        g2 += step * g1
+        g1 += step * g0
+        moved = 1.0 / (r + eta * g1 + zeta * g2)
+        over = mu * over_r
+        f = -over * g2
+        g = t - mu * g3
+        rate = over * g1 * moved
+        slow = mu * g2 * moved
+        lanes[7 * LANES + k] = x0 + (f * x0 + g * v0)
+        lanes[8 * LANES + k] = x1 + (f * x1 + g * v1)
+        lanes[9 * LANES + k] = x2 + (f * x2 + g * v2)
+        lanes[10 * LANES + k] = v0 - (rate * x0 + slow * v0)
+        lanes[11 * LANES + k] = v1 - (rate * x1 + slow * v1)
+        lanes[12 * LANES + k] = v2 - (rate * x2 + slow * v2)
+        near = abs(step) <= NEARLY * s
+        short = abs(z) <= SERIES_UP_TO
+        lanes[13 * LANES + k] = (1.0 if near else 0.0) * (1.0 if short else 0.0)

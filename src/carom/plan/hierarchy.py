@@ -1,0 +1,109 @@
+"""Whether one body dominates a scene, so that the others orbit it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+from carom.plan import contacts, pulls
+from carom.scene.names import body_called
+from carom.scene.placement import body_mass, mean_mass
+from carom.scene.schema import Body, Scene
+
+DOMINANT = 0.99  # share of the mass from which a body dominates
+FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
+MOST_BODIES = 100  # for "auto"; more may meet often, and each close encounter is integrated with all bodies
+HILL_RADII_APART = 10.0  # for "auto": between orbits, in Hill radii, so that encounters are rare
+
+
+class Heaviest(NamedTuple):
+    """The heaviest body of a scene."""
+
+    name: str
+    share: float  # of the mass of all
+
+
+class Orbit(NamedTuple):
+    """An orbit about the heaviest body."""
+
+    period: float  # s
+    pericentre: float  # m
+    apocentre: float  # m
+    hill: float  # m, Hill radius
+
+
+def heaviest(scene: Scene) -> Heaviest:
+    """Find the heaviest body, and its share of the expected mass of all."""
+    masses = [body_mass(body) for body in scene.body]
+    groups = [mean_mass(group) for group in scene.group]
+    total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
+    if masses and max(masses) >= max(groups, default=0.0):
+        number = masses.index(max(masses))
+        return Heaviest(body_called(number, scene.body[number].name), masses[number] / total)
+    number = groups.index(max(groups))
+    return Heaviest(f"a body of group.{number}", groups[number] / total)
+
+
+def why_no_hierarchy(scene: Scene) -> str:
+    """Say why bodies do not simply orbit a dominant one, and what would be right; empty if they do."""
+    gravity = scene.gravity
+    if not pulls.gravity(scene).modelled:
+        return "without gravity between bodies"
+    if gravity.softening > 0.0:
+        return f"with gravity.softening = {gravity.softening:g}, but its orbits are those of points; set it to 0"
+    if any(gravity.uniform):
+        return "with gravity.uniform, under which orbits are not Kepler's; leave it out"
+    fixed = next((number for number, body in enumerate(scene.body) if body.fixed), None)
+    if fixed is not None:
+        called = body_called(fixed, scene.body[fixed].name)
+        return f"with {called} fixed, but all bodies have to move; set fixed = false"
+    name, share = heaviest(scene)
+    if share <= DOMINANT:
+        return f"without a dominant body: {name} has {100.0 * share:.4g} % of the mass, and more than 99 % are needed"
+    return ""
+
+
+def orbits_often(scene: Scene) -> float:
+    """Return how often the innermost body goes around a dominant one, if all others stay on orbits apart; 0 if not."""
+    if scene.group or not 3 <= scene.count <= MOST_BODIES:
+        return 0.0
+    if contacts.contact(scene).modelled or pulls.damping(scene) or why_no_hierarchy(scene):
+        return 0.0
+    orbits = _orbits(scene)
+    if orbits is None or not all(
+        outer.pericentre - inner.apocentre > HILL_RADII_APART * max(inner.hill, outer.hill)
+        for inner, outer in itertools.pairwise(orbits)
+    ):
+        return 0.0
+    return scene.time.duration / min(orbit.period for orbit in orbits)
+
+
+def _orbits(scene: Scene) -> list[Orbit] | None:
+    """Return the orbits about the heaviest body by their pericentres; None if a body is not bound."""
+    masses = [body_mass(body) for body in scene.body]
+    number = masses.index(max(masses))
+    orbits = []
+    for body, mass in zip(scene.body, masses, strict=True):
+        if body is scene.body[number]:
+            continue
+        orbit = _orbit(body, scene.body[number], mass, masses[number], scene.gravity.constant)
+        if orbit is None:
+            return None
+        orbits.append(orbit)
+    return sorted(orbits, key=lambda orbit: orbit.pericentre)
+
+
+def _orbit(body: Body, centre: Body, mass: float, heavy: float, constant: float) -> Orbit | None:
+    """Return the orbit of a body about another one; None if it is not bound."""
+    x = [there - here for there, here in zip(body.position, centre.position, strict=True)]
+    v = [there - here for there, here in zip(body.velocity, centre.velocity, strict=True)]
+    mu, r = constant * (heavy + mass), math.hypot(*x)
+    beta = 2.0 * mu / r - math.fsum(u * u for u in v) if r > 0.0 else 0.0
+    if beta <= 0.0:
+        return None
+    axis = mu / beta
+    spin = math.hypot(x[1] * v[2] - x[2] * v[1], x[2] * v[0] - x[0] * v[2], x[0] * v[1] - x[1] * v[0])
+    e = math.sqrt(max(0.0, 1.0 - spin * spin / (mu * axis)))
+    period = 2.0 * math.pi * axis * math.sqrt(axis / mu)
+    return Orbit(period, axis * (1.0 - e), axis * (1.0 + e), axis * (mass / (3.0 * heavy)) ** (1.0 / 3.0))
