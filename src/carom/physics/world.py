@@ -31,6 +31,7 @@ class World:
     names: Names
     bodies: Bodies
     planes: HalfSpaces
+    is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike, otherwise zeros
     forces: TotalForce
@@ -38,11 +39,6 @@ class World:
     clock: Clock
     team: Team
     profile: Profile
-
-    @property
-    def is_periodic(self) -> bool:
-        """Whether the domain is a periodic box."""
-        return bool(self.box[0] > 0.0)
 
     @classmethod
     def at_start(cls, scene: Scene, start: Start, team: Team, records_contacts: bool) -> World:
@@ -55,7 +51,8 @@ class World:
             torques=needs.torque.modelled,
             planes=len(planes),
         )
-        box = np.array(scene.domain.size if scene.domain.boundary == "periodic" else (0.0, 0.0, 0.0))
+        is_periodic = scene.domain.boundary == "periodic"
+        box = np.array(scene.domain.size if is_periodic else (0.0, 0.0, 0.0))
         forces = TotalForce(scene, needs, bodies, team, profile)
         falling = np.zeros(3) if scene.anchored else forces.uniform
         contact = None
@@ -67,6 +64,7 @@ class World:
             names=Names(start.name, planes.name),
             bodies=bodies,
             planes=planes,
+            is_periodic=is_periodic,
             box=box,
             falling=falling,
             forces=forces,

@@ -1,7 +1,7 @@
-"""The contact constraints of a step as records, and all that the kernels of the solver work on.
+"""The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-What an iteration needs of each contact fits into two cache lines, `CONTACT`; what only the phases before and after need
-stands apart, in `CONTACT_STATE`. A body's velocities fit into two cache lines as well, `BODY_STATE`.
+`CONTACT` has the fields that iterations need, in two cache lines; `CONTACT_STATE` has those that only the phases before
+and after need. `BODY_STATE` has the velocities of a body, in two cache lines.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ LEDGER_TERMS = " ".join(TERMS)
 
 CONTACT = record(
     "nx ny nz arm_i arm_j"  # normal from i to j; m, from each centre to the contact point
-    " normal_mass tangent_mass"  # kg, 1/(1/m_i + 1/m_j), and what a tangential impulse moves
-    " velocity_bias"  # m/s, up to which the contact may close; negative: at which it has to separate
+    " normal_mass tangent_mass"  # kg, effective masses of normal and tangential impulses
+    " velocity_bias"  # m/s, c: the contact may close at up to c; it has to separate if c is negative
     " normal_impulse friction_x friction_y friction_z"  # N s, λ_n and λ_t
-    " delta_normal delta_x delta_y delta_z",  # N s, s: what the last iteration changed of them
+    " delta_normal delta_x delta_y delta_z",  # N s, s: their change in the last iteration
     size=2 * CACHE_LINE,
 )
 
 CONTACT_STATE = record(
-    "overlap found_overlap"  # m, now, minus the gap where there is one; as found, before any correction, or 0
-    " rest_speed approach_speed"  # m/s, up to which the contact is at rest; at which it closed before the impulses
-    " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before the impulses that hold it
+    "overlap found_overlap"  # m: now (negative for a gap); before the position correction (0 for a gap)
+    " rest_speed approach_speed"  # m/s, largest approach speed at rest; approach before the impulses
+    " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before `hold`
     f" {LEDGER_TERMS}"  # J, its ledger
-    " push_x push_y push_z push_fraction",  # m, Σ δ n of the position corrections; part of an overlap that one undoes
-    flags="apart biased"  # whether it was found apart; whether Baumgarte's bias makes it separate
+    " push_x push_y push_z push_fraction",  # m, Σ δ n of the position corrections; part of the overlap that one removes
+    flags="apart biased"  # whether it was found with a gap; whether Baumgarte's bias makes it separate
     " slides",  # whether it slid in the last iterations and may not stick again
     size=2 * CACHE_LINE,
 )
 
 BODY_STATE = record(
     "vx vy vz wx wy wz inverse_mass inverse_inertia"  # m/s, rad/s, 1/kg, 1/(kg m²)
-    " dvx dvy dvz dwx dwy dwz",  # what the last iteration changed of the velocities
+    " dvx dvy dvz dwx dwy dwz",  # their change in the last iteration
     size=2 * CACHE_LINE,
 )
 
@@ -53,18 +53,18 @@ SEARCH = record(  # of the conjugate gradients
     "step_normal step_x step_y step_z"  # N s, s: the change of the impulses
     " direction_normal direction_x direction_y direction_z"  # N s, d
     " residual_normal residual_x residual_y residual_z"  # m/s, r
-    " velocity_bias",  # m/s, c of the drift's end, along the arc
+    " velocity_bias",  # m/s, c, see `bias_along_arc`
     flags="free_normal free_tangent",  # whether λ_n and λ_t are free to change
     size=2 * CACHE_LINE,
 )
 
-RECORDED = record(  # what nothing needs but a record of the contacts
-    "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses that `solver.impacts` gave
-    " correction_x correction_y correction_z"  # N s, Σ of what `solver.position_correction` changed of momenta
+RECORDED = record(  # only for recorded contacts
+    "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses by `solver.impacts`
+    " correction_x correction_y correction_z"  # N s, Σ of the changes of momentum by `solver.position_correction`
 )
 
-PIECE_FINDINGS = record(  # what a phase found in a piece of contacts
-    "residual"  # m/s, the largest speed that is still to be changed; of position corrections 1 if one mattered
+PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
+    "residual"  # m/s, the largest change or violation; of position corrections 1 if another iteration is needed
     " residual_norm largest_push largest_pull"  # of conjugate gradients: r·z; N s, the largest impulses of either sign
     " slope step_limit"  # of the line search: J, s·c; the largest α that lets no contact pull
     " fastest"  # m/s, the fastest approach
@@ -74,26 +74,26 @@ PIECE_FINDINGS = record(  # what a phase found in a piece of contacts
 )
 
 BLOCK_SUMS = record("slope curvature")  # J, of the line search, over a block of bodies
-ISLAND = record("slope curvature scale")  # J, along the impulses of an island; what these are scaled by
+ISLAND = record("slope curvature scale")  # J, along the impulses of an island; factor of these impulses
 
 SETTINGS = np.dtype(
     [
         ("phase", "i8"),
-        ("first_piece", "i8"),  # with which the phase began
-        ("independent", "i8"),  # so many colours, from the first on, have no two contacts that share a moving body
-        ("iteration", "i8"),  # how many came before
+        ("first_piece", "i8"),  # of the phase
+        ("independent", "i8"),  # number of colours, from the first on, whose contacts share no moving body
+        ("iteration", "i8"),  # number of those before
         ("dt", "f8"),  # s, the step
         ("drift", "f8"),  # s, the drift to come; 0 after the last kick
         ("kick", "f8"),  # s, the kick just done
         ("bias_rate", "f8"),  # 1/s, Baumgarte: separation speed for each metre of overlap
-        ("alpha", "f8"),  # how many times over a change is made again
-        ("beta", "f8"),  # how much of the last direction stays in the next one
-        ("negligible", "f8"),  # m/s
-        ("tolerance", "f8"),  # in multiples of the speed that is tolerated
+        ("alpha", "f8"),  # α, of the line search and of conjugate gradients
+        ("beta", "f8"),  # β of conjugate gradients, weight of the last direction in the next one
+        ("negligible", "f8"),  # m/s, slower approaches are no violation
+        ("tolerance", "f8"),  # in multiples of `tolerated`
         ("spins", "?"),  # whether impulses turn bodies
-        ("impacts_only", "?"),  # whether contacts at rest are left alone
+        ("impacts_only", "?"),  # whether resting contacts are skipped
         ("refines", "?"),  # whether conjugate gradients follow the iterations
-        ("keeps_sliding", "?"),  # whether what slides in an iteration may not stick in the next
+        ("keeps_sliding", "?"),  # whether contacts that slid may not stick again
     ],
     align=True,
 )
@@ -112,23 +112,23 @@ SETTINGS = np.dtype(
     CONJUGATE_DIRECTION,
     PROJECT,
     SCALE_BACK,
-) = range(13)  # phases: what is done with each piece
+) = range(13)  # phases
 
 
 class ConstraintSystem(NamedTuple):
     """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
     pairs: IntArray  # (m, 2)
-    pieces: IntArray  # (k, 2) first contact and the one after the last
+    pieces: IntArray  # (k, 2) first contact, and the one after the last
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: Records  # (m,) CONTACT
-    held: Flags  # (m,) whether each contact is to be held; impacts and open gaps are left alone
+    held: Flags  # (m,) whether each contact is held; impacts and open gaps are not
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
     recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s
-    spin: FloatArray  # (n + p, 3) rad/s; no rows where impulses turn nothing
+    spin: FloatArray  # (n + p, 3) rad/s; no rows without friction
     acceleration: FloatArray  # (n + p, 3) m/s²
     inverse_mass: FloatArray  # (n + p,) 1/kg
     radius: FloatArray  # (n + p,) m
@@ -139,7 +139,7 @@ class ConstraintSystem(NamedTuple):
     materials: Records  # (1 + p,) MATERIAL: between bodies, then of each plane
     island: IntArray  # (n + p,) workspace
     islands: Records  # (n + p,) ISLAND, workspace
-    active: IntArray  # (b,) bodies and planes that touch anything
+    active: IntArray  # (b,) bodies and planes with a contact
     found: Records  # (k,) PIECE_FINDINGS
     sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
     settings: Records  # (1,) SETTINGS

@@ -1,12 +1,12 @@
 """The contact pipeline of a step.
 
-`Space` calls, in this order:
+`carom.physics.step` calls, in this order:
 
-1. `hold`: after the first kick, keep lasting contacts from closing during the drift
+1. `hold`: after the first kick, find the impulses of resting contacts, so that they do not close during the drift
 2. `drift`, with `contact.timing = "time-of-impact"`: move the bodies and resolve impacts at their own times
-3. `find`: broad phase, geometry, colouring, and position correction of contacts at rest
-4. `resolve`: impulses at the final positions, after the last kick
-5. `turn`: the torques and angular accelerations that the impulses amount to
+3. `find`: broad phase, geometry, colouring, and position correction of resting contacts
+4. `resolve`: after the last kick, find the impulses at the final positions
+5. `turn`: torques and angular accelerations of the step
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-ROUNDING = 4  # units in the last place of the farthest coordinate; a smaller gap is none
-MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # of a task, about 10 µs of work
-SWEEPS = 8  # iterations that `contact.sweeps = "auto"` takes before conjugate gradients
+ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
+MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
+SWEEPS = 8  # iterations before conjugate gradients, with `contact.sweeps = "auto"`
 LARGEST_SKIN = 0.1  # of the smallest radius
 
 
@@ -61,17 +61,17 @@ class ContactPipeline:
     contact
         The scene's section.
     bodies, planes
-        What may touch.
+        The possible ends of a contact.
     requirements
-        What is modelled.
+        Which parts of the model the scene requires.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     field
-        (3,) m/s², the uniform field as far as it pulls all alike: zero if something is fixed.
+        (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed.
     team
-        Threads that work.
+        Threads that share the work.
     records
-        Whether `tap` gathers what each contact does.
+        Whether `tap` gathers the impulses of each contact.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class ContactPipeline:
         self._was_crossed = False  # whether a body would have passed through a plane in this step
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
-        self.warned: set[str] = set()  # limits reached and told so far
+        self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
         self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records)
         self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
@@ -119,7 +119,7 @@ class ContactPipeline:
         self._compile()
 
     def forget(self) -> None:
-        """Begin anew, as before the first step."""
+        """Return to the state before the first step."""
         self._hold = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
@@ -127,13 +127,13 @@ class ContactPipeline:
         self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
-        self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # what others see of them, once somebody has looked
+        self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # made at the first access to `seen`
         if self.tap:
             self.tap.forget()
 
     @property
     def memory(self) -> ContactCheckpoint | None:
-        """A copy of what the next step begins with; None where no contact can last."""
+        """A copy of the state that the next step needs; None if no contact can last."""
         if not self._lasts:
             return None
         hold, solver = self._hold, self._solver
@@ -148,37 +148,37 @@ class ContactPipeline:
 
     @property
     def borne(self) -> FloatArray:
-        """(n + p,) m/s², what lasting contacts bore of each body's acceleration in the last kick; empty if nothing."""
+        """(n + p,) m/s², the part of each acceleration that contacts bore in the last kick; empty if none did."""
         return borne(self._hold, self._bodies.ends.inverse_mass)
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
-        """Go on after the step that left a memory, the bodies being where they were then."""
+        """Restore the state of `memory`; the bodies must already be in their positions of that step."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
-                raise PhysicsError("the contacts of the checkpoint are of bodies that are not there")
+                raise PhysicsError("the checkpoint has contacts of bodies that the scene does not have")
             self._order_contacts(memory.pairs, memory.dt)
             self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
             self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
             self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
     def begin(self, dt: float) -> None:
-        """Find what touches at the start of a run, so that it lasts from the first step on, of about dt."""
+        """Find the contacts at the start of a run whose first step is about dt s."""
         if self._lasts:
             self._order_contacts(self._near(dt), dt)
 
     def hold(self, kick: float, dt: float, share: float, against: FloatArray | None = None) -> None:
-        """Keep the contacts of the step before from closing in the drift of length dt that follows a kick, in s.
+        """Hold the contacts of the previous step after the first kick, so that they do not close during the drift.
 
         Parameters
         ----------
         kick, dt
-            s
+            s, lengths of the kick and of the drift.
         share
-            s, of the drift: the part of the forces' work in it that the kick has done already. That is the length of
-            the kick, unless there is drag.
+            s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
+            there is drag.
         against
-            (n + p, 3) m/s², what accelerates the ends (default: their accelerations).
+            (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         if self._needs.torque.modelled:
             self._team.divide(
@@ -188,7 +188,7 @@ class ContactPipeline:
         if self._guard:
             self._guard.remember()
         if self._is_at_rest():
-            if self.tap:  # whose step begins; what stands there is of the step before, and was booked then
+            if self.tap:  # its step begins; the entries are those of the previous step, which are booked
                 self._solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.held = self._solver.audited
@@ -196,9 +196,9 @@ class ContactPipeline:
                 self.tap.see_hold(self._pairs, self._solver)
 
     def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
-        """Move all bodies for dt after a kick, both in s, and resolve the impacts on their way.
+        """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
 
-        ``along`` is by what velocities change on it, (n + p, 3) m/s²; by default the accelerations.
+        ``along`` is the rate at which velocities change during the drift, (n + p, 3) m/s² (default: the accelerations).
         """
         assert self._event_drift is not None, "the scene asks for times of impact"
         self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
@@ -206,7 +206,7 @@ class ContactPipeline:
             self.tap.see_drift(self.impacts)
 
     def find(self, dt: float, profile: Profile) -> None:
-        """Find the contacts at the present positions, order them, and push those at rest apart."""
+        """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
         self._was_crossed = self._guard is not None and self._guard.stop()
         pairs = self._near(dt)
         profile.mark("search")
@@ -221,16 +221,14 @@ class ContactPipeline:
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        """Apply the impulses of the contacts found, with forces and velocities of the final positions.
+        """Apply the impulses of the contacts found, with the forces and velocities at the final positions.
 
         Parameters
         ----------
-        dt
-            s, the step.
-        kick
-            s, the part of it that the last kick took.
+        dt, kick
+            s, lengths of the step and of the last kick.
         profile
-            Told where the time goes.
+            Gets the times that the parts take.
         """
         if self._guard and self._guard.has_stopped:
             self.held = np.concatenate((self.held, self._guard.work()))
@@ -245,33 +243,33 @@ class ContactPipeline:
             self.statistics = self.statistics.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
 
     def turn(self, dt: float) -> None:
-        """Write torques, Σ r × J / dt = I Δω / dt, and angular accelerations, τ / I, of this step."""
+        """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         bodies = self._bodies
         turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
         self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
 
     def rows(self, room: Room | None = None) -> Records:
-        """Return what the recorded contacts of the last step did, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
+        """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
         return self.tap.rows(self._pairs, self._solver, room)
 
     def impulses(self) -> Iterator[Impulses]:
-        """Yield the impulses of the last step in the order in which they were given, where contacts are recorded."""
+        """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
         assert self.tap is not None, "contacts are recorded"
         return self.tap.impulses(self._solver)
 
     def work(self) -> FloatArray:
-        """Return all that the last step booked for contacts and for bodies stopped at planes, (k, 3) J."""
+        """Return the ledger of the last step's contacts and of bodies stopped at planes, (k, 3) J."""
         assert self.tap is not None, "contacts are recorded"
         work = self.tap.work(self._solver)
         return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
     def limits_reached(self) -> list[tuple[str, str]]:
-        """Say, the first time each, which limit of the method this step met: a level, `WARN` or `INFO`, and a text."""
+        """Return the limits of the method that this step met for the first time: level, `WARN` or `INFO`, and text."""
         reached = []
         if self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW:
             text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
-            reached.append(("INFO", text))  # which costs time only
+            reached.append(("INFO", text))  # this costs time only
         if self._too_few_sweeps:
             text = (
                 f"Contacts were still closing after the sweeps of a step (contact.sweeps = {self._contact.sweeps}); "
@@ -294,10 +292,11 @@ class ContactPipeline:
         return fresh
 
     def _near(self, dt: float) -> IntArray:
-        """Find the pairs that touch and, where contacts last, those that a step's fall from rest could make touch.
+        """Find the pairs that touch and, if contacts last, those that a fall from rest could close within a step.
 
-        Iterations that end early leave gaps. A contact that is lost to one begins without an impulse in the next step,
-        and a pile never comes to rest: 300 bodies kept 5 × 10⁻⁴ of their energy, instead of 10⁻²².
+        Iterations that end early leave small gaps. Without the second kind of pairs such a contact would start without
+        an impulse in the next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy in
+        place of 10⁻²².
         """
         position = self._bodies.position
         scale, skin = self._nearness(dt)
@@ -305,23 +304,23 @@ class ContactPipeline:
         return self._plane_search.merged(pairs, position, scale, skin) if self._has_statics else pairs
 
     def _nearness(self, dt: float) -> tuple[float, float]:
-        """Return scale and skin, in m: what is no farther apart than ``(r_i + r_j) scale + skin`` is near."""
+        """Return scale and skin (in m): a pair is near if its distance is at most ``(r_i + r_j) scale + skin``."""
         if not self._lasts:
             return 1.0, 0.0
         fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
-        if fall == 0.0:  # all contacts are impacts, and what only nearly touches is none
+        if fall == 0.0:  # all contacts are impacts, for which near pairs do not count
             return 1.0, 0.0
         self._rounding = ROUNDING * float(np.spacing(largest_coordinate(self._bodies.position)))
         return 1.0 + TOUCHING, self._rounding + min(fall, LARGEST_SKIN * self._smallest)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
-        """Take contacts, with nothing done to them yet."""
-        if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and so their order
+        """Begin the contacts of a step of dt s: order them, lay out their records, find their rest speeds."""
+        if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and thus their order
             self._pairs = pairs
             self._order = self._colour()
         self._solver.lay(self._order, self._hold.contacts, self._rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
-        self._dt = dt  # s, the step that they are for
+        self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
 
@@ -356,30 +355,30 @@ class ContactPipeline:
         profile.mark("response")
 
     def _is_at_rest(self) -> bool:
-        """Tell whether something presses the contacts together: without that, all of them are impacts."""
+        """Return whether contacts may rest: without a force that presses them together, all of them are impacts."""
         return self._lasts and self._presses
 
     def _hold_contacts(
         self, dt: float, kick: float, drift: float, bias_rate: float, share: float, against: FloatArray | None = None
     ) -> int:
-        """Hold the contacts after a kick, with a drift to come or none, 0; all in s. Return the number of sweeps."""
+        """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._pairs
         place = solver.order.place
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
-        if kick > 0.0:  # Euler's step ends without one: what its first kick needed is what the next begins with
+        if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
             self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto", against)
 
     @property
     def seen(self) -> ContactSnapshot:
-        """What others see of the step: contacts that touch or carry an impulse, not those that are merely near."""
+        """The contacts of the step that touch or carry an impulse; near pairs are left out."""
         if self._seen is None:
             self._seen = self._snapshot(self._dt)
         return self._seen
 
     @property
     def contributions(self) -> FloatArray:
-        """(m, 3) J, the ledger of each contact seen in this step."""
+        """(m, 3) J, the ledger of each contact in `seen`."""
         return self.seen.sums(self._solver.ledger[self._solver.order.place[self._shown()]], self.impacts.ledger)
 
     def _snapshot(self, dt: float) -> ContactSnapshot:
@@ -394,7 +393,7 @@ class ContactPipeline:
         return self._solver.seen[self._solver.order.place]
 
     def _compile(self) -> None:
-        """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
+        """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
         self.forget()
         if self._pushes:
             self._solver.correct_positions(1)

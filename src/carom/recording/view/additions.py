@@ -1,4 +1,4 @@
-"""`Additions`: what a layout shows besides what is in the file, because the viewer is sent it on top."""
+"""`Additions`: the parts of a layout that are not in the file; the viewer gets them in a `Supplement`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carom.recording.view.close_up import CloseUp
 
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """What there is in addition; by default nothing."""
+    """Parts to show in addition; by default none."""
 
     close: CloseUp | None = None
     trails: bool = False

@@ -4,13 +4,13 @@ An arrow starts at its body's centre and sticks out of the sphere by
 
     L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
 
-so its vector is ``(r + L) m̂`` (`encoding.draw_arrows`). L grows with m, is never longer than L_max and can be
-inverted: with u = L / L_max, m = m_ref · (u / (1 - u))³. The cube root keeps six decades between 9 % and 91 % of L_max.
-That is why m_ref may be taken from the first frame that has arrows and stay for the whole recording: one that is wrong
-by a thousand still shows something.
+so its vector is ``(r + L) m̂`` (`encoding.draw_arrows`). L grows with m, is less than L_max and can be inverted:
+m = m_ref · (u / (1 - u))³ with u = L / L_max. Thanks to the cube root, six decades fit between 9 % and 91 % of L_max.
+m_ref is therefore taken from the first frame that has arrows and holds for the whole recording; even if it is wrong by
+a factor of 1000, the arrows are visible.
 
-A sphere's torque and angular acceleration are parallel (τ = I α). So the arrows of the one are short and thick, those
-of the other long and thin.
+A sphere's torque and angular acceleration are parallel (τ = I α). Torques are drawn short and thick, angular
+accelerations long and thin.
 """
 
 from __future__ import annotations

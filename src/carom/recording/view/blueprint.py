@@ -1,4 +1,4 @@
-"""The layout that a recording opens with: 3D views, plots, phases, events and the scene's text. Each has its file."""
+"""The layout that a recording opens with: 3D views, plots, phases, events and the scene's text."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ def blueprint(
     Parameters
     ----------
     header
-        What there is to show.
+        Of the recording.
     camera
         Fitted to the bodies.
     curves
-        The series as they are recorded; None while the run goes on.
+        The recorded series; None during the run.
     canvas
         The window that the layout is for.
     only
-        One of `VIEWS` to fill the window with, or all of them.
+        One of `VIEWS`, which fills the window, or `ALL`.
     added
-        What the viewer is sent on top of the file.
+        Parts that are not in the file.
 
     Raises
     ------
     RecordingError
-        If there is nothing that the view could show.
+        If the recording has nothing to show in the view.
     """
     parts = header, camera, curves, canvas, added
     if only == PLOT:
@@ -110,7 +110,7 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
 
 
 def _plot(bodies: BodyPlots | None, canvas: Canvas) -> rrb.View:
-    """Lay out the plot of single bodies alone; they are all of one unit."""
+    """Lay out the plot of single bodies alone; all have the same unit."""
     if bodies is None:
         raise RecordingError("there are no bodies to plot")
     return bodies.view(bodies.units[0], canvas.area())
@@ -145,7 +145,7 @@ def _texts() -> rrb.Container:
 
 
 def _event_columns() -> rrb.TextLogColumns:
-    """Leave out the entity path: there is only one."""
+    """Leave out the column of the entity path, which is the same in each row."""
     return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 
 

@@ -17,7 +17,7 @@ from carom.recording.write import encoder as entities
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Show bodies, contacts and what surrounds them."""
+    """Show bodies, contacts, planes, walls and the box."""
     view = camera.view(area.aspect)
     return rrb.Spatial3DView(
         name="Bodies and contacts" if header.collides else "Bodies",

@@ -1,4 +1,4 @@
-"""Plots of single bodies: the rows that a viewer is given for them, and their views, one for each unit."""
+"""Plots of single bodies: the rows for the viewer, and a view for each unit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}
 
 @dataclass(frozen=True, slots=True)
 class BodyPlots:
-    """The series that somebody asked for."""
+    """The series to plot."""
 
     series: Sequence[BodySeries]
 
@@ -37,7 +37,7 @@ class BodyPlots:
             yield Rows(_path(each), each.step.tolist(), each.time.tolist(), columns, each.value.nbytes)
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield how the curves look: the colours of each plot are different."""
+        """Yield the styles of the curves; each curve of a plot has its own colour."""
         colours = list(LINES.values())
         for unit in self.units:
             for k, each in enumerate(self._of(unit)):

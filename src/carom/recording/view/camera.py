@@ -1,12 +1,12 @@
 """Places the camera so that the bodies fill a 3D view.
 
-With d the unit vector towards the eye, e an axis of the screen and D the eye's distance from the target, a sphere with
-centre o and radius r is on the right side of the picture's border of slope s if
+Let d be the unit vector towards the eye, e an axis of the screen, D the eye's distance from the target, and t the
+target's coordinate along e. A sphere with centre o and radius r lies inside the picture's border of slope s if
 
-    o·e − t + r √(1 + s²)  ≤  s (D − o·d),
+    o·e − t + r √(1 + s²)  ≤  s (D − o·d).
 
-t being the target's coordinate along e. Each border so asks for one number, the largest o·e + s o·d + r √(1 + s²) of
-the bodies that count; two opposite borders give the smallest D and its t.
+Each border thus requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together give the
+smallest D and its t.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from carom.recording.schema.header import Header
 
 FloatArray = NDArray[np.float64]
 
-ASPECT = 1.25  # width over height of a 3D view, unless the layout knows better
+ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
 
-_ESCAPING = 0.05  # share of the bodies that may be out of view, beyond which none counts as escaping
-_FAR = 20.0  # median distances from the middle; of few bodies, those farther away are escaping, too
-_FEW = 5  # all of so few bodies are to be seen
-_FILLED = 0.9  # of the picture's shorter side, by what must be seen
-_LOOSE = 1.7  # largest distance over the one that just shows what must be seen: that still fills 53 %
-_SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's eye opens 55° from top to bottom
-_FLAT = 0.2  # thickness over width; a flatter set of bodies is looked at from higher above
+_ESCAPING = 0.05  # largest share of the bodies that may be outside the view
+_FAR = 20.0  # times the median distance from the middle; bodies that are farther away may be outside, too
+_FEW = 5  # bodies; of so few or fewer all are inside the view
+_FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
+_LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
+_SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's field of view is 55° from top to bottom
+_FLAT = 0.2  # thickness over width; flatter sets of bodies are seen from higher above
 _LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Position of the camera, and whether it follows the bodies because they leave its view as a whole."""
+    """Position of the camera, and whether it follows the bodies."""
 
     target: FloatArray  # (3,) m
     distance: float  # m, of the eye from the target
@@ -45,27 +45,27 @@ class View:
 
     @property
     def eye(self) -> FloatArray:
-        """Place of the eye (m)."""
+        """Position of the eye (m)."""
         return np.asarray(self.target + self.distance * self.to_eye)
 
     def height(self) -> float:
-        """Return the height (m) that fills the picture from top to bottom at the target."""
+        """Return the height (m) of the picture at the target."""
         return 2.0 * _SLOPE * self.distance
 
 
 class CameraFit:
-    """Fits the camera to the bodies of one moment; those of others count as far as these do not get small.
+    """Fits the camera to the bodies of a first moment, and to those of other moments if that does not take it too far.
 
     Parameters
     ----------
     radius
         (n,) m.
     first
-        (n, 3) m, the positions at the moment that the view opens with.
+        (n, 3) m, positions at the moment that the view opens with.
     corners
-        (k, 3) m, what has to be seen whole, such as the corners of walls.
+        (k, 3) m, points that must be inside the view, such as the corners of walls.
     to_eye
-        (3,) unit vector towards the eye; chosen by the shape of what is seen if it is None.
+        (3,) unit vector towards the eye; by default it follows from the shape of the set of bodies.
     """
 
     def __init__(
@@ -83,8 +83,8 @@ class CameraFit:
         self._axes = _screen(direction)
         self._centre = _middle(first, radius)
         self._own = self._box(first)  # (2, 3) m, lower and upper ends along the axes
-        self._still = self._own  # … of all moments
-        self._moving = self._own - self._axes @ self._centre  # … about the middle of each
+        self._still = self._own  # the same of all moments
+        self._moving = self._own - self._axes @ self._centre  # of all moments, each about its own middle
         self._drift = 0.0
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
@@ -113,7 +113,7 @@ class CameraFit:
         aspect
             Width of the picture over its height.
         room
-            m around the bodies for what sticks out of them, such as arrows, if they do not get small by it.
+            m, margin around the bodies for arrows; smaller if bodies would look too small.
         """
         follows = len(self._corners) == 0 and self._drift > np.ptp(self._own, axis=0).max() / 2
         whole = self._moving if follows else self._still - self._axes @ self._centre
@@ -128,14 +128,14 @@ class CameraFit:
         if room > 0.0:
             later = np.maximum(later, self._borders(self._first, self._first_radius + room, slopes))
         distance = min(_distance(later, slopes), _LOOSE * _distance(now, slopes))
-        # on the screen the target may be anywhere between those that put what must be seen at either border
+        # the target may be anywhere between the two at which the bodies of the first moment touch a border
         low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]
         across, up = np.clip((later[:, 0] - later[:, 1]) / 2, np.minimum(low, high), np.maximum(low, high))
         target = self._centre + across * self._axes[0] + up * self._axes[1]
         return View(target, distance, follows, self._axes[2])
 
     def _borders(self, position: FloatArray, radius: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return what the right and left, upper and lower borders ask for, (2, 2) m from the centre."""
+        """Return the numbers that the right and left, upper and lower borders require, (2, 2) m from the centre."""
         right, up, depth = self._axes @ (position - self._centre).T
         found = np.empty((2, 2))
         for k, along in enumerate((right, up)):
@@ -152,7 +152,7 @@ class CameraFit:
 
 
 def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
-    """Return the drawn corners (8, 3) of the walls or of the periodic box; None where there is neither."""
+    """Return the drawn corners (8, 3) of the walls or of the periodic box; None if there is neither."""
     size = header.walls if header.walls is not None else header.box
     return None if size is None else _corners_of(np.array([-size / 2, size / 2]) - origin)
 
@@ -163,7 +163,7 @@ def _corners_of(ends: FloatArray) -> FloatArray:
 
 
 def _joined(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the box around two; ends that are not finite do not count."""
+    """Return the box around two boxes; ends that are not finite are ignored."""
     other = np.where(np.isfinite(other), other, one)
     return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
 
@@ -173,7 +173,7 @@ def _distance(borders: FloatArray, slopes: FloatArray) -> float:
 
 
 def _direction(position: FloatArray) -> FloatArray:
-    """Choose from where to look: from higher above where the bodies lie in a horizontal plane, not in a line."""
+    """Choose the direction to the eye: higher above if the bodies lie in a horizontal plane, but not in a line."""
     finite = position[np.all(np.isfinite(position), axis=1)]
     direction = _LOW
     if len(finite) > 2:
@@ -193,9 +193,9 @@ def _screen(to_eye: FloatArray) -> FloatArray:
 
 
 def _largest(values: FloatArray, radius: FloatArray) -> float:
-    """Return the largest value of a body that does not escape; of what is not drawn, simply the largest.
+    """Return the largest value of a body that must be inside the view; of points without a radius, the largest of all.
 
-    A body counts by its number and by the area that it covers: one in a thousand is not left out if it is a planet.
+    The bodies that may be outside are weighted by number and by area, so that a planet among 1000 moons is inside.
     """
     finite = np.isfinite(values)
     values, radius = values[finite], radius[finite]
@@ -211,7 +211,7 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
 
 
 def _near(position: FloatArray) -> NDArray[np.bool_]:
-    """Tell which bodies are finite and, if there are more than a few, not many times as far out as the others."""
+    """Return which bodies have finite positions and, if there are more than a few, are not much farther out."""
     finite: NDArray[np.bool_] = np.all(np.isfinite(position), axis=1)
     if np.count_nonzero(finite) <= _FEW:
         return finite
@@ -222,7 +222,7 @@ def _near(position: FloatArray) -> NDArray[np.bool_]:
 
 
 def _middle(position: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the middle of the bodies that do not escape."""
+    """Return the middle of the bodies that must be inside the view."""
     near = _near(position)
     if not near.any():
         return np.zeros(3)

@@ -1,4 +1,4 @@
-"""How large the views of a layout are on the screen; the camera is placed by the shape of its view."""
+"""Sizes of the views of a layout on the screen, by which cameras and legends are placed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Canvas:
-    """The window, or the picture, in points of the screen."""
+    """The window or the picture, in points of the screen."""
 
     width: int = 1600
     height: int = 1000

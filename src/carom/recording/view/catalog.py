@@ -10,20 +10,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import datafusion  # noqa: F401 - Rerun's client needs it, and would say so only when it is asked
+import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only at the first request
 from rerun.server import Server
 
 from carom.recording.errors import RecordingError
 from carom.recording.view.viewer import Viewer
 
-_HOST = "127.0.0.1"  # Rerun's own default is all interfaces, and it asks nobody for a password
+_HOST = "127.0.0.1"  # Rerun's own default is to listen on all interfaces, without a password
 
 
 @contextlib.contextmanager
 def catalog(name: str, paths: Sequence[Path]) -> Iterator[str]:
-    """Serve recordings as a dataset on this machine; give the address of its table.
+    """Serve recordings as a dataset on this machine; yield the address of its table.
 
-    A row opens with the layout of the first recording: runs of one scene have the same.
+    Each row opens with the layout of the first recording, since runs of one scene have the same layout.
     """
     missing = [path for path in paths if not path.is_file()]
     if missing or not paths:

@@ -1,7 +1,7 @@
-"""The close-up view: the two bodies of a contact, with its normal, impulse and spins; all other bodies fade.
+"""The close-up view: the two bodies of a contact with normal, impulse and spins; all other bodies are faint.
 
-Its entities are sent to the viewer on top of a recording (`Supplement`). The bodies move through all frames, and the
-camera follows them. Edge and arrows are those of one step.
+Its entities are not in the file; the viewer gets them in a `Supplement`. The bodies move through all frames, and the
+camera follows them. Edge and arrows belong to one step.
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
 FOLLOWED = f"{ROOT}/followed"
 
-_MOST_UNLIKE = 6.0  # ratio of radii from which on the larger body is not to be seen whole
+_MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
-_ASIDE = 0.85  # how far the eye is turned away from the normal, which would point at it
-_NORMAL = 0.9  # length of the normal in radii of the smaller body
-_SPIN = 1.3  # … of the faster spin's arrow
-_IMPULSE = 1.6  # length of an impulse's arrow in radii of its body: it sticks out
-_ROOM = 1.35  # radii about the bodies that are to be seen
-_THICK, _THIN = 0.07, 0.04  # of arrows, in the same
+_ASIDE = 0.85  # part of the component along the normal that is taken from the direction to the eye
+_NORMAL = 0.9  # length of the normal, in radii of the smaller body
+_SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
+_IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
+_ROOM = 1.35  # half size of the view around each body, in its radii
+_THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_SPIN_COLOUR = 0x5CE0B0FF  # a label in the palette's green can hardly be read
-_UNSEEN = 1e-6  # of a radius: the size of the points that the eye follows
+_SPIN_COLOUR = 0x5CE0B0FF  # labels in the palette's green are hardly legible
+_UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """What happened between the two bodies in the step that is shown."""
+    """The contact of the two bodies in the step that is shown."""
 
     point: FloatArray  # (3,) m from the recording's origin
     normal: FloatArray  # (3,) from i to j
@@ -66,9 +66,9 @@ class CloseUp:
     """Two bodies at one step."""
 
     names: str  # of the bodies, or of the body and the plane
-    bodies: tuple[int, ...]  # one, if it touches a plane
+    bodies: tuple[int, ...]  # only one if it touches a plane
     step: ShownStep
-    contact: Contact | None  # None: they do not touch in this step, or it is not known
+    contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
     spin: FloatArray | None  # (b, 3) rad/s
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
@@ -76,7 +76,7 @@ class CloseUp:
     eye: View
 
     def view(self, header: Header) -> rrb.Spatial3DView:
-        """Show the two bodies as solids, and all others as thin wires."""
+        """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
         return rrb.Spatial3DView(
             name=f"Close-up: {self.names}",
@@ -89,7 +89,7 @@ class CloseUp:
         )
 
     def statics(self, header: Header) -> Iterable[Static]:
-        """Yield sizes and colours of what the view shows."""
+        """Yield sizes and colours of the entities."""
         radius = header.radius[list(self.bodies)].astype(np.float32)
         small = float(radius.min())
         yield (
@@ -108,13 +108,13 @@ class CloseUp:
         yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=_SPIN_COLOUR, show_labels=True)
 
     def rows(self, header: Header) -> Iterable[Rows]:
-        """Yield where the bodies are at all frames, and what happened in the step."""
+        """Yield the positions of the bodies at all frames, and the contact of the step."""
         yield from self._bodies()
         if self.contact is not None:
             yield from self._arrows(self.contact, header)
 
     def _bodies(self) -> Iterable[Rows]:
-        """Place the bodies, and what the camera follows, at all frames and at the steps that were run again."""
+        """Place the bodies, and the points that the camera follows, at all frames and repeated steps."""
         step, chosen = self.step, list(self.bodies)
         if self.paths is None:
             turned = None
@@ -137,7 +137,7 @@ class CloseUp:
     def _placed(
         self, steps: list[int], times: list[float], position: NDArray[np.floating], turned: NDArray[np.float32] | None
     ) -> Iterable[Rows]:
-        """Place the bodies at (frames, b, 3) m, and about them two points whose distance sets that of the camera."""
+        """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
         centres = position.reshape(-1, 3).astype(np.float32)
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
@@ -149,7 +149,7 @@ class CloseUp:
         yield Rows(FOLLOWED, steps, times, rr.Points3D.columns(positions=ends).partition([2] * len(steps)), ends.nbytes)
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
-        """Draw edge, normal, impulse and spins at the step, and nothing at the next frame."""
+        """Draw edge, normal, impulse and spins at the step; clear them at the next frame."""
         small = float(header.radius[list(self.bodies)].min())
         yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
         yield self._once(
@@ -166,7 +166,7 @@ class CloseUp:
             yield from self._spins(self.spin, small)
 
     def _impulses(self, impulse: FloatArray, header: Header) -> Iterable[Rows]:
-        """Draw the impulse on each body from its centre; of two very unlike ones only on the smaller."""
+        """Draw the impulse on each body from its centre; if one is many times larger, only on the smaller."""
         size = float(np.linalg.norm(impulse))
         if size == 0.0:
             return
@@ -207,7 +207,7 @@ class CloseUp:
 
 
 def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, aspect: float) -> CloseUp:
-    """Gather what the close-up view, of this width over height, shows of a pair at a step."""
+    """Make the close-up view of a pair at a step; ``aspect`` is its width over height."""
     bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
     places = [recording.shown.index(body) for body in bodies]
     called = names_of(recording)
@@ -227,7 +227,7 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, 
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
-    """Fit the camera to both bodies, or if one is many times larger to the other."""
+    """Fit the camera to both bodies; if one is many times larger, to the smaller."""
     normal = None if contact is None else contact.normal
     if len(radius) == 2 and normal is None:
         apart = position[1] - position[0]
@@ -239,7 +239,7 @@ def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> C
 
 
 def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Contact | None:
-    """Find the contact of a pair in a step; with a plane, the first that the body touches."""
+    """Find the contact of a pair in a step; with planes, the one of the largest impulse."""
     rows, n = frame.contact_rows, header.bodies
     if rows is None:
         return None
@@ -255,7 +255,7 @@ def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Conta
 
 
 def _aside(normal: FloatArray | None) -> FloatArray | None:
-    """Return a direction to look from that is nearly across the normal; None where there is no normal."""
+    """Return a direction to the eye that is nearly at a right angle to the normal; None without a normal."""
     if normal is None:
         return None
     usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])

@@ -1,4 +1,4 @@
-"""Colours by which bodies are told apart: by speed, by their colour in the collision graph, or by island."""
+"""Colours of bodies by speed, by their colour in the collision graph, or by island."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Colours = NDArray[np.uint32]
 
 COLOUR_BY = ("group", "speed", "graph", "island")  # the first is static
 
-# Matplotlib's plasma from 0.15 to 1, perceptually uniform, without the end that cannot be seen on a dark ground.
+# Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 _SPEEDS = np.array(
     [0x5001A2FF, 0x7501A8FF, 0x9A169FFF, 0xB83289FF, 0xD14E72FF, 0xE56B5DFF, 0xF58C46FF, 0xFDB130FF, 0xF9DB24FF],
     dtype=np.uint32,
@@ -35,12 +35,12 @@ def speeds(velocity: FloatArray, mass: FloatArray) -> FloatArray:
 
 
 def graph_colours(pairs: IntArray, bodies: int) -> Colours:
-    """Return colours such that bodies that touch differ, by the rule of the reference engine; grey touches nobody."""
+    """Return the colours of the reference engine: touching bodies differ, and bodies without contacts are grey."""
     return palette.node_colours(colour_bodies(np.ascontiguousarray(pairs, dtype=np.int64), bodies)[1])
 
 
 def island_colours(pairs: IntArray, bodies: int) -> Colours:
-    """Return one colour for all bodies that are connected by contacts with each other; grey touches nobody."""
+    """Return a colour for each island of bodies connected by contacts; bodies without contacts are grey."""
     joined = pairs[pairs[:, 1] < bodies]
     graph = coo_array((np.ones(len(joined), dtype=np.int8), (joined[:, 0], joined[:, 1])), shape=(bodies, bodies))
     _, island = connected_components(graph, directed=False)

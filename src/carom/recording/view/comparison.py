@@ -1,4 +1,4 @@
-"""Writes two recordings into one for comparison: the bodies of both, lines between counterparts, their distances."""
+"""Writes two recordings into one for comparison: the bodies of both, lines between counterparts, distances."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ _SERIES = {
     "rms": ("difference/rms", "log₁₀ of rms distance (m)", palette.LINES["red"]),
     "energy": ("difference/energy", "log₁₀ of energy difference (J)", palette.LINES["blue"]),
 }
-_LARGEST = 100_000_000  # bytes of positions: of longer recordings every k-th frame is shown
+_LARGEST = 100_000_000  # bytes of positions; of longer recordings every k-th frame is shown
 _BATCH = 4_000_000  # bytes
 _SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
-_HALO = 1.04  # scale of B's spheres, which identical ones of A would hide
+_HALO = 1.04  # scale of B's spheres, which those of A would hide at equal size
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""How views show contacts and impacts: edges by their impulses, and the impacts of late."""
+"""Overrides by which views draw contacts and impacts: edges by their impulses, and recent impacts only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carom.recording.schema.timelines import SIM_TIME
 
 Overrides = dict[EntityPathLike, VisualizerLike]
 
-_OF_LATE = 1 / 300  # of the duration, for which an impact stays in view
+_OF_LATE = 1 / 300  # of the duration, for which an impact stays visible
 
 
 def force_arrows(header: Header) -> list[str]:
@@ -38,7 +38,7 @@ def edges_by_impulse(header: Header) -> Overrides:
 
 
 def recent_impacts(header: Header) -> Overrides:
-    """Show the impacts of a short time before the cursor: by default the last one would stay until the next."""
+    """Show impacts for a short time; by default each would stay visible until the next."""
     if not header.records_contacts:
         return {}
     clock = Clock.fitting(header.duration, header.shortest_dt_hint)

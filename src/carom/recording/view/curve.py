@@ -1,4 +1,4 @@
-"""The outline of a recorded series: enough of it to lay out a plot, however long the run is."""
+"""The outline of a recorded series: of constant size, and sufficient to lay out a plot."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-_SPANS = 512  # a legend's edge is placed to a few pixels
-_ROUNDING = 1e-9  # relative: steps of one length differ by it where frames are at round times
+_SPANS = 512  # the edge of a legend is then known to a few pixels
+_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
 
 
 class Curve:
@@ -19,7 +19,7 @@ class Curve:
         self._low = np.zeros(0)  # (k,)
         self._high = np.zeros(0)  # (k,)
         self._between = (np.inf, -np.inf)  # lowest and highest value without the first and the last
-        self._last = np.zeros(0)  # the last value; empty up to the first, which does not count
+        self._last = np.zeros(0)  # the last value; empty up to the first value, which is left out
         self._begun = False
 
     @classmethod
@@ -30,7 +30,7 @@ class Curve:
         return curve
 
     def see(self, time: FloatArray, value: FloatArray) -> None:
-        """Take further values into account, except those that are not finite. Times (s) follow those seen before."""
+        """Add values that are finite; times (s) follow those added before."""
         finite = np.isfinite(value)
         time, value = time[finite], value[finite]
         self._see_between(value)
@@ -48,12 +48,12 @@ class Curve:
 
     @property
     def is_zero(self) -> bool:
-        """Whether it is 0 throughout, or has no point."""
+        """Whether all values are 0, or there are none."""
         return not (np.any(self._low) or np.any(self._high))
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is constant but for its first and last value: dt begins at 0, and the last step is cut short."""
+        """Whether it is constant without its first and last value: dt begins at 0, and the last step is shortened."""
         low, high = self._between
         return high <= low or high - low <= _ROUNDING * max(abs(low), abs(high))
 
@@ -62,8 +62,8 @@ class Curve:
         return (float(self._time[0]), float(self._time[-1])) if len(self._time) else (np.inf, -np.inf)
 
     def range(self, start: float = -np.inf, end: float = np.inf) -> tuple[float, float]:
-        """Return its lowest and highest value from one time (s) to another; (∞, -∞) if it has none there."""
-        # a span that begins before the window may reach into it
+        """Return the lowest and highest value between two times (s); (∞, -∞) if there is none."""
+        # a span that begins before the interval may reach into it
         first = max(0, int(np.searchsorted(self._time, start, side="right")) - 1)
         last = int(np.searchsorted(self._time, end, side="right"))
         return (

@@ -1,8 +1,7 @@
-"""How the bodies are drawn in a view: in other colours than the recorded ones, and with a least size on the screen.
+"""Overrides by which a view draws bodies: in other colours than the recorded ones, and with a least size on the screen.
 
-A sphere has its true radius in metres. Where that is less than two points of the screen at the camera's distance, the
-view draws a dot of fixed size at the body's centre as well, from the recorded centres: it costs no byte of the
-recording.
+Spheres have their true radii in metres. If that is less than two points of the screen at the camera's distance, the
+view also draws a dot of fixed size at the body's centre. It takes the recorded centres, so the file does not grow.
 """
 
 from __future__ import annotations
@@ -21,18 +20,18 @@ from carom.recording.view.canvas import Area
 from carom.recording.write import encoder as entities
 
 LEAST = 2.0  # points of the screen, the radius of a dot
-_HIDDEN = 1e-12  # of a body's radius: the dot of a body that is large enough
+_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enough
 
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
 def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False) -> Overrides:
-    """Return overrides that add dots to bodies that need one, and take the colours that were sent, if any were."""
+    """Return overrides that add dots to small bodies, and take the colours of a `Supplement` if ``recoloured``."""
     apparent = header.radius / view.height() * area.height  # points
     small = apparent < LEAST
     if not (small.any() or recoloured):
         return {}
-    # Rerun takes negative radii as points of the screen
+    # negative radii are in points of the screen (Rerun)
     dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
     sizes = np.where(small, -LEAST, header.radius).astype(np.float32)
     match entities.shape(header):
@@ -43,7 +42,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
         case "points":
             colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
             return {paths.BODIES: _points(sizes, "Points3D:positions", colours)}
-        case _ if recoloured:  # a mesh has one colour for all
+        case _ if recoloured:  # the instances of a mesh have one colour
             return {paths.BODIES: _points(sizes, "InstancePoses3D:translations", "Points3D:colors")}
         case _:
             return {}
@@ -55,7 +54,7 @@ def _points(radii: NDArray[np.float32], centres: str, colours: str) -> Visualize
 
 
 def _from(sources: dict[str, str]) -> list[VisualizerComponentMapping]:
-    """Say which component each component of a visualizer is taken from."""
+    """Map each component of a visualizer to the one that it is taken from."""
     return [
         VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
         for target, source in sources.items()

@@ -1,4 +1,4 @@
-"""What the 3D views share: where the eye is, and the ground behind the bodies."""
+"""Properties of all 3D views: position of the eye and background."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from carom.recording.view.camera import View
 
 
 def eye(view: View, follows: str | None = None) -> rrb.EyeControls3D:
-    """Place Rerun's eye; it follows an entity if one is given, or all bodies if the view says so."""
+    """Place Rerun's eye; it follows an entity if one is given, or all bodies if ``view.follows``."""
     return rrb.EyeControls3D(
         position=view.eye,
         look_target=view.target,
@@ -19,5 +19,5 @@ def eye(view: View, follows: str | None = None) -> rrb.EyeControls3D:
 
 
 def background() -> rrb.Background:
-    """Return the dark ground of all 3D views."""
+    """Return the dark background."""
     return rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)

@@ -1,4 +1,4 @@
-"""The 3D view of the collision graph: edges and arrows, with the bodies as thin wires."""
+"""The 3D view of the collision graph: edges and arrows, and the bodies as thin wires."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _WIRE = 0x8A93A6FF  # bodies behind arrows and edges
 
 
 def has_graph(header: Header) -> bool:
-    """Tell whether there is anything to show: contacts or torques."""
+    """Return whether there are contacts or torques to show."""
     return header.collides or header.has_torque
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
-    """Show edges, by their impulses if these are recorded, and arrows."""
+    """Return the view; edges are drawn by their impulses if these are recorded."""
     return rrb.Spatial3DView(
         name=_name(header),
         origin="/",
@@ -49,12 +49,12 @@ def _name(header: Header) -> str:
 
 
 def _arrows(header: Header) -> float:
-    """Return how far (m) arrows of a usual length stick out of the bodies."""
+    """Return how far (m) arrows of medium length reach out of the bodies."""
     return entities.arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
 
 
 def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
-    """Draw bodies as thin wires, so that lines and arrows are what one sees."""
+    """Draw bodies as thin wires, so that they do not hide edges and arrows."""
     match entities.shape(header):
         case "ellipsoids":
             thin = rr.Radius.ui_points(0.4)

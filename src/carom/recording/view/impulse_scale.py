@@ -1,7 +1,7 @@
-"""The scale by which contacts and impacts are drawn: impulses of all sizes on eight widths and colours.
+"""The scale of drawn contacts and impacts: eight widths and colours for impulses of any size.
 
-A magnitude m is drawn at u = s / (1 + s), s = (m / m_ref)^⅓, as the length of an arrow is (`arrows`). The eight levels
-of u are equally wide. They save 6 of 8 bytes a contact in the file: neighbours often share one.
+A magnitude m is drawn by u = s / (1 + s), s = (m / m_ref)^⅓, like the lengths of arrows (`arrows`). The eight levels of
+u have equal widths. They save 6 of 8 bytes per contact in the file, because neighbours often have the same level.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
-# Matplotlib's inferno from 0.3 to 1, perceptually uniform, without the end that cannot be seen on a dark ground.
+# Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 COLOURS = np.array(
     [0x6A176EFF, 0x932667FF, 0xBC3754FF, 0xDD513AFF, 0xF37819FF, 0xFCA50AFF, 0xF6D746FF, 0xFCFFA4FF], dtype=np.uint32
 )
 LEVELS = len(COLOURS)
 _THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
-_SMALLEST, _LARGEST = 0.12, 0.60  # radius of the point at an impact, likewise
+_SMALLEST, _LARGEST = 0.12, 0.60  # radius of the point at an impact, in median body radii
 REACH = 2.0  # L_max of an arrow in median body radii
 
 
@@ -32,7 +32,7 @@ def point_radii(radius: FloatArray) -> NDArray[np.float32]:
 
 
 def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
-    """Return the level, 0 to 7, of each magnitude; those up to zero have level 0."""
+    """Return the level of each magnitude, 0 to 7; 0 for magnitudes up to zero."""
     s = np.cbrt(np.maximum(magnitude, 0.0) / reference)
     u = 1.0 - 1.0 / (1.0 + s)  # 1 where s is infinite
     return np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)

@@ -1,8 +1,8 @@
-"""Where the legend of a plot stands, so that it covers no curve.
+"""Placement of a plot's legend, so that it covers no curve.
 
-Rerun draws the legend into a corner of the plot, over the curves. Its size on the screen is known from its texts, and
-that of the plot from the layout and its window. If a curve passes behind a corner, the vertical axis is made longer on
-that side; the corner is the one that needs the least. A legend covers less of a larger window.
+Rerun draws the legend into a corner of the plot, over the curves. The size of the legend follows from its texts, and
+that of the plot from the layout and its window. If a curve passes behind the legend, the vertical axis is extended on
+that side. The legend gets the corner that needs the shortest axis.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from carom.recording.view.canvas import Area
 from carom.recording.view.curve import Curve
 
-_ROW, _FRAME = 23.0, 14.0  # px, height of a line and of the frame with its distance from the border; measured
+_ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
 _LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
 _PAD = 0.05  # of the range of the values, left free above and below
-_LARGEST = 0.75  # of the plot's height: a legend that is larger covers something whatever is done
+_LARGEST = 0.75  # of the plot's height; a larger legend would leave too little room for the curves
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The legend's corner, and the range of the vertical axis; None: the viewer fits the axis to the values."""
+    """The legend's corner, and the range of the vertical axis; None if the viewer fits it to the values."""
 
     corner: rrb.Corner2D
     range: tuple[float, float] | None
@@ -38,9 +38,9 @@ def place_legend(legends: Sequence[str], curves: Sequence[Curve], plot: Area) ->
     Parameters
     ----------
     legends
-        A line of the legend each; none, or one, for a plot without a legend.
+        The lines of the legend; with fewer than two the plot has none.
     curves
-        The outlines of the curves; empty if nothing is known of them.
+        The outlines of the curves; empty if they are unknown.
     plot
         The area between its axes.
     """
@@ -66,12 +66,12 @@ def place_legend(legends: Sequence[str], curves: Sequence[Curve], plot: Area) ->
 
 
 def time_beside_legend(legends: Sequence[str], nanoseconds: NDArray[np.int64], width: float) -> rrb.TimeAxis:
-    """Return a time axis that ends so late that a long legend stands to the right of all curves.
+    """Return a time axis that is long enough for a legend to the right of all curves.
 
     Parameters
     ----------
     legends
-        A line of the legend each.
+        The lines of the legend.
     nanoseconds
         The first and the last time, as recorded, (2,).
     width

@@ -1,7 +1,7 @@
-"""Gives the viewer its light theme, without a screen.
+"""The light theme for pictures that are rendered without a screen.
 
-Rerun 0.41 takes its theme from its settings file only, and its headless mode reads no settings. So a viewer with a
-window is started on a virtual screen (Xvfb), with a settings file in a folder of its own.
+Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Therefore a viewer with
+a window is started on a virtual screen (Xvfb), with a settings file in a temporary folder.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _screen(program: str, size: tuple[int, int]) -> Iterator[str]:
     os.close(writes)
     try:
         with os.fdopen(reads) as told:
-            number = told.readline().strip()  # empty if it ended
+            number = told.readline().strip()  # empty if Xvfb has ended
         if not number:
             raise RecordingError("Xvfb, the virtual screen for the light theme, did not start; take --theme dark")
         yield f":{number}"

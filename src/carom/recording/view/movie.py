@@ -1,4 +1,4 @@
-"""Pictures of a recording at many times, one after another."""
+"""The pictures of a movie: a recording at many times."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ FloatArray = NDArray[np.float64]
 FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
-_FRAMES_EACH = 20  # a viewer needs some seconds to start
+_FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
 _LOOKS = 50  # frames by which the camera is placed
-_LIMIT = 60.0  # s in which a picture must settle
+_LIMIT = 60.0  # s, in which a picture must settle
 
 
 def frame_times(recording: Recording, start: float, end: float, count: int) -> FloatArray:
-    """Return the times (s) of the recorded frames that `count` pictures show, equally spaced from start to end (s).
+    """Return the times (s) of recorded frames for ``count`` pictures, equally spaced from start to end (s).
 
     Raises
     ------
@@ -59,14 +59,14 @@ def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], vie
     """Yield a PNG for each time, in order.
 
     Each comes from a viewer that has settled: two pictures in a row are equal, byte for byte. Several viewers share the
-    work, for each paints on one core.
+    work, because each uses one core.
 
     Parameters
     ----------
     recording
-        What is shown.
+        The recording to show.
     times
-        s, rising; for equal ones the same picture is given again.
+        s, rising; equal times give the same picture.
     size
         Width and height in pixels.
     view
@@ -75,7 +75,7 @@ def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], vie
     Raises
     ------
     RecordingError
-        If there is no Vulkan driver, a viewer ends, or there is nothing that the view could show.
+        If there is no Vulkan driver, a viewer ends, or the recording has nothing to show in the view.
     """
     different = list(dict.fromkeys(times.tolist()))
     supplement = None if recording.is_overlay else _layout(recording, different, size, view)
@@ -94,7 +94,7 @@ def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], vie
 
 
 class _Studio:
-    """A viewer and the one thread that asks it for pictures."""
+    """A viewer, and the thread that takes its pictures."""
 
     def __init__(
         self, stack: ExitStack, recording: Recording, supplement: Supplement | None, size: tuple[int, int], view: str
@@ -105,12 +105,12 @@ class _Studio:
         self._view: str | None = None
         self._started = False
         self._thread = stack.enter_context(ThreadPoolExecutor(1))
-        # the viewer ends first: a thread that waits for a picture then fails at once
+        # at the end the viewer is closed first, so that a thread that waits for a picture fails at once
         self._viewer: Viewer = stack.enter_context(headless(window_of(size, self._whole)))
         stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
 
     def take(self, at: float) -> Future[bytes]:
-        """Take a picture at a time (s), later."""
+        """Request a picture at a time (s)."""
         return self._thread.submit(self._take, at)
 
     def _take(self, at: float) -> bytes:
@@ -127,7 +127,7 @@ class _Studio:
         return self._picture()
 
     def _picture(self) -> bytes:
-        """Take pictures until two in a row are equal: the list of events scrolls one picture after the bodies moved."""
+        """Take pictures until two in a row are equal: the list of events scrolls one picture later than bodies move."""
         last, end = b"", time.monotonic() + _LIMIT
         while (png := self._viewer.screenshot(self._view)) != last:
             last = png
@@ -137,7 +137,7 @@ class _Studio:
 
 
 def _layout(recording: Recording, times: Sequence[float], size: tuple[int, int], view: str) -> Supplement:
-    """Lay out what is shown, with the camera where the bodies of all times are seen unless they get small."""
+    """Lay out the views, with the camera fitted to the bodies of all times."""
     header, positions = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
     some = np.asarray(times)[np.unique(np.linspace(0, len(times) - 1, _LOOKS).astype(int))]
@@ -153,5 +153,5 @@ def _layout(recording: Recording, times: Sequence[float], size: tuple[int, int],
 
 
 def _extent(position: FloatArray) -> float:
-    """Return the median distance (m) from the middle, which a few that escape do not change."""
+    """Return the median distance (m) from the middle, which a few escaping bodies do not change."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))

@@ -19,7 +19,7 @@ _HUNDREDTHS = 100  # of a second: the unit of time of a GIF
 
 
 def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[int, int], fps: float) -> None:
-    """Write PNGs of one size into a movie; the file is there only when it is complete.
+    """Write PNGs of one size into a movie; an incomplete file is removed.
 
     Parameters
     ----------
@@ -28,11 +28,11 @@ def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[i
     pictures
         PNGs, in order.
     count
-        How many they are.
+        Number of pictures.
     size
         Width and height in pixels, both even for .mp4.
     fps
-        Pictures a second.
+        Pictures per second.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[i
 
 
 def require_encoder(path: Path) -> None:
-    """Raise RecordingError if there is no ffmpeg, and the movie needs it."""
+    """Raise RecordingError if the movie needs ffmpeg and there is none."""
     if path.suffix == ".gif":
         return
     try:
@@ -78,14 +78,14 @@ def _write_mp4(path: Path, images: Iterable[Image.Image], size: tuple[int, int],
 
 @contextlib.contextmanager
 def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], Any]]:
-    """Start ffmpeg; yield what takes the pixels of a picture."""
+    """Start ffmpeg; yield the function that takes the pixels of a picture."""
     writer = imageio_ffmpeg.write_frames(
         str(path),
         size,
         fps=fps,
         codec="libx264",
         quality=None,
-        macro_block_size=2,  # of yuv420p; more would scale the pictures
+        macro_block_size=2,  # of yuv420p; the default, 16, would scale the pictures
         output_params=list(_QUALITY),
         ffmpeg_log_level="error",
     )
@@ -97,12 +97,12 @@ def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable
 
 
 def _write_gif(path: Path, images: Iterator[Image.Image], delays: list[int]) -> None:
-    """Write a GIF; each picture has colours of its own."""
+    """Write a GIF; each picture has its own palette."""
     few = (image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE) for image in images)
     next(few).save(path, save_all=True, append_images=few, duration=delays, loop=0, format="GIF")
 
 
 def delays_of(count: int, fps: float) -> list[int]:
-    """Return how long (ms) each picture of a GIF is shown: whole hundredths of a second, of the right sum."""
+    """Return how long (ms) to show each picture of a GIF: whole hundredths of a second with the right sum."""
     ends = [round(_HUNDREDTHS * number / fps) for number in range(count + 1)]
     return [10 * (end - start) for start, end in pairwise(ends)]

@@ -31,7 +31,7 @@ def show(recording: Recording, at: float | None, height: int, event: str | None,
             'a notebook needs rerun-notebook; install it with: pip install "carom[notebook]"'
         ) from None
     shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
-    waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer goes to no time before it knows the timeline
+    waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer ignores times until it knows the timeline
 
     def pause(happened: ViewerEvent) -> None:
         if type(happened) in waiting:

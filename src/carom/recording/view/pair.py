@@ -1,4 +1,4 @@
-"""`Pair`: the two ends of the contact that the close-up view is about, and how it is chosen."""
+"""`Pair`: the two ends of the contact in the close-up view, and how it is chosen."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Pair:
     """Two ends of a contact."""
 
     i: int
-    j: int | None  # None: what it touches is no body
-    plane: int | None = None  # the number of the plane or wall that it touches
+    j: int | None  # None if i touches a plane or a wall
+    plane: int | None = None  # number of that plane or wall
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies, given by numbers or names with a comma between them.
+    """Read two bodies from numbers or names with a comma between them.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def named_pair(recording: Recording, text: str) -> Pair:
         raise RecordingError(f"--bodies {text}: expected two bodies with a comma between them, such as 0,1")
     first, second = (body_number(recording, part) for part in given)
     if first == second:
-        raise RecordingError(f"--bodies {text}: is one body; give two")
+        raise RecordingError(f"--bodies {text}: this is one body; give two")
     for body in (first, second):
         if body not in recording.shown:
             names = recording.bodies.name
@@ -49,12 +49,12 @@ def named_pair(recording: Recording, text: str) -> Pair:
 
 
 def hardest_pair(recording: Recording) -> Pair | None:
-    """Return the bodies of the run's hardest impact; None where none is known."""
+    """Return the pair of the run's hardest impact; None if none is recorded."""
     return _pair(recording, dict(recording.closing), "moments.impact.")
 
 
 def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
-    """Return the ends of a step's contact that closed fastest, else the one resolved first; None without contacts."""
+    """Return the ends of the contact with the largest impulse (if unknown, of the first); None without contacts."""
     graph = frame.contacts
     if not len(graph):
         return None
@@ -70,7 +70,7 @@ def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
     Raises
     ------
     RecordingError
-        If there is none of this name.
+        If there is no such event.
     """
     closing = dict(recording.closing)
     if f"moments.{name}.time" in closing:

@@ -18,19 +18,19 @@ from carom.recording.view.presentation import asked
 from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
 
-_ALIKE = 3  # equal pictures in a row, after which nothing is still loading
-_PAUSE = 0.7  # s between two of them
+_ALIKE = 3  # equal pictures in a row, after which everything is loaded
+_PAUSE = 0.7  # s, between two pictures
 _LIMIT = 120.0  # s
-_NOTE = 6.0  # s for which a viewer with a window shows a note over the picture, once it has started
-_BORDER = (7, 71)  # points of a window about its only view, that is title, edges and the strip to move the window by
+_NOTE = 6.0  # s after its start, for which a viewer with a window shows notes over the picture
+_BORDER = (7, 71)  # points of a window around a single view: edges, title and title bar
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """What a picture shows."""
+    """The moment that a picture shows."""
 
     time: float  # s
-    missing: str  # why it shows the frame before the step that was asked for; empty where it shows the step
+    missing: str  # why it shows the frame before the requested step; empty if it shows the step
 
 
 def render(
@@ -116,7 +116,7 @@ def render(
 
 
 def _refuse_unwritable(path: Path) -> None:
-    """Raise RecordingError before a minute of rendering is lost."""
+    """Raise RecordingError for a file that cannot be written, before a minute of rendering."""
     if path.is_dir():
         raise RecordingError(f"cannot write {path}: it is a folder; name a file")
     if not path.parent.is_dir():
@@ -126,7 +126,7 @@ def _refuse_unwritable(path: Path) -> None:
 
 
 def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
-    """Return the size (pixels) of the window in which all of it, or its only view, has a size."""
+    """Return the size (pixels) of the window that gives the picture this size: all of it, or its only view."""
     return size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
 
 
@@ -143,7 +143,7 @@ def headless(size: tuple[int, int], theme: str = "dark") -> Iterator[Viewer]:
 
 
 def settled(viewer: Viewer, view: str | None) -> bytes:
-    """Take pictures until they stay the same: the viewer loads what it shows bit by bit."""
+    """Take pictures until they stay the same, because the viewer loads in parts; return the last."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT
     while alike < _ALIKE:

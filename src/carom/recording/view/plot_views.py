@@ -1,4 +1,4 @@
-"""The plots of the recorded series: what says nothing is left out, and no legend covers a curve."""
+"""The plots of the recorded series, without series that stay at 0 or constant."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carom.recording.view.legend import place_legend
 
 Curves = Mapping[str, Curve]  # by the paths of the series
 
-_NUMBERS = (60.0, 18.0)  # points, of those beside a plot and below it
+_NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
 
 
 def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.View | rrb.Container]:
@@ -24,9 +24,9 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     Parameters
     ----------
     header
-        Of the recording; a series that its scene does not require is not there.
+        Of the recording; it says which series there are.
     curves
-        The outlines of the series, once they are recorded. A plot whose curves all stay at 0 is then left out.
+        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0 are left out.
     row
         The area of all columns together.
     """
@@ -44,7 +44,7 @@ def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
-    """Return the series of a plot that have something to show."""
+    """Return the series of a plot that are recorded and, if the curves are known, do not stay at 0."""
     series = [series for series in recorded(header) if series.plot == plot]
     return series if curves is None else [each for each in series if _speaks(each, curves)]
 
@@ -62,7 +62,7 @@ def _plot(plot: Plot, series: Sequence[Series], curves: Curves | None, area: Are
 def time_series_view(
     title: str, paths: Sequence[str], legends: Sequence[str], curves: Sequence[Curve], area: Area
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot whose legend covers no curve; ``curves`` are empty while nothing is known of them."""
+    """Lay out a plot whose legend covers no curve; ``curves`` are empty during the run."""
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
@@ -76,7 +76,7 @@ def time_series_view(
 
 
 def whole_time() -> rrb.TimeAxis:
-    """Show all of the time: by default a plot shows no more than a minute about the cursor."""
+    """Return an axis of the whole time; by default a plot shows a minute around the cursor."""
     return rrb.TimeAxis(
         view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
     )

@@ -1,4 +1,4 @@
-"""`Presentation`: how a recording is shown at one moment: the step, where the camera stands, what is laid out."""
+"""`Presentation`: how a recording is shown at one moment: step, camera and layout."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from carom.recording.view.trails import Trails, has_trails
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows
 
-_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent again for steps that were run again
+_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
-    """A moment of a recording, and what the viewer is given to show it."""
+    """A moment of a recording, and what the viewer gets to show it."""
 
-    time: float  # s, where the viewer pauses
-    missing: str  # why the step itself is not shown, but the frame before it; empty where it is
+    time: float  # s, at which the viewer pauses
+    missing: str  # why it shows the frame before the step; empty if it shows the step
     supplement: Supplement
 
 
@@ -101,28 +101,28 @@ def presentation(
     Parameters
     ----------
     recording
-        What is shown.
+        The recording to show.
     moment
         s.
     canvas
         The window.
     only
-        The one view to show, or all.
+        A single view, or all.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     plots
         Of single bodies.
     colour_by
-        What tells the bodies apart, one of `colouring.COLOUR_BY`; by default what the scene says.
+        What colours the bodies, one of `colouring.COLOUR_BY`; by default as recorded.
     dense
-        Whether all steps up to the next recorded frame are wanted.
+        Whether to add all steps up to the next recorded frame.
     watch
-        Called while steps are run again.
+        Called while steps are repeated.
 
     Raises
     ------
     RecordingError
-        If there is no frame, or nothing that the view could show.
+        If there is no frame, or nothing to show in the view.
     """
     header = header_of_recording(recording)
     step = shown_step(recording, moment, dense=dense, watch=watch)
@@ -134,7 +134,7 @@ def presentation(
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
     statics = list(close.statics(header)) if close else []
     if trails is not None:
-        if not header.collides:  # orbits: without contacts, the paths are what there is to see
+        if not header.collides:  # orbits: the paths must be inside the view
             trails.show(camera, step.time)
         rows += trails.rows()
         statics += trails.statics()
@@ -159,7 +159,7 @@ def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
 
 
 def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Rows]:
-    """Yield the rows of the steps that were run again, unless all of them are recorded."""
+    """Yield the rows of the repeated steps, unless all of them are recorded."""
     recorded = recording.fingerprints()[STEP].to_numpy()
     if all(np.any(recorded == frame.step) for frame in step.added):
         return

@@ -1,4 +1,4 @@
-"""Colours the bodies of a recording otherwise than it was recorded; the viewer is sent the colours on top of it."""
+"""Other colours for the bodies of a recording, in rows that the viewer gets on top of the file."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _CONTACT_ENDS = "LineStrips3D:strips"
 
 
 def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) -> list[Rows]:
-    """Return the colours of the bodies at all frames, and at the steps that were run again.
+    """Return the colours of the bodies at all frames and at repeated steps.
 
     Raises
     ------
     RecordingError
-        If the recording does not have what they depend on.
+        If the recording lacks the data for them.
     """
     n = len(header.radius)
     if n * recording.frames > _MOST:
@@ -50,13 +50,13 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
         found = _by_contacts(recording, n, by, step)
     steps, times, colours = (list(column) for column in zip(*found, strict=True))
     flat = np.concatenate(colours)
-    # Rerun prefers static colours to these of the same component, so they are those of another archetype
+    # Rerun prefers static values of the same component, so these colours belong to another archetype
     archetype = rr.Points3D if entities.shape(header) != "points" else rr.Ellipsoids3D
     return [Rows(paths.BODIES, steps, times, archetype.columns(colors=flat).partition([n] * len(steps)), flat.nbytes)]
 
 
 def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, Colours]]:
-    """Take speeds from the distances between frames, and of steps that were run again the exact ones."""
+    """Take speeds from distances between frames; those of repeated steps are exact."""
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
     if len(times) < 2:
@@ -105,7 +105,7 @@ def _contact_ends(recording: Recording) -> dict[int, NDArray[np.float32]]:
 
 
 def _pairs(ends: NDArray[np.float32] | None, position: NDArray[np.float32]) -> IntArray:
-    """Find the bodies that edges join: an edge begins at a centre, to the bit, and ends at one or on a plane."""
+    """Find the bodies that edges join: the ends of an edge equal their centres bit by bit, or lie on a plane."""
     if ends is None or len(ends) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     n = len(position)

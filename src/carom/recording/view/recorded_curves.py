@@ -1,4 +1,4 @@
-"""The outlines of the series that a recording has, for a layout that is made after the run."""
+"""The outlines of the series of a recording, for layouts that are made after the run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from carom.recording.view.curve import Curve
 
 
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:
-    """Return the outlines of all plotted series that are there, by their paths; up to a step if one is given."""
+    """Return the outlines of all recorded and plotted series, by their paths; up to a step if one is given."""
     curves: dict[str, Curve] = {}
     tables = {ENERGY: recording.energy(), STEP: recording.steps()}
     for series in SERIES:

@@ -16,7 +16,7 @@ from carom.scene.half_space import HalfSpaces
 
 
 def header_of_recording(recording: Recording) -> Header:
-    """Return the header of a recorded run, as far as its file tells."""
+    """Return the header of a recorded run, as far as the file has it."""
     info, bodies = recording.info, recording.bodies
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
     nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
@@ -29,10 +29,10 @@ def header_of_recording(recording: Recording) -> Header:
         names=bodies.name,
         group=bodies.group,
         mass=bodies.mass,
-        radius=bodies.radius[recording.shown],  # of a clip of some bodies, which is drawn like the whole
+        radius=bodies.radius[recording.shown],  # a clip may show only some bodies
         inertia=bodies.inertia,
         spins=bool(info["spins"]),
-        has_orientation=bool(info.get("has_orientation", info["spins"])),  # without it: recorded when all went together
+        has_orientation=bool(info.get("has_orientation", info["spins"])),  # older recordings have one flag
         has_torque=bool(info.get("has_torque", info["spins"])),
         has_friction=bool(info.get("has_friction", info["spins"])),
         forces=frozenset(kind.name for kind in FORCES if info.get(kind.present)),
@@ -50,6 +50,6 @@ def header_of_recording(recording: Recording) -> Header:
 
 
 def _colour_by(info: Mapping[str, Any]) -> str:
-    """Return what the recorded colours tell; recordings made before there was a choice do not say."""
+    """Return what the bodies are coloured by; older recordings do not store it."""
     known = str(info.get("colour_by", "auto"))
     return known if known in COLOUR_BY else "auto"

@@ -13,7 +13,7 @@ from carom.scene.names import in_series
 
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    """Say what one is looking at: the run, the scales and the colours."""
+    """Return the document."""
     parts = [f"# {header.title}", header.description.strip(), _run(header), _scales(header, clock, origin)]
     return "\n\n".join(part for part in [*parts, _legend(header)] if part) + "\n"
 
@@ -75,7 +75,7 @@ def _legend(header: Header) -> str:
 
 
 def _impulse_legend(header: Header) -> list[str]:
-    """Say how impulses and impacts are drawn."""
+    """Explain how impulses and impacts are drawn."""
     longest = arrow_length(header, FORCE_NORMAL)
     friction = ", and the friction on it (green)" if header.has_friction else ""
     return [

@@ -1,4 +1,4 @@
-"""`ShownStep`: the step that a moment is in. If it has no frame, or for what no frame has, it is run again."""
+"""`ShownStep`: the step that a moment is in. It is repeated if it has no frame, and for data that frames lack."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from carom.recording.schema.timelines import STEP
 FloatArray = NDArray[np.float64]
 Watcher = Callable[[StepStatus], None]
 
-PATIENCE = 60.0  # s of running again, for a step that has no frame
-IMPATIENCE = 10.0  # s, for one that has
+PATIENCE = 60.0  # s of repeated steps, for a step without a frame
+IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
 _MOST_BYTES = 50_000_000  # of the frames between two recorded ones
 _BODY_BYTES = 300  # of a frame
 
@@ -35,25 +35,25 @@ class ShownStep:
     step: int
     time: float  # s, at its end
     position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
-    frame: Frame | None = None  # the step, if it was run again
-    before: Frame | None = None  # the frame before those that are added
-    added: Sequence[Frame] = ()  # steps between recorded frames, this one among them, and the frame after them
-    missing: str = ""  # why there is no frame though the step has none in the recording
+    frame: Frame | None = None  # the step, if it was repeated
+    before: Frame | None = None  # the frame before those of `added`
+    added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
+    missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
 
 
 def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: Watcher = lambda _: None) -> ShownStep:
-    """Find the step that a time (s) is in, and run it again as far as that takes no more than a minute.
+    """Find the step that a time (s) is in, and repeat it if that takes no more than a minute.
 
     Parameters
     ----------
     recording
-        What is shown.
+        The recording to show.
     at
         s.
     dense
-        Whether all steps up to the next recorded frame are wanted, not only the one.
+        Whether to add all steps up to the next recorded frame.
     watch
-        Called while it runs again.
+        Called while steps are repeated.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
     if len(recording.shown) != int(recording.info["bodies"]):
-        return drawn  # a clip of some bodies shows no others
+        return drawn  # a clip of some bodies, which cannot be repeated
     goal = float(times[row]) if row is not None else at - tolerance(at)
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
@@ -85,7 +85,7 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
 def _run(
     recording: Recording, goal: float, times: FloatArray, limit: float, dense: bool, watch: Watcher
 ) -> ShownStep | None:
-    """Run the steps up to the one that a time (s) is in, or to the next frame; None if that takes too long."""
+    """Repeat the steps up to the one that a time (s) is in, or to the next frame; None if that takes too long."""
     own = int(np.searchsorted(times, goal))
     earlier = float(times[max(0, own - 1)])
     until = float(times[own]) if dense and own < len(times) else goal

@@ -1,4 +1,4 @@
-"""`Supplement`: what a viewer is given on top of a recording; the file stays as it is."""
+"""`Supplement`: rows and a layout that a viewer gets on top of a recording; the file does not change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trails: the paths of a few bodies up to the moment that is shown. The viewer is sent them on top of a recording."""
+"""Trails: the paths of a few bodies up to the moment that is shown, in rows that the viewer gets on top of the file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from carom.recording.write.rows import Rows
 TRAILS = "trails"
 
 _MOST_BODIES = 40
-_MOST_FRAMES = 2000  # longer paths are drawn by every k-th frame
+_MOST_FRAMES = 2000  # longer paths take every k-th frame
 
 
 class Trails:
-    """The paths of all bodies of a recording, a piece from frame to frame."""
+    """The paths of all bodies of a recording, as pieces from frame to frame."""
 
     def __init__(self, recording: Recording, header: Header) -> None:
         drawn = drawn_paths(recording, range(len(header.radius)))
@@ -40,7 +40,7 @@ class Trails:
         self._group = header.group[recording.shown]
 
     def show(self, camera: CameraFit, until: float) -> None:
-        """Let the camera take them into account, up to a time (s)."""
+        """Make the camera include the paths up to a time (s)."""
         past = self._position[self._times <= until]
         camera.include(past.reshape(-1, 3).astype(np.float64))
 
@@ -50,7 +50,7 @@ class Trails:
         yield TRAILS, rr.LineStrips3D.from_fields(colors=colours, radii=rr.Radius.ui_points(0.75))
 
     def rows(self) -> Iterable[Rows]:
-        """Yield the pieces, each at the frame that it leads to; those through the border of a box have no length."""
+        """Yield the pieces, each at the frame where it ends; pieces through the border of a box have no length."""
         begin, end = self._position[:-1], self._position[1:]
         if self._box is not None:
             end = np.where(np.abs(end - begin) > self._box / 2, begin, end)
@@ -61,12 +61,12 @@ class Trails:
 
 
 def has_trails(recording: Recording) -> bool:
-    """Tell whether a recording has so few bodies that their paths are legible."""
+    """Return whether a recording has few enough bodies for their paths to be legible."""
     return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
 
 
 def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
-    """Return the override by which a view shows all pieces up to the moment that it shows."""
+    """Return the override by which a view shows all pieces up to the cursor."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
     return {TRAILS: rrb.VisibleTimeRanges(ranges)}

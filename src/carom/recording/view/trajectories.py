@@ -26,13 +26,13 @@ FloatArray = NDArray[np.float64]
 
 PROPERTY = "tradeoff"
 
-PATHS_UP_TO = 20  # bodies whose whole paths are drawn; of more bodies only positions
+PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, not paths
 SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedTrajectory:
-    """One run: its name, where its bodies were, and how far they were from the reference."""
+    """One run: its name, the positions of its bodies, and their distance from the reference."""
 
     name: str
     position: FloatArray  # (K, n, 3) m
@@ -53,7 +53,7 @@ def write_trajectories(
     radius
         (n,) m.
     trajectories
-        The reference first: it is drawn grey, the others each in a colour of its own.
+        The reference first, which is drawn grey; each of the others has its own colour.
 
     Raises
     ------

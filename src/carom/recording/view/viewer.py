@@ -53,7 +53,7 @@ class Viewer:
             stderr=self._log,
             stdin=subprocess.DEVNULL,
             env=environment,
-            start_new_session=True,  # the interrupt key is meant for the run, not for the window that watches it
+            start_new_session=True,  # the interrupt key must end the run, not the window
         )
         try:
             self.until("start", _START, self._listens)
@@ -72,20 +72,20 @@ class Viewer:
         self._end()
 
     def open(self, address: str) -> None:
-        """Open a file, or what a server offers."""
+        """Open a file or an address of a server."""
         self._ask(lambda: self.client.open(address))
 
     def show(self, recording: Recording) -> None:
-        """Load a recording, and wait until it is there."""
+        """Load a recording; wait until it is loaded."""
         self.open(str(recording.path.resolve()))
         self.until("load the recording", _LOAD, lambda: not self._ask(self.client.get_state).loading)
 
     def add(self, supplement: Supplement) -> None:
-        """Add rows and a layout to the recording that is shown; the file stays as it is."""
+        """Add rows and a layout to the recording that is shown; the file does not change."""
         shown = self._ask(self.client.get_state).active_recording
         if shown is None:
             raise RecordingError("the viewer shows no recording")
-        _, application, recording_id = shown.split(":")  # the viewer gives a file an application id of its own
+        _, application, recording_id = shown.split(":")  # the viewer gives each file its own application id
         self._ask(lambda: supplement.send(f"rerun+http://{self.address}/proxy", application, recording_id))
 
     def go_to(self, recording: Recording, at: float) -> None:
@@ -95,25 +95,25 @@ class Viewer:
         self._ask(lambda: self.client.set_time(SIM_TIME, duration=shown, play_state="paused"))
 
     def screenshot(self, view: str | None = None) -> bytes:
-        """Take a view, or else the whole window, as a PNG."""
+        """Return a PNG of a view, or of the whole window."""
         return self._ask(lambda: self.client.take_screenshot(view))
 
     def only_view(self) -> str:
-        """Return the id of the view that a layout of one view has, once it is laid out."""
+        """Wait until a layout with a single view is laid out; return the view's id."""
         self.until("lay out the view", _LOAD, lambda: len(self._ask(self.client.get_state).views) == 1)
         return str(self._ask(self.client.get_state).views[0].view_id)
 
     @property
     def address(self) -> str:
-        """Where a live recording can be sent."""
+        """The address that a live recording can be sent to."""
         return f"{HOST}:{self._port}"
 
     def wait(self) -> None:
-        """Wait until the person closes the window."""
+        """Wait until the window is closed."""
         self._process.wait()
 
     def outlast(self, seconds: float) -> None:
-        """Wait; RecordingError if the process ends meanwhile: it listens before it has a window."""
+        """Wait for some seconds; raise RecordingError if the process ends, since it listens before it has a window."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
         self._fail_if_ended()
@@ -123,7 +123,7 @@ class Viewer:
             return probe.connect_ex((HOST, self._port)) == 0
 
     def _ask(self, question: Callable[[], _T]) -> _T:
-        """Ask the viewer; on failure report that its process has ended, if it has."""
+        """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended."""
         try:
             return question()
         except Exception as error:
@@ -133,7 +133,7 @@ class Viewer:
             raise RecordingError(f"the viewer does not answer: {error}") from error
 
     def until(self, what: str, limit: float, done: Callable[[], bool]) -> None:
-        """Poll until something is done; RecordingError if the process ends or the time runs out first."""
+        """Poll until ``done``; raise RecordingError if the process ends or the time runs out first."""
         end = time.monotonic() + limit
         while not done():
             self._fail_if_ended()
@@ -159,7 +159,7 @@ class Viewer:
 
 
 def start_live_viewer() -> str:
-    """Open a window that waits for a run, and outlives it; return the address to record to.
+    """Open a window that waits for a run and stays open after it; return the address to record to.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def start_live_viewer() -> str:
 
 
 def _reason(said: str) -> str:
-    """Turn the log of a viewer that ended into an explanation with a remedy."""
+    """Return an explanation, with a remedy, of the log of a viewer that ended."""
     lowered = said.lower()
     if "wgpu" in lowered or "vulkan" in lowered or "graphics" in lowered or "adapter" in lowered:
         return _VULKAN
@@ -184,7 +184,7 @@ def _reason(said: str) -> str:
 
 
 def binary() -> str:
-    """Find the viewer that belongs to the installed rerun-sdk, not one that happens to be on the PATH."""
+    """Find the viewer of the installed rerun-sdk; one on the PATH may have another version."""
     spec = importlib.util.find_spec("rerun_cli")
     for folder in (spec.submodule_search_locations or []) if spec else []:
         for name in ("rerun", "rerun.exe"):
@@ -194,12 +194,12 @@ def binary() -> str:
 
 
 def has_screen() -> bool:
-    """Tell whether windows can be opened, as far as that is known beforehand."""
+    """Return whether windows can be opened, as far as the environment tells."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
 
 
 def free_port() -> int:
-    """Return a port of this machine on which nobody listens now."""
+    """Return a free port of this machine."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])

@@ -1,4 +1,4 @@
-"""Opens a recording in a window of the viewer, at a moment."""
+"""Opens a recording in a viewer window, at a moment."""
 
 from __future__ import annotations
 

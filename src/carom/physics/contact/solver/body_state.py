@@ -1,6 +1,6 @@
-"""The velocities of bodies in contact, as records that a solver iteration finds in two cache lines each.
+"""Velocities of the bodies in contact, as records of two cache lines each.
 
-Only bodies that touch anything are gathered: among 10⁶ in flight they are few.
+Only bodies that touch something are gathered. Of 10⁶ bodies in flight they are few.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MIN_CONTACTS_PER_TASK = 10_000
 
 
 def active_bodies(pairs: IntArray, count: int, team: Team) -> IntArray:
-    """Return those of `count` bodies and planes that are in a pair, in rising order."""
+    """Return the indices, among ``count`` bodies and planes, that occur in a pair, in rising order."""
     touches = np.zeros(count, dtype=np.bool_)
     team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _mark, pairs, touches)
     return np.flatnonzero(touches)
@@ -44,7 +44,7 @@ def gather(
     inverse_inertia: FloatArray,
     bodies: Records,
 ) -> None:
-    """Write the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
+    """Copy the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
     for k in range(lo, hi):
         b = active[k]
         body = bodies[b]
@@ -59,7 +59,7 @@ def gather(
 
 @long_kernel
 def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, omega: FloatArray) -> None:
-    """Write their velocities back."""
+    """Copy the velocities of the active bodies [lo, hi) back into the arrays."""
     for k in range(lo, hi):
         b = active[k]
         body = bodies[b]
@@ -68,9 +68,9 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
             omega[b, 0], omega[b, 1], omega[b, 2] = body.wx, body.wy, body.wz
 
 
-# The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n point in opposite
-# directions, like the impulses, so that r × J is ρ λ_t × n for both. A body that does not move is not written to:
-# contacts of a colour may share it, and threads would pass its cache line around.
+# The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n of i and j point in
+# opposite directions, and so do the impulses, so r × J is ρ λ_t × n for both. Fixed bodies are not written to: several
+# contacts of a colour may share one, and its cache line would move from core to core.
 
 
 @inline
@@ -85,7 +85,7 @@ def apply_impulse(contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: 
 def accumulate_impulse(
     contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: float, ty: float, tz: float
 ) -> None:
-    """Add what an impulse would change of the velocities to what the iteration changes of them."""
+    """Add the change of velocities by an impulse, in N s, to that of the iteration."""
     accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
         accumulate_turn(contact, a, b, tx, ty, tz)
@@ -123,7 +123,7 @@ def turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
 
 @inline
 def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
-    """Add what `push` does to the changes."""
+    """Add the changes by `push` to those of the iteration."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
         a.dvx -= Jx * mi
@@ -137,7 +137,7 @@ def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
 
 @inline
 def accumulate_turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
-    """Add what `turn` does to the changes."""
+    """Add the changes by `turn` to those of the iteration."""
     nx, ny, nz = contact.nx, contact.ny, contact.nz
     lx, ly, lz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia

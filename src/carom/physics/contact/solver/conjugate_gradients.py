@@ -1,15 +1,16 @@
-"""Conjugate gradients for contacts that last, where iterations hand a load on too slowly.
+"""Conjugate gradients for resting contacts, where Gauss-Seidel iterations converge too slowly.
 
-After the iterations it is mostly known which contacts carry a load and which of these stick. For those the conditions
-of `solve` are equations,
+After the iterations it is mostly known which contacts carry a load and which of these stick. For these contacts the
+conditions of `solve` become equations,
 
     v_n + c = 0,    u = 0        or  A s = -(v + c),  A = G M⁻¹ Gᵀ,
 
-with s the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
-diagonal of A; a contact that would pull is then let go, and iterations say anew which contacts carry a load (projected
-Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010).
+where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
+diagonal of A. Contacts that would pull are then released, and further Gauss-Seidel iterations find again which contacts
+carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010).
 
-A stack of n spheres takes some n iterations, and about n² of `solve`; so does a load on much lighter spheres.
+A stack of n spheres takes about n iterations here and about n² of `solve`. The same holds for a load on much lighter
+spheres.
 """
 
 from __future__ import annotations
@@ -20,20 +21,19 @@ from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inner, kernel
 
-# What a contact may close at when the search ends, in m/s. It begins where one closes at `BAD_ENOUGH` times as
-# much. Chosen so that the columns of tests/physics/test_convergence.py stand; with a tenth of the first number
-# cloud-collapse takes twice as long, and none of its errors changes by a tenth.
-BAD_ENOUGH = 10.0  # times what is tolerated: what begins with less is left as it is
-PART_OF_REST = 0.3  # of the speed at which a contact at rest closes without an impulse
+# The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
+# a tenth of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
+BAD_ENOUGH = 10.0  # times the tolerated speed: the search begins if a contact closes faster than this
+PART_OF_REST = 0.3  # of the rest speed
 PART_OF_APPROACH = 0.03  # of the speed at which an impact closed
-PART_OF_RADIUS = 3e-5  # of the smaller radius in a step
-DEEP = 5e-3  # of the smaller radius: what rests so deep has sunk, little by little, and may close at
-PART_WHEN_DEEP = 1e-2  # of the speed at rest only
+PART_OF_RADIUS = 3e-5  # of the smaller radius, per step
+DEEP = 5e-3  # of the smaller radius: a resting contact with more overlap has sunk over many steps
+PART_WHEN_DEEP = 1e-2  # of the rest speed, for such a contact
 
 
 @inner
 def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Find by how much, in m/s, a contact misses its condition by more than is tolerated; 0 if none does."""
+    """Find by how much the worst contact of a piece exceeds its tolerance, in m/s; 0 if none does."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
@@ -52,7 +52,7 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
         if contact.normal_impulse > 0.0:
             missed = abs(missed)
         small = min(ri, rj) if rj > 0.0 else ri
-        # Before a drift the approach is that of the step before, which no checkpoint keeps.
+        # Before a drift, approach_speed is from the previous step, and checkpoints do not store it.
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
         excess = max(excess, missed - (tolerance * allowed + negligible))
@@ -61,7 +61,17 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
 
 @kernel
 def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step: float) -> float:
-    """Return the speed at which a contact may close, in m/s, given its depth in radii and m/s for a radius a step."""
+    """Return the closing speed that a contact may keep, in m/s.
+
+    Parameters
+    ----------
+    rest_speed, approach
+        m/s, of the contact.
+    depth
+        Overlap over the smaller radius.
+    radius_per_step
+        m/s, smaller radius over dt.
+    """
     if approach <= rest_speed and depth > DEEP:
         return PART_WHEN_DEEP * rest_speed
     return min(max(PART_OF_REST * rest_speed, PART_OF_APPROACH * approach), PART_OF_RADIUS * radius_per_step)
@@ -69,7 +79,7 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 
 @inner
 def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Go α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
+    """Move by α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     settings = system.settings[0]
     alpha = settings.alpha
@@ -105,7 +115,7 @@ def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
 
 @inner
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
-    """Find which impulses are free: normal ones of contacts that push or close, tangential ones of those that stick."""
+    """Find the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
     count = len(system.bodies) - (len(system.materials) - 1)
     for c in range(lo, hi):
@@ -154,7 +164,7 @@ def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
 
 @inner
 def project(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Let go of contacts that would pull, and lay out what is left of the change for a line search."""
+    """Release contacts that would pull; store the remaining change of the impulses for a line search."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     spins, slope = system.settings[0].spins, 0.0
     for c in range(lo, hi):

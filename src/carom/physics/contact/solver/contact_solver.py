@@ -1,4 +1,4 @@
-"""The contact solver: the contacts of one step after the other as records, and the team that works on them."""
+"""The contact solver: it owns the records of the contacts and runs the solver's phases on them."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 MIN_PER_TASK = 1000  # contacts or bodies
-TOUCHING = 1e-9  # of the sum of radii; a smaller gap is none: iterations and rounding leave lasting contacts there
-CACHED_CONTACTS = 64  # contacts whose records are in the nearest cache
-SHARED_FROM = 4096  # contacts; below, to gather a team costs what it saves
+TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
+CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
+SHARED_FROM = 4096  # contacts; with fewer, gathering a team takes as long as it saves
 
 
 class ContactSolver:
-    """Resolves the contacts of one step after the other.
+    """Finds the impulses of the contacts of each step.
 
     Parameters
     ----------
     bodies, planes
-        What may touch.
+        The possible ends of a contact.
     materials
         (1 + p,) `MATERIAL`: between bodies, then of each plane.
     box
@@ -61,9 +61,9 @@ class ContactSolver:
     friction
         Whether impulses turn bodies.
     team
-        Who works.
+        Threads that share the work.
     records
-        Whether the impulses of impacts are kept, in `recorded`.
+        Whether to keep the impulses of impacts, in `recorded`.
     """
 
     def __init__(
@@ -92,8 +92,8 @@ class ContactSolver:
         self._normals = Room(columns=3)
         self._islands = Islands(count, team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
-        self._active = np.zeros(0, dtype=np.int64)  # bodies and planes that touch anything
-        self._fastest = 0.0  # m/s, at which a contact closed before the impulses
+        self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
+        self._fastest = 0.0  # m/s, the fastest approach before the impulses
         self._body_states = aligned_empty(count, BODY_STATE)
         self._island = np.empty(count, dtype=np.int64)
         self._island_sums = np.empty(count, ISLAND)
@@ -102,14 +102,16 @@ class ContactSolver:
         self._code = PhaseCode(friction)
 
     def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
-        """Lay out contacts, with nothing done to them yet, and find where they meet.
+        """Begin a step: lay out the records of its contacts, and find their geometry.
 
         Parameters
         ----------
+        order
+            The contacts, in the order in which they are solved.
         keep
-            What `contacts` was of an earlier step, if it is still wanted.
+            `contacts` of an earlier step that must not be overwritten.
         rounding
-            m, of the coordinates: a gap up to this is none.
+            m, of the coordinates; a gap up to this counts as contact.
         """
         m, bodies, ends, planes = len(order.pairs), self._bodies, self._bodies.ends, self._planes
         room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
@@ -150,7 +152,7 @@ class ContactSolver:
 
     @property
     def contacts(self) -> Records:
-        """(m,) `CONTACT`, by place like what follows."""
+        """(m,) `CONTACT`, in the order in which the contacts are solved, as in all properties below."""
         return self._system.contacts
 
     @property
@@ -180,7 +182,7 @@ class ContactSolver:
 
     @property
     def overlaps(self) -> FloatArray:
-        """(m,) m; minus the gap where there is one."""
+        """(m,) m; negative for a gap."""
         return self._system.states["overlap"]
 
     @property
@@ -190,55 +192,56 @@ class ContactSolver:
 
     @property
     def approach(self) -> FloatArray:
-        """(m,) m/s: the speed at which each contact closed when it was first visited, or faster when it was struck."""
+        """(m,) m/s, the fastest approach of each contact in the iterations of this step."""
         return self._system.states["approach_speed"]
 
     @property
     def found_overlaps(self) -> FloatArray:
-        """(m,) m, as the contacts were found, before any push, like ``found_normals``, (m, 3); 0 where there is a gap.
+        """(m,) m, overlaps before the position correction; 0 for a gap. ``found_normals``, (m, 3), are from then, too.
 
-        What touched then is resolved though a push opens it, or it falls and is pushed back for ever.
+        A contact that the position correction opens is resolved all the same. Otherwise the body would fall and be
+        pushed back in every step.
         """
         return self._system.states["found_overlap"]
 
     @property
     def ledger(self) -> FloatArray:
-        """(m, 3) J: what left by restitution and by friction, what stabilisation put in."""
+        """(m, 3) J: losses by restitution and by friction, gain by stabilisation."""
         return terms_of(self._system.states)
 
     @property
     def audited(self) -> FloatArray:
-        """(k, 3) J: what holding the contacts last booked into the ledger, in sums over pieces."""
+        """(k, 3) J: the same of the last `hold`, summed over each piece."""
         return terms_of(self._system.found)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
-        """(m,) whether each contact touched when it was found, or carried an impulse when it was last held."""
+        """(m,) whether each contact touched when it was found or carries an impulse."""
         carries: NDArray[np.bool_] = self._system.contacts["normal_impulse"] > 0.0
         return ~self._system.states["apart"] | carries
 
     def statistics(self) -> ContactStatistics:
-        """Count the contacts that are seen, and what all of them did."""
+        """Count the contacts that are `seen`, and sum their ledgers."""
         return ContactStatistics.of(
             self._system.pairs, self._system.contacts, self._system.states, self._bodies.ends, self._team
         )
 
     def compile_phases(self) -> None:
-        """Compile the phases of holding contacts, without doing any."""
+        """Compile the phases of `hold` without running them."""
         self._code.compile_ahead(RESTING, self._system)
 
     def update_geometry(self) -> None:
-        """Find the geometry of the contacts at the present positions."""
+        """Update the geometry of the contacts to the present positions."""
         self._team.divide(len(self._system.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
-        """Find the speed up to which each contact is at rest, see `Islands`; tell whether one is not 0."""
+        """Find the rest speed of each contact (see `Islands`); return whether one is not 0."""
         ends, system = self._bodies.ends, self._system
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
         return self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
 
     def correct_positions(self, max_iterations: int) -> None:
-        """Push contacts at rest apart."""
+        """Correct the overlaps of resting contacts."""
         system = self._system
         counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
         self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, counts)
@@ -246,22 +249,22 @@ class ContactSolver:
         self._work(POSITIONS, system, max_iterations)
 
     def audit_corrections(self) -> None:
-        """Book the work of the pushes, at the accelerations that follow them."""
+        """Book the work of the position correction, at the accelerations after it."""
         ends, system = self._bodies.ends, self._system
         pushed = (system.pairs, ends.acceleration, ends.inverse_mass, system.states)
         self._team.divide(len(system.pairs), MIN_PER_TASK, audit_corrections, *pushed)
 
     def resolve_impacts(self, bias_rate: float, max_iterations: int, impacts_only: bool) -> int:
-        """Resolve what closes; return the number of iterations.
+        """Resolve the contacts that approach; return the number of iterations.
 
         Parameters
         ----------
         bias_rate
-            1/s; separation speed for each metre of overlap (Baumgarte), 0 for none.
+            1/s, Baumgarte's separation speed per overlap; 0 for none.
         max_iterations
-            Iterations end when one of them changes next to nothing, or here.
+            Limit of the iterations if they do not converge before.
         impacts_only
-            Whether contacts at rest are left alone.
+            Whether to skip resting contacts.
         """
         self._settings["bias_rate"] = bias_rate
         self._settings["impacts_only"] = impacts_only
@@ -281,20 +284,24 @@ class ContactSolver:
         refines: bool,
         against: FloatArray | None = None,
     ) -> int:
-        """Find the impulses of contacts at rest after a kick, from those in `contacts` on; return the iterations.
+        """Find the impulses of resting contacts after a kick; return the number of iterations.
+
+        They start from the impulses in `contacts`.
 
         Parameters
         ----------
         dt, kick
-            s; the step, and how long the kick was.
+            s, lengths of the step and of the kick.
         drift
-            s; the drift to come, 0 after the last kick.
+            s, length of the drift that follows; 0 after the last kick.
         bias_rate
-            1/s.
+            1/s, Baumgarte's separation speed per overlap.
+        max_iterations
+            Limit of the iterations if they do not converge before.
         refines
-            Whether conjugate gradients follow where the iterations leave too much.
+            Whether conjugate gradients follow if they did not converge.
         against
-            (n + p, 3) m/s², what accelerates the ends (default: their accelerations).
+            (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         settings = self._settings
         settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
@@ -303,7 +310,7 @@ class ContactSolver:
         return self._lead(RESTING, system, max_iterations)
 
     def is_closing(self, dt: float) -> bool:
-        """Tell whether the iterations left a contact closing faster than they may, in a step of dt in s."""
+        """Return whether a contact still approaches too fast after the iterations of a step of dt s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * self._fastest
@@ -316,7 +323,7 @@ class ContactSolver:
         return system.pairs, *shapes, system.contacts, system.states
 
     def _lead(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
-        """Do a job on the velocities of the active bodies; return the number of iterations."""
+        """Run a job on the velocities of the active bodies; return the number of iterations."""
         ends, team, b = self._bodies.ends, self._team, len(system.active)
         gathered = (ends.velocity, self._spin, ends.inverse_mass, ends.inverse_inertia, system.bodies)
         team.divide(b, MIN_PER_TASK, gather, system.active, *gathered)
@@ -325,7 +332,7 @@ class ContactSolver:
         return iterations
 
     def _work(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
-        """Do a job, with the team if it is worth it; return the number of iterations."""
+        """Run a job, with the team if there are many contacts; return the number of iterations."""
         self._code.require(job, system)
         code = self._code.addresses, self._code.kind
         if len(system.pairs) < SHARED_FROM:
@@ -349,7 +356,7 @@ def _lay(
     rounding: float,
     normals: FloatArray,
 ) -> None:
-    """Clear the records of the contacts [lo, hi), find where these meet, and note how they were found."""
+    """Clear the records of the contacts [lo, hi), find their geometry, and note whether they touch."""
     for first in range(lo, hi, CACHED_CONTACTS):
         end = min(hi, first + CACHED_CONTACTS)
         for c in range(first, end):
@@ -366,7 +373,7 @@ def _lay(
 
 @inline
 def _clear(contact: Any, state: Any) -> None:
-    """Clear what `update_geometry` does not write."""
+    """Clear the fields that `update_geometry` does not write."""
     contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
     contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
     contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0

@@ -1,12 +1,12 @@
-"""The energy audit of contacts that last: what their impulses did to the energy.
+"""The energy audit of resting contacts: the change of the energy by their impulses.
 
-What an impulse takes out is -J·(v + v')/2, of the velocities before and after it. After the first kick there is one
-more thing: gravity's work in the drift that follows is done on the velocity with J in it, but half of that work stands
-in the first kick, which did not know J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
+An impulse J takes out -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
+is a second term. The forces do their work in the drift on velocities that include J, but half of that work has already
+been booked with the first kick, without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
 
     lost_n = -λ_n ((v_n + v_n')/2 - Δv_n),    lost_t = -λ_t·((u + u')/2 - Δu)        Δv = 0 after the last kick
 
-A body that lies still then loses in the one kick what it gains in the other, and nothing in all.
+The entries of the two kicks then cancel for a body that lies still.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 @inner
 def audit(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Write into the ledger what the impulses of a piece did, and the sums over the piece."""
+    """Book the energies of the impulses of a piece, by contact and in sum."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
@@ -41,7 +41,7 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
         kn = kx * nx + ky * ny + kz * nz
-        if state.biased:  # without the bias it would have stayed
+        if state.biased:  # without the bias v_n' would be 0; the bias put in the rest
             lost = -Jn * (0.5 * state.normal_before - kn)
             state.stabilisation_gain += 0.5 * Jn * vn
             stabilisation += 0.5 * Jn * vn

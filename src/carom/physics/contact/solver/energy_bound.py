@@ -1,14 +1,14 @@
-"""The bound on the energy of contacts that last: impulses that the iterations left too large are scaled back.
+"""The energy bound of resting contacts: impulses that are still too large after the iterations are scaled down.
 
-Impulses λ change the velocities at the contacts from v to v' = v + A λ. What they are to minimise,
+Impulses λ change the velocities at the contacts from v to v' = v + A λ. The solution minimises
 
     f(λ) = λ·(v + c) + ½ λ·A λ,
 
-is 0 without them, and an impulse that takes energy out keeps it below. Iterations lower f, but they begin with the
-impulses of the kick before, which may be far too large. On the ray θ λ the minimum is at θ = -λ·(v + c) / λ·(v' - v).
-Where that is less than 1, the impulses of the island are scaled by it; with the largest of them there is then f ≤ 0,
-and over a whole step, whose second kick begins with the impulses of the first, a contact gains no energy. An island is
-a connected component of the collision graph without what is fixed.
+which is 0 for λ = 0 and negative for impulses that take out energy. Iterations lower f, but they start from the
+impulses of the previous kick, which may be far too large. Along θ λ the minimum is at θ = -λ·(v + c) / λ·(v' - v). If
+θ < 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, whose
+second kick starts from the impulses of the first. An island is a connected component of the collision graph without
+fixed bodies and planes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from carom.physics.parallel.jit import inner
 
 @inner
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Scale the impulses of each island back to where they take out most."""
+    """Scale the impulses of each island by θ where θ < 1."""
     pairs, bodies, active = system.pairs, system.bodies, system.active
     island, islands, spins = system.island, system.islands, len(system.spin) > 0
     for k in range(len(active)):

@@ -1,20 +1,19 @@
-"""Impacts: the contacts of a step, colour by colour, in iterations until nothing approaches.
+"""Impacts: contacts that approach are resolved colour by colour, until none approaches any more.
 
-`carom.physics.reference_api` has the equations, and `contact.law` what an impulse is. What each impulse does to the
-energy follows from the impulse itself,
+`carom.physics.reference_api` has the equations, and `contact.law` the impulses. Each impulse changes the energy by
 
     ΔE_n = J_n (v_n + ½ J_n / m_r),    1/m_r = 1/m_i + 1/m_j
     ΔE_t = -J_t (|u_t| - ½ J_t K_t),   K_t = 1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j
 
-and is summed for each contact: the loss by restitution, the loss by friction, and what the bias put in.
+Each contact sums its loss by restitution, its loss by friction, and the gain by the bias.
 
-An impact is found at the end of a step, δ deep, where gravity has made it faster than it was at the surface and will
-make the rebound slower. So that the pair leaves the surface with e times the speed at which it met it, the coefficient
-at depth δ is
+An impact is found at the end of a step, at a depth δ. Until then gravity has made the approach faster than at the
+surface, and it will make the rebound slower. The pair leaves the surface with e times its speed of approach there if
+the coefficient at depth δ is
 
-    e_δ² = e² + (1 - e²) · 2 a_n δ / v_n²,    a_n = (a_i - a_j)·n, where gravity presses them together
+    e_δ² = e² + (1 - e²) · 2 a_n δ / v_n²,    a_n = (a_i - a_j)·n, if gravity presses the pair together
 
-Without that the energy of every rebound is wrong by the potential over δ, in first order of the step.
+With plain e, the energy of each rebound is wrong by the change of the potential over δ, of first order in the step.
 """
 
 from __future__ import annotations
@@ -35,15 +34,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-CONVERGED = 1e-9  # the last iteration is the one whose largest velocity change is this part of the first one's
+CONVERGED = 1e-9  # of the first iteration's largest change of a velocity; iterations end when the change is smaller
 
 
 @inner
 def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Resolve the impacts of a piece, once; note the largest change of a velocity.
+    """Resolve the impacts of a piece once; note the largest change of a velocity.
 
-    In the first iteration note the approach of each contact, too, the fastest one, and whether a contact is at rest. An
-    impulse from a neighbour may make a contact close faster in a later iteration: that is then its approach.
+    The first iteration also notes each approach speed, the fastest one, and whether a contact is at rest. A later
+    iteration raises the approach speed if an impulse from a neighbour has made the contact close faster.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
@@ -65,8 +64,8 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
         if first:
             state.approach_speed = max(0.0, -vn)
             fastest, any_rests = max(fastest, -vn), any_rests or rests
-        if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):  # a lasting contact is held, and a gap
-            continue  # that is open has time
+        if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
+            continue  # `hold` takes resting contacts; an open gap may close in the next step
         material = system.materials[material_index(j, count)]
         e = LAW.restitution(material, -vn, state.rest_speed)
         overlap = state.found_overlap
@@ -127,14 +126,14 @@ def look_for_closing(
     dt: float,
     closing: NDArray[np.bool_],
 ) -> None:
-    """Say so if one of the contacts [lo, hi) closes faster than one at rest, and than the iterations may leave.
+    """Set ``closing`` if one of the contacts [lo, hi) approaches faster than its rest speed and its tolerance.
 
-    An open gap may close within the next step, and one that was found open has time for its impact.
+    Open gaps do not count: they may close in the next step.
 
     Parameters
     ----------
     negligible
-        m/s
+        m/s, slower approaches do not count.
     dt
         s, the step.
     """

@@ -1,18 +1,18 @@
-"""An exact line search between two iterations, over bodies.
+"""An exact line search after each iteration of the solver.
 
-An iteration hands a load on from contact to contact, and where a light body lies between heavy ones it hands on very
-little. So after each iteration the change s that it made of all impulses is made once more, α times, as far as that
-brings the contacts nearer to what is asked (A s are the velocities at the contacts that impulses s cause) and no
-contact begins to pull (λ_n ≥ 0):
+An iteration passes a load from contact to contact, and only a small part of it where a light body lies between heavy
+ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the energy that the
+solution minimises, and is limited so that no contact begins to pull (λ_n ≥ 0):
 
-    α = -s·(v + c) / s·(A s),   v the velocities at the contacts, v_n and u
+    α = -s·(v + c) / s·(A s),   v = (v_n, u) at the contacts, A s the change of v by the impulses s
 
-Summed over bodies, with p and t the changes of their velocities and spins by s, that is
+In sums over bodies, whose velocities and spins s changes by p and t,
 
     s·v = Σ m p·v + I t·ω,    s·A s = Σ m p² + I t²
 
-A ball squeezed between two that are 10⁹ times heavier is then held to 10⁻¹¹ of its radius. Iterations alone let it sink
-by 0.1 radii at 10², and 100 of them at 10³. A stack of 20 that begins without impulses sags with 10⁻⁶ of the energy.
+A ball squeezed between two that are 10⁹ times heavier then sinks by 10⁻¹¹ of its radius. Without the search it sinks by
+0.1 radii at a mass ratio of 10², and by 100 radii at 10³. A stack of 20 that begins without impulses sags by 10⁻⁶ of
+its energy.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def line_search(block: int, end: int, system: ConstraintSystem) -> None:
 
 @inner
 def step_length(found: Records, sums: Records) -> float:
-    """Return how many times over what an iteration changed should be changed again: α, or 0 if that would not help."""
+    """Return α; 0 if repeating the change would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
     for k in range(len(found)):
         slope += found[k].slope
@@ -62,7 +62,7 @@ def step_length(found: Records, sums: Records) -> float:
 
 @inner
 def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
-    """Change the velocities of a block of bodies by α p and α t, and begin to sum those anew."""
+    """Change the velocities of a block of bodies by α p and α t, and clear p and t."""
     spins, alpha, active = system.settings[0].spins, system.settings[0].alpha, system.active
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
         body = system.bodies[active[k]]

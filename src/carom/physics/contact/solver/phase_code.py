@@ -1,9 +1,9 @@
 """The machine code of the solver's phases, by address.
 
-Each phase is a kernel ``(piece, end, system)``, where ``end`` is ``piece + 1``. The kernels that lead a job call it by
-its address, for two reasons. To call all phases by name they would have to contain them, and to hand on the 24 arrays
-of a `ConstraintSystem` from one to the other takes each of them a second to compile. By address, each phase is compiled
-once, by itself, by whichever process comes first, and only if a scene needs it.
+Each phase is a kernel ``(piece, end, system)``, where ``end`` is ``piece + 1``. The kernels that lead a job call phases
+by address, which saves compilation. Called by name, all phases would be compiled into the caller, and passing the 24
+arrays of a `ConstraintSystem` takes a second to compile in each. By address, each phase is compiled separately, by
+whichever process comes first, and only if a scene needs it.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from carom.physics.parallel.task import code_for, kind_for
 
 Phase = Callable[[int, int, ConstraintSystem], None]
 
-OWNS = 4  # the flag of an array that owns its memory, which no type depends on
+OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on it
 POSITIONS, IMPACTS, RESTING = range(3)  # jobs
 PHASES: dict[int, dict[int, Phase]] = {  # of each job
     POSITIONS: {CORRECT_POSITIONS: correct_positions},
@@ -69,7 +69,7 @@ PHASES: dict[int, dict[int, Phase]] = {  # of each job
 
 
 class PhaseCode:
-    """Where the code of each phase is, for systems of one kind.
+    """Addresses of the phases, for systems of one kind.
 
     Parameters
     ----------
@@ -84,12 +84,12 @@ class PhaseCode:
         self._ready: set[int] = set()
 
     def require(self, job: int, system: ConstraintSystem) -> None:
-        """Compile or load the phases of a job, if that has not been done."""
+        """Compile or load the phases of a job, unless they are."""
         if job not in self._ready:
             self._compile(job, PHASES[job], system)
 
     def compile_ahead(self, job: int, system: ConstraintSystem) -> None:
-        """Compile the phases of a job, the last first: another process may begin with the others."""
+        """Compile the phases of a job in reverse order; another process may begin with the first."""
         self._compile(job, reversed(PHASES[job]), system)
 
     def _compile(self, job: int, phases: Iterable[int], system: ConstraintSystem) -> None:
@@ -105,14 +105,14 @@ _kinds: dict[tuple[Any, ...], int] = {}
 
 
 def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> int:
-    """Return the address of a kernel's code; asking Numba takes milliseconds, as long as a short run."""
+    """Return the address of a kernel's code, asking Numba once: that takes milliseconds, as long as a short run."""
     if (kernel, kind) not in _addresses:
         _addresses[kernel, kind] = code_for(kernel, system)
     return _addresses[kernel, kind]
 
 
 def _kind(system: ConstraintSystem) -> int:
-    """Return the kind of a system, which follows from how its arrays are laid out."""
+    """Return the kind of a system, which follows from the layouts of its arrays."""
     layout = tuple((array.dtype, array.ndim, array.flags.num & ~OWNS) for array in system)
     if layout not in _kinds:
         _kinds[layout] = kind_for(system)

@@ -1,9 +1,9 @@
-"""The solver's phases, and how threads share them.
+"""The order of the solver's phases, and how threads share them.
 
-A phase is cut into pieces of contacts. The pieces of one colour are independent and are shared by a team of threads;
-colours follow each other. Each piece writes its findings into a record of its own, and the leader puts these together
-in the order of the pieces: the same bits on any number of threads. The leader alone does a phase of one piece, and the
-last colour, where contacts share bodies.
+A phase is cut into pieces of contacts. The pieces of one colour are independent, so a team of threads shares them; the
+colours follow each other. Each piece writes its findings into its own record, and the leader combines them in the order
+of the pieces. The bits therefore do not depend on the number of threads. The leader alone does phases of one piece, and
+the last colour, in which contacts share bodies.
 """
 
 from __future__ import annotations
@@ -54,20 +54,20 @@ from carom.physics.parallel.thread_team import (
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-HELP = -1  # in the place of a job
+HELP = -1  # given in place of a job: help the leader
 MAX_ROUNDS = 20  # of conjugate gradients
-MAX_ITERATIONS = 100  # of them in a round
-MAX_SETTLING = 256  # iterations after those
-GROWN = 1e6  # times the largest impulse before them, to which they grow where no impulse can remove a residual
-WORTH = 0.5  # of what was missed before; a round that leaves more is the last
-SOLVED = 1e-3  # of the first residual, squared and preconditioned
+MAX_ITERATIONS = 100  # in a round
+MAX_SETTLING = 256  # Gauss-Seidel iterations after the last round
+GROWN = 1e6  # times the largest impulse before the search; impulses beyond it show that there is no solution
+WORTH = 0.5  # of the violation before; a round that leaves more is the last
+SOLVED = 1e-3  # of r·z at the start of a round
 
 
 class Phases(NamedTuple):
-    """What it takes to do phases of a system, and what is read of the system between them."""
+    """What the leader needs: the code of the phases, and the arrays that it reads between them."""
 
     addresses: IntArray  # of the machine code, by phase
-    doer: int  # address of what does a piece of a task
+    doer: int  # address of the function that does a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
     edges: IntArray  # this and the rest as in `ConstraintSystem`
     found: Records
@@ -79,7 +79,7 @@ class Phases(NamedTuple):
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
-    """Lead a job, or help with whatever is on the board.
+    """Lead a job, or help with the pieces on the board.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def work(
 
 @inline
 def _help_out(board: IntArray, phases: Phases) -> int:
-    """Do pieces until the leader is done; return early where there are none for a while, or after many."""
+    """Do pieces until the leader is done; return early after `SHIFT` pieces, or after a while without any."""
     idle, done = 0, 0
     while not is_over(board):
         if claim(board):
@@ -132,7 +132,7 @@ def _help_out(board: IntArray, phases: Phases) -> int:
 
 @inline
 def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Push contacts at rest apart, until nothing overlaps."""
+    """Push resting contacts apart until they no longer overlap."""
     iterations, again = 0, 1.0
     while iterations < max_iterations and again > 0.0:
         _share_colours(board, phases, CORRECT_POSITIONS)
@@ -143,7 +143,7 @@ def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> 
 
 @inline
 def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Resolve impacts, until an iteration changes next to nothing."""
+    """Resolve impacts until an iteration changes velocities by less than `CONVERGED`."""
     iterations, first_change, change = 0, 0.0, 1.0
     while iterations < max_iterations and (iterations == 0 or change > CONVERGED * first_change):
         phases.settings[0].iteration = iterations
@@ -157,7 +157,7 @@ def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> in
 
 @inline
 def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Find the impulses of contacts that last, beginning with those given, and book them."""
+    """Find the impulses of resting contacts, starting from those given, and book them."""
     pieces, settings = len(phases.found), phases.settings[0]
     _share(board, phases, PREPARE, 0, pieces, True)
     largest = _largest_residual(phases)
@@ -177,7 +177,7 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
 
 @inner
 def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
-    """Take each contact to where it neither closes nor pulls; first go on in the direction of the iteration before."""
+    """Solve each contact once; before, extrapolate the previous iteration if ``again``."""
     if again:
         blocks = len(phases.sums)
         _share(board, phases, LINE_SEARCH, 0, blocks, True)
@@ -189,7 +189,7 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
 
 @inner
 def _refine(board: IntArray, phases: Phases) -> int:
-    """Solve for the contacts that carry a load, until none misses its condition by more than is tolerated."""
+    """Solve for all contacts that carry a load together, until each is within its tolerance."""
     pieces, passes, rounds = len(phases.found), 0, 0
     phases.settings[0].tolerance = BAD_ENOUGH
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
@@ -208,10 +208,10 @@ def _refine(board: IntArray, phases: Phases) -> int:
 
 @inner
 def _settle(board: IntArray, phases: Phases) -> int:
-    """Iterate on where conjugate gradients left too much, until what slides is known; return the number of iterations.
+    """Iterate after conjugate gradients that did not converge; return the number of iterations.
 
-    Where kinetic friction is less than static friction, a contact may stick in one iteration and slide in the next
-    without end, and its neighbours with it. From now on what slides once goes on sliding.
+    If kinetic friction is less than static friction, contacts may stick and slide in alternation without end. Here a
+    contact that has slid once keeps sliding.
     """
     pieces, settings, iterations = len(phases.found), phases.settings[0], 0
     settings.keeps_sliding, settings.tolerance = True, BAD_ENOUGH
@@ -226,7 +226,7 @@ def _settle(board: IntArray, phases: Phases) -> int:
 
 @inner
 def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
-    """Find what to change of the impulses that are free; return the number of iterations."""
+    """Find the change of the free impulses; return the number of iterations."""
     pieces, settings = len(phases.found), phases.settings[0]
     settings.beta = 0.0
     _forget_changes(board, phases)
@@ -252,7 +252,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         _forget_changes(board, phases)
         if pull > push or push > GROWN * largest > 0.0:
             break
-    if push > GROWN * largest > 0.0:  # no impulses can do what is asked; beginning anew drops the change
+    if push > GROWN * largest > 0.0:  # there is no solution: begin again, which drops the change
         settings.iteration = 0
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     _share_colours(board, phases, PROJECT)
@@ -261,7 +261,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
 
 @inline
 def _largest_impulses(phases: Phases) -> tuple[float, float]:
-    """Return the largest pushing and the largest pulling impulse that the last step of the search found, in N s."""
+    """Return the largest pushing and the largest pulling impulse in the last step of the search, in N s."""
     push, pull = 0.0, 0.0
     for k in range(len(phases.found)):
         push, pull = max(push, phases.found[k].largest_push), max(pull, phases.found[k].largest_pull)
@@ -270,7 +270,7 @@ def _largest_impulses(phases: Phases) -> tuple[float, float]:
 
 @inner
 def _forget_changes(board: IntArray, phases: Phases) -> None:
-    """Begin to sum up anew what changes of the velocities."""
+    """Clear the changes of the velocities."""
     phases.settings[0].alpha = 0.0
     _share(board, phases, EXTRAPOLATE, 0, len(phases.sums), True)
 

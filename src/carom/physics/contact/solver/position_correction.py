@@ -1,18 +1,19 @@
-"""Pushing overlapping bodies apart without adding velocity along the normal.
+"""Position correction: overlapping bodies at rest are pushed apart, without a velocity along the normal.
 
-A pair is pushed by δ along n, shared by mass, so that the centre of mass stays. That alone changes the angular
-momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative velocity of the centres); scaling v_t by
-d/(d + δ) keeps it:
+A pair is pushed by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays. That
+alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative velocity of the
+centres). Scaling v_t by d/(d + δ) conserves it:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
-Only a contact at rest is pushed. An impact leaves by its own rebound, and pushing it would take tangential energy
-from a gas at every collision.
+Only contacts at rest are pushed. An impact separates by its rebound, and pushing it would take tangential energy from a
+gas at every collision.
 
-The energy that a push moves goes into the ledger: the scaling exactly, at the velocities of the half kick, and the
-potential as the work against gravity at the new positions. That work is wrong by (δ/d)² of a pair's potential; the
-mean of the forces at the start of the step and at its end, which is right to the next order, measured no better in
-the collapse of 500 boulders (both 10⁻⁶ of the energy scale), so the simpler form stays.
+The ledger books the change of the energy: the scaling exactly, at the velocities of the half kick, and the potential as
+the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
+
+Rejected: the mean of the forces at the start and the end of the step, which is of the next order. In the collapse of
+500 boulders both have errors of 10⁻⁶ of the energy scale.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-BAUMGARTE = 0.2  # part of the overlap that the bias undoes in a step
-LEAVING = 0.1  # of the rest speed; what separates faster clears itself. 1 raises a slow rebound out of its overlap for
-# nothing (10 times the energy in the worst step), 0 leaves a pile overlapping (a quarter of a radius while it forms)
-ENOUGH = 1e-9  # of the sum of radii; a smaller overlap is not worth another iteration
+BAUMGARTE = 0.2  # part of the overlap that the bias removes in a step
+LEAVING = 0.1  # of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times
+# the energy in the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms)
+ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
 
 
 @long_kernel
 def count_contacts(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
-    """Add to the number of contacts of each body or plane."""
+    """Add the contacts [lo, hi) to the counts of their bodies and planes."""
     for c in range(lo, hi):
         atomic_add(counts, pairs[c, 0], 1)
         atomic_add(counts, pairs[c, 1], 1)
@@ -47,10 +48,10 @@ def count_contacts(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
 
 @long_kernel
 def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records) -> None:
-    """Find the part of an overlap that an iteration undoes: the less the more contacts both of its ends have.
+    """Find the part of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
 
-    Whole overlaps throw each body into the next: a pile that has been pressed together never finds rest, and a long
-    stack that falls on itself keeps all that is left in every other contact (0.24 r in place of 0.06 r for 500 balls).
+    Removing whole overlaps pushes each body into the next. A compressed pile then never comes to rest, and in a falling
+    stack of 500 balls every other contact keeps an overlap of 0.24 r in place of 0.06 r.
     """
     for c in range(lo, hi):
         states[c].push_fraction = 1.0 / min(counts[pairs[c, 0]], counts[pairs[c, 1]])
@@ -58,9 +59,9 @@ def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, sta
 
 @inner
 def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Push the contacts at rest of a piece apart, once; note whether an overlap was worth it.
+    """Push the resting contacts of a piece apart once; note whether an overlap needs another iteration.
 
-    A contact is at rest if it separates no faster than a tenth of the rest speed, or closes and will not rebound.
+    Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
@@ -100,7 +101,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         if overlap > ENOUGH * reach:
             again = 1.0
         delta = state.push_fraction * overlap
-        mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # what is lighter is pushed farther
+        mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # parts of the push
         mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
         if mi > 0.0:
             x[i, 0] -= mi * delta * nx
@@ -114,7 +115,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         state.push_y += delta * ny
         state.push_z += delta * nz
         if j >= n:
-            continue  # nothing turns about a plane
+            continue  # no angular momentum to conserve
         scale = d / (d + delta) - 1.0
         tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
@@ -139,7 +140,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
 def audit_corrections(
     lo: int, hi: int, pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, states: Records
 ) -> None:
-    """Book the potential energy that pushes moved, -μ (a_j - a_i)·Σ δ n, into the ledger in J."""
+    """Book the change of the potential energy by the pushes, -μ (a_j - a_i)·Σ δ n, in J."""
     a = acceleration
     for c in range(lo, hi):
         i, j, state = pairs[c, 0], pairs[c, 1], states[c]

@@ -1,4 +1,4 @@
-"""Preparation of the contacts that last: effective masses, velocity biases, and which contacts are held."""
+"""Preparation of resting contacts: effective masses, velocity biases, and which contacts are held."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inner
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
-LOADED = 1e-5  # how much the velocity counts that an impulse gives to the lightest body: rounding is 1e-16 of it
+LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
+# rounding is 1e-16 of that velocity
 
 
 @inner
 def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Write what does not change during the iterations, and v_n and u before them; leave impacts alone."""
+    """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
-    largest = 0.0  # m/s, the largest velocity that a contact undoes
+    largest = 0.0  # m/s, the largest velocity that a contact removes
     last = len(pairs) - 1
     for c in range(lo, hi):
         ahead = min(last, c + AHEAD)
@@ -38,11 +39,11 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
         gap, rest_speed = -state.overlap, state.rest_speed
         if drift > 0.0:
             bias = max(0.0, gap) / drift
-            # at rest is what closes by no more than this kick has caused, and by what half a step's fall adds to that
+            # a resting contact closes no faster than this kick and half the drift's fall can cause
             fastest = rest_speed * ((kick + 0.5 * drift) / dt)
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
-            fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # what touched has been resolved
+            fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # impacts of touching pairs are resolved
         contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
         system.held[c] = not -vn > fastest
         if system.held[c]:

@@ -1,28 +1,27 @@
-"""Projected Gauss-Seidel: the impulses that hold bodies at rest on each other.
+"""Projected Gauss-Seidel: the impulses of contacts at rest.
 
-A resting contact carries a force, and a force belongs where the other forces are: into both kicks of a step. After each
-kick of length h the impulses λ of all contacts are found together such that
+A resting contact exerts a force, so its impulses belong to both kicks of a step, like those of all forces. After each
+kick of length h, iterations over the contacts find the impulses λ of all contacts such that
 
     v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
-by iterations over the contacts (Moreau 1988, Jean 1999; Catto 2006 calls them sequential impulses). The *totals* are
-clamped, not the increments: what one iteration pushed too far a later one takes back. They begin with the totals of the
-kick before, scaled by the ratio of the lengths (`warm_start`), so that a pile at rest needs one iteration. A line
-search stands between two iterations (`line_search`).
+(Moreau 1988, Jean 1999; Catto 2006 calls them sequential impulses). The *totals* are clamped, not the increments, so
+later iterations can take back what earlier ones overdid. The totals start from those of the previous kick, scaled by
+the ratio of the lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
+(`line_search`).
 
-After the last kick c = 0: nothing closes. After the first kick bodies may close by c dt, so that they touch when the
-drift is over: |d n + v dt| ≥ r_i + r_j, with v_t the tangential velocity of the centres,
+After the last kick c = 0: contacts must not close. After the first kick bodies may close by c dt, so that they touch at
+the end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of the centres,
 
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 
-Without the root two spheres that roll about each other would drift apart along the tangent, and the contact would be
-lost and made again in every other step. Together this is RATTLE (Andersen 1983) for contacts.
+Without the root, two spheres that roll about each other would separate along the tangent, and their contact would be
+lost in every other step. The scheme is RATTLE (Andersen 1983) for contacts.
 
-Impacts are not handled here. They are resolved before, one by one, with their restitution (`impacts`); a step without a
-contact at rest does not come here at all.
+Impacts are resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this phase.
 
-Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed), impulses
+Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed); impulses
 at the end of the step only (a body falls a dt²/2 into the ground in every step and has to be pushed back).
 """
 
@@ -37,29 +36,29 @@ from carom.physics.contact.solver.velocity import bias_along_arc, relative_veloc
 from carom.physics.parallel.jit import inner
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
-HELD = 1e-8  # the last iteration changes no velocity by more than this part of the largest that the contacts undo
+HELD = 1e-8  # of the largest velocity that a contact removes; iterations end when they change velocities by less
 
 
 @inner
 def solve_turning(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Take contact after contact to where it neither closes nor pulls, with impulses that turn bodies."""
+    """Solve the contacts of a piece once, with friction and spin."""
     solve(piece, system, (1,))
 
 
 @inner
 def solve_straight(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Take contact after contact to where it neither closes nor pulls, with impulses that turn nothing."""
+    """Solve the contacts of a piece once, without friction."""
     solve(piece, system, ())
 
 
 @inner
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
-    """Take contact after contact to where it neither closes nor pulls, at the velocities as they are.
+    """Solve the contacts of a piece once, each at the velocities that those before it left.
 
     Parameters
     ----------
     turning
-        Of one element where impulses turn bodies, empty elsewhere: the kernel is compiled for each.
+        One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies = system.pairs, system.bodies
@@ -84,7 +83,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         if drift > 0.0 and j < count:
             bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, ux, uy, uz, drift)
         old = contact.normal_impulse + alpha * contact.delta_normal
-        normal = max(0.0, old - (vn + bias) * contact.normal_mass)  # the total is clamped, not what is added
+        normal = max(0.0, old - (vn + bias) * contact.normal_mass)  # clamp the total, not the increment
         more = normal - old
         contact.normal_impulse, contact.delta_normal = normal, more
         largest = abs(more)

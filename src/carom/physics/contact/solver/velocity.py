@@ -1,4 +1,4 @@
-"""Velocities at a contact, of body j as seen from body i.
+"""Velocities at a contact, of body j relative to body i.
 
     v = v_j - v_i,    v_n = v·n,    v_t = v - v_n n,    u = v_t - (ρ_i ω_i + ρ_j ω_j) × n     (slip)
 
@@ -16,7 +16,7 @@ from carom.physics.parallel.jit import inline
 
 @inline
 def relative_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
-    """Return v_n and v_t, in m/s, of two bodies' records."""
+    """Return v_n and v_t of two bodies, in m/s."""
     nx, ny, nz = contact.nx, contact.ny, contact.nz
     ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
     vn = ux * nx + uy * ny + uz * nz
@@ -43,7 +43,7 @@ def slip_velocity(
 
 @inline
 def slip(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
-    """Return u, in m/s, given v_t."""
+    """Return the slip u of two bodies, in m/s, given v_t."""
     ri, rj = contact.arm_i, contact.arm_j
     wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
     return slip_velocity(tx, ty, tz, contact.nx, contact.ny, contact.nz, wx, wy, wz)
@@ -51,7 +51,7 @@ def slip(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> tuple
 
 @inline
 def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
-    """Return what the last iteration changed of v_n and u, in m/s."""
+    """Return the changes of v_n and u in the last iteration, in m/s."""
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     px, py, pz = b.dvx - a.dvx, b.dvy - a.dvy, b.dvz - a.dvz
     pn = px * nx + py * ny + pz * nz
@@ -62,10 +62,21 @@ def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, floa
 
 @inline
 def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, drift: float) -> float:
-    """Return how fast a contact may close in m/s, given how fast it could on a straight line, so that it just touches.
+    """Return the speed c at which a contact may close so that it just touches after a drift, in m/s.
 
-    Two spheres that roll about each other come apart along the tangent, by R - √(R² - v_t² dt²) in a drift of dt; R is
-    where they are to be, the sum of the lever arms less what they may close.
+    Spheres that roll about each other separate along the tangent by R - √(R² - v_t² dt²) in a drift of dt, where R is
+    the distance of their centres after it. ``bias`` is c for a drift along the normal.
+
+    Parameters
+    ----------
+    bias
+        m/s
+    reach
+        m, sum of the lever arms.
+    tx, ty, tz
+        m/s, v_t.
+    drift
+        s
     """
     R = reach - bias * drift
     t2 = (tx * tx + ty * ty + tz * tz) * drift * drift

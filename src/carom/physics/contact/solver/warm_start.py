@@ -1,7 +1,7 @@
-"""Warm starting: the impulses of lasting contacts, kept from kick to kick.
+"""Warm starting: the impulses of resting contacts carry over from kick to kick.
 
-A contact that was there in the last kick begins with the impulse that it carried then, scaled by the ratio of the
-lengths of the kicks and turned into its new tangential plane.
+A contact that existed in the previous kick starts with its impulse of that kick, scaled by the ratio of the lengths of
+the kicks and projected onto its new tangential plane.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ def impulses_of(contacts: Records) -> FloatArray:
 
 @dataclass(slots=True)
 class ImpulseCache:
-    """The impulses that a set of contacts carried in the last kick, with which the next one begins."""
+    """The impulses of all contacts in the last kick, from which the next one starts."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) where the record of each stands
+    place: IntArray  # (m,) index of each one's record
     contacts: Records  # (m,) CONTACT
-    kick: float  # s, how long that kick was
+    kick: float  # s, length of that kick
 
     @classmethod
     def empty(cls) -> ImpulseCache:
-        """Return what a run begins with."""
+        """Return the cache of a run that begins."""
         return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, CONTACT), 0.0)
 
     @classmethod
     def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> ImpulseCache:
-        """Rebuild the cache from (m, 4) N s, an earlier `impulse`."""
+        """Rebuild the cache from an earlier `impulse`, (m, 4) N s."""
         contacts = np.zeros(len(pairs), CONTACT)
         impulses_of(contacts)[:] = impulse
         return cls(pairs, np.arange(len(pairs)), contacts, kick)
@@ -59,18 +59,18 @@ class ImpulseCache:
         return impulses_of(self.contacts)[self.place]
 
     def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
-        """Write what contacts that were there before carried, for a kick of another length; 0 for new ones.
+        """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
 
         Parameters
         ----------
         pairs, place
-            (m, 2), sorted, and (m,), where the record of each stands.
+            (m, 2), sorted, and (m,), the index of each one's record.
         kick
             s
         contacts
-            (m,) `CONTACT`; may be the very array in which the impulses stood before, of the same contacts.
+            (m,) `CONTACT`; may be the array of this cache if the contacts are the same.
         team
-            Who looks for them.
+            Threads that share the work.
         """
         if self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
@@ -113,7 +113,7 @@ def _carry(
 
 @inner
 def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Apply the impulses as they are."""
+    """Apply the impulses from which the contacts of a piece start."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     last = len(pairs) - 1

@@ -1,4 +1,4 @@
-"""The page that a published folder opens with."""
+"""The index page of a published folder."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ MARK = '<meta name="generator" content="carom" />'
 class Figure:
     """A moment on the page."""
 
-    lines: Sequence[str]  # what happens there
-    link: str  # to the viewer, paused there
-    picture: str  # the name of its file; empty without one
+    lines: Sequence[str]  # its description
+    link: str  # to the viewer, paused at the moment
+    picture: str  # name of its file; empty without one
 
 
 def write_index(
@@ -31,11 +31,11 @@ def write_index(
     Parameters
     ----------
     folder
-        Where the recording and the viewer are.
+        The folder of the recording and the viewer.
     title
         Of the scene.
     name
-        Of the recording's file when it is downloaded.
+        File name of the recording when it is downloaded.
     rows
         Names and texts of a table.
     figures

@@ -1,4 +1,4 @@
-"""Hosts the viewer and one recording for browsers of this machine, and for nobody else."""
+"""Hosts the viewer and one recording for browsers of this machine only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import HOST
 from carom.recording.view.web import site
 
-_NAMES = (HOST, "localhost")  # by which a browser may ask; another name is that of a page that was rebound to 127.0.0.1
+_NAMES = (HOST, "localhost")  # hosts that requests may name; others come from pages that were rebound to 127.0.0.1
 _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
 
 
@@ -29,16 +29,16 @@ _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/
 def hosted(recording: Recording, at: float, supplement: Supplement | None = None, port: int = 0) -> Iterator[str]:
     """Host a recording while the context lasts; yield the link that opens it.
 
-    The server listens on 127.0.0.1 only. The link has a secret in its path, for other people may be logged in here.
+    The server listens on 127.0.0.1 only. The link has a secret in its path, since other people may use the machine.
 
     Parameters
     ----------
     recording
-        What is shown.
+        The recording to show.
     at
-        s, where it is paused.
+        s, at which it is paused.
     supplement
-        How that moment is shown; by default as the recording says.
+        How to show that moment; by default in the recorded layout.
     port
         0 takes a free one.
 
@@ -71,12 +71,12 @@ class _Server(ThreadingHTTPServer):
     files: Mapping[str, Path] = {}
 
     def server_bind(self) -> None:
-        """Bind; HTTPServer would look up the name of the host, which takes seconds where there is no name server."""
+        """Bind without HTTPServer's look-up of the host's name, which takes seconds if there is no name server."""
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing: a browser that leaves in the middle of a file is no fault."""
+        """Ignore errors: a browser may stop reading in the middle of a file."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -88,11 +88,11 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(with_body=True)
 
     def do_HEAD(self) -> None:
-        """Send what comes before a file."""
+        """Send the headers of a file."""
         self._answer(with_body=False)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+        """Log nothing."""
 
     def _answer(self, with_body: bool) -> None:
         if urlsplit(f"//{self.headers.get('Host', '')}").hostname not in _NAMES:

@@ -1,4 +1,4 @@
-"""Writes the files of a page that shows a recording in Rerun's web viewer and asks no other host for anything."""
+"""Writes the files of a page that shows a recording in Rerun's web viewer, without requests to other hosts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOTICES = "THIRD_PARTY_NOTICES.md"
 FILES = (PAGE, "viewer.css", "viewer.js", "re_viewer.js", "re_viewer.wasm.gz", LAYOUT, NOTICES)  # and the recording
 
 _SERVED = {"re_viewer.js": "re_viewer.js", "re_viewer_bg.wasm": "re_viewer.wasm.gz"}
-_LEVEL = 4  # 43 MB become 14.3 MB in 1.0 s; level 6: 13.8 MB in 2.0 s. Some static hosts take no file above 25 MB
+_LEVEL = 4  # 43 MB become 14.3 MB in 1.0 s; level 6: 13.8 MB in 2.0 s. Some static hosts refuse files above 25 MB
 _START = 60.0  # s
 _POLL = 0.05  # s
 
@@ -50,7 +50,7 @@ def write_viewer(recording: Recording, folder: Path) -> None:
 
 
 def write_moment(recording: Recording, at: float, supplement: Supplement, folder: Path, name: str) -> str:
-    """Write what shows a time (s) as ``NAME.rbl`` and ``NAME.rrd``; return the page's address, paused there."""
+    """Write the layout and the rows for a time (s), ``NAME.rbl`` and ``NAME.rrd``; return the address of that moment."""
     application, recording_id = recording.store.application_id, recording.store.store_id
     supplement.layout.save(application, folder / f"{name}.rbl")
     supplement.save(folder / f"{name}.rrd", application, recording_id)
@@ -63,9 +63,9 @@ def paused_page(recording: Recording, at: float) -> str:
 
 
 def _copy_web_viewer(folder: Path) -> None:
-    """Copy the web viewer out of Rerun's binary: it is inside, and comes out only by its own web server."""
+    """Copy the web viewer out of Rerun's binary, which offers it only through its own web server."""
     port = free_port()
-    # given an address to show, it hosts the web viewer alone, without a server for recordings
+    # with an address to show, it hosts only the web viewer and no server for recordings
     command = [binary(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(port), f"http://{HOST}/none.rrd"]
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
