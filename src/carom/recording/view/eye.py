@@ -9,7 +9,7 @@ from carom.recording.view.camera import View
 
 
 def eye(view: View, follows: str | None = None) -> rrb.EyeControls3D:
-    """Place Rerun's eye; it follows an entity if one is given, or all bodies if ``view.follows``."""
+    """Place Rerun's eye; it follows an entity if one is given, or all bodies if the view does."""
     return rrb.EyeControls3D(
         position=view.eye,
         look_target=view.target,

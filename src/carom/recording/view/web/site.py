@@ -50,7 +50,7 @@ def write_viewer(recording: Recording, folder: Path) -> None:
 
 
 def write_moment(recording: Recording, at: float, supplement: Supplement, folder: Path, name: str) -> str:
-    """Write the layout and the rows for a time (s), ``NAME.rbl`` and ``NAME.rrd``; return the address of that moment."""
+    """Write the files of a time (s), ``NAME.rbl`` and ``NAME.rrd``; return the page's address, paused there."""
     application, recording_id = recording.store.application_id, recording.store.store_id
     supplement.layout.save(application, folder / f"{name}.rbl")
     supplement.save(folder / f"{name}.rrd", application, recording_id)
