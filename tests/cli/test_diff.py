@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from carom.experiment.run import run
 from carom.recording.write.recorder import Recorder
 from command import carom
+from examples import pair
 from merry import Merry
 
 
@@ -53,6 +55,22 @@ def test_diff_prints_json_that_a_script_can_use(run_file: Path, other: Path, tmp
     assert document["first_difference"]["step"] == 40
     assert document["scene"] == {"seed": [None, 3]}
     assert len(document["curve"]) == 100 and document["curve"][99]["rms"] == pytest.approx(1e-3 * 3**0.5, rel=1e-3)
+
+
+def test_the_first_impact_that_differs_is_said_and_by_how_much(tmp_path: Path) -> None:
+    for name, speed in (("a", 1.0), ("b", 1.5)):
+        scene = pair(speed, time={"duration": 2.0, "fixed_dt": 0.01}, record={"every": 0.5})
+        run(scene, tmp_path / f"{name}.rrd")
+    done = carom("diff", "a.rrd", "b.rrd", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    shown = " ".join(done.stdout.split())
+    assert "impacts 1 in A, 1 in B, up to the same time first different: impact 1, body 0 and body 1, t = 1 s" in shown
+    assert "+1.00e+00 m/s in approach speed" in shown
+    document = json.loads(carom("diff", "a.rrd", "b.rrd", "--json", cwd=tmp_path).stdout)
+    assert document["impacts"]["counts"] == [1, 1] and document["impacts"]["first_other_bodies"] is None
+    first = document["impacts"]["first_difference"]
+    assert first["number"] == 1 and first["b"]["bodies"] == [0, 1] and first["b"]["between"] == "body 0 and body 1"
+    assert first["b"]["time"] == pytest.approx(2.0 / 3.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

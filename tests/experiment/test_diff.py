@@ -8,6 +8,7 @@ import pytest
 
 from carom.cli.diff import _short
 from carom.experiment.diff.diff import Diff, diff, differing, overlay
+from carom.experiment.diff.impact_divergence import impact_divergence
 from carom.experiment.run import run
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
@@ -15,6 +16,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
 from crafted import changed, without_column
+from examples import scene_of
 from merry import Merry
 
 Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)
@@ -134,6 +136,51 @@ def test_a_recording_that_lost_its_total_energy_is_refused_in_one_sentence(tmp_p
     changed(whole.path, tmp_path / "b.rrd", "energy/total", lambda rows: without_column(rows, "Scalars:scalars"))
     with pytest.raises(RecordingError, match=r"b\.rrd has no /energy/total: a piece of it is missing$"):
         diff(whole, Recording.open(tmp_path / "b.rrd"))
+
+
+def balls(path: Path, *, speed: float = 1.0, **record: Any) -> Recording:
+    """Two balls that bounce on a floor beside each other, the second one first and, if it is fast, more often."""
+    bodies = [
+        {"position": [0.0, 0.0, 1.5], "radius": 0.5},
+        {"position": [3.0, 0.0, 1.0], "velocity": [0.0, 0.0, -speed], "radius": 0.5},
+    ]
+    scene = scene_of(
+        bodies,
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        plane=[{"point": [0.0, 0.0, 0.0]}],
+        time={"duration": 1.5, "fixed_dt": 0.01},
+        record={"every": 0.1} | record,
+    )
+    return run(scene, path)
+
+
+def test_the_first_impact_at_which_two_runs_part_is_named_with_its_number_pair_and_time(tmp_path: Path) -> None:
+    one, other = balls(tmp_path / "a.rrd"), balls(tmp_path / "b.rrd", speed=1.01)
+    found = impact_divergence(one, other)
+    assert found is not None and found.first is not None and not found.same
+    table, there = one.impacts(), other.impacts()
+    assert (found.first.number, found.first.a.bodies) == (1, (1, 2))
+    assert (found.first.a.time, found.first.b.time) == (table["time"][0].as_py(), there["time"][0].as_py())
+    assert found.first.b.time < found.first.a.time
+    assert found.counts == (table.num_rows, there.num_rows) and found.compared == min(found.counts)
+    swapped = impact_divergence(one, balls(tmp_path / "c.rrd", speed=4.0))
+    assert swapped is not None and swapped.other_bodies is not None
+    k = swapped.other_bodies.number - 1
+    assert swapped.other_bodies.a.bodies == (table["i"][k].as_py(), table["j"][k].as_py())
+
+
+def test_of_a_run_that_recorded_fewer_frames_and_impacts_those_in_both_are_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = balls(tmp_path / "a.rrd")
+    monkeypatch.setattr("carom.recording.write.impact_plan.SHARE", 1e-6)
+    found = diff(whole, balls(tmp_path / "b.rrd", every=0.5))
+    assert found.same and found.impacts is not None
+    assert 0 < found.impacts.compared < whole.impacts().num_rows and found.impacts.same
+
+
+def test_impacts_that_one_run_did_not_record_are_not_compared(tmp_path: Path) -> None:
+    assert diff(balls(tmp_path / "a.rrd"), balls(tmp_path / "b.rrd", impacts="none")).impacts is None
 
 
 def test_across_a_periodic_boundary_bodies_are_near(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.experiment.diff.diff import Diff
+    from carom.experiment.diff.impact_divergence import Impact, ImpactDivergence, ImpactPair
+    from carom.scene.names import Names
 
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
@@ -32,13 +35,17 @@ def diff(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ."""
+    """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
+
+    Of impacts, those are compared that both recorded, by their numbers.
+    """
     import json
 
     from carom.experiment.diff.diff import diff as compare
     from carom.experiment.diff.diff import overlay
     from carom.experiment.output import refuse_output
     from carom.recording.errors import RecordingError
+    from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
     if output is not None:
@@ -49,23 +56,24 @@ def diff(
     found = compare(*recordings)
     if output is not None:
         overlay(*recordings, found, output)
+    names = names_of(recordings[0])
     if as_json:
-        say(json.dumps(_document(found), indent=2, ensure_ascii=False))
+        say(json.dumps(_document(found, names), indent=2, ensure_ascii=False))
     else:
-        _print(found, output)
+        _print(found, names, output)
     if not found.same:
         raise typer.Exit(1)
 
 
-def _document(found: Diff) -> dict[str, Any]:
+def _document(found: Diff, names: Names) -> dict[str, Any]:
     """Nest what was found as JSON has it: no NaN, no infinity."""
     from dataclasses import asdict
     from math import isfinite
 
     curve, verdict = found.curve, found.verdict
     first = verdict.first
-    columns = zip(*(getattr(curve, name).tolist() for name in ("step", "time", "rms", "floor", "energy")), strict=True)
-    names = ("step", "time", "rms", "floor", "energy")
+    keys = ("step", "time", "rms", "floor", "energy")
+    rows = zip(*(getattr(curve, key).tolist() for key in keys), strict=True)
     document: dict[str, Any] = {
         "a": str(found.paths[0]),
         "b": str(found.paths[1]),
@@ -81,9 +89,10 @@ def _document(found: Diff) -> dict[str, Any]:
             "matched_by": found.matched_by,
         },
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
+        "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
         "growth": None if found.divergence is None else asdict(found.divergence),
         "size": curve.size,
-        "curve": [dict(zip(names, row, strict=True)) for row in columns],
+        "curve": [dict(zip(keys, row, strict=True)) for row in rows],
     }
 
     def finite(value: Any) -> Any:
@@ -96,11 +105,35 @@ def _document(found: Diff) -> dict[str, Any]:
     return dict(finite(document))
 
 
-def _print(found: Diff, output: Path | None) -> None:
+def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
+    def nested(pair: ImpactPair | None) -> dict[str, Any] | None:
+        if pair is None:
+            return None
+        return {"number": pair.number} | {name: of(impact) for name, impact in (("a", pair.a), ("b", pair.b))}
+
+    def of(impact: Impact) -> dict[str, Any]:
+        return {
+            "bodies": list(impact.bodies),
+            "between": names.pair(impact.bodies),
+            "time": impact.time,
+            "approach_speed": impact.approach_speed,
+            "normal_impulse": impact.normal_impulse,
+            "mode": impact.mode,
+        }
+
+    return {
+        "counts": None if found.counts is None else list(found.counts),
+        "compared": found.compared,
+        "first_difference": nested(found.first),
+        "first_other_bodies": nested(found.other_bodies),
+    }
+
+
+def _print(found: Diff, names: Names, output: Path | None) -> None:
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
-    console.print(_overview(found))
+    console.print(_overview(found, names))
     if not found.same:
         console.print()
         console.print(_curve(found))
@@ -110,7 +143,7 @@ def _print(found: Diff, output: Path | None) -> None:
         console.print(f"{output} written: both, one over the other; {command('view', output)}")
 
 
-def _overview(found: Diff) -> Table:
+def _overview(found: Diff, names: Names) -> Table:
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
@@ -126,7 +159,48 @@ def _overview(found: Diff) -> Table:
         if len(differing) > KEYS:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
+    for k, line in enumerate(_impact_lines(found.impacts, names)):
+        table.add_row("" if k else "impacts", line)
     return table
+
+
+def _impact_lines(found: ImpactDivergence | None, names: Names) -> Iterator[str]:
+    """Say where the impacts part, and by how much."""
+    if found is None:
+        yield "not recorded in both"
+        return
+    if found.counts is not None:
+        yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
+    if found.first is None:
+        yield f"all {found.compared} that both recorded are the same" if found.compared else "none that both recorded"
+        return
+    yield f"{_called(found.first, names)}: {_by_how_much(found.first)}"
+    other = found.other_bodies
+    if other is not None and other != found.first:
+        yield _called(other, names)
+
+
+def _called(pair: ImpactPair, names: Names) -> str:
+    a, b = pair.a, pair.b
+    if a.bodies == b.bodies:
+        return f"first different: impact {pair.number}, {names.pair(a.bodies)}, t = {a.time:.9g} s"
+    return (
+        f"first between other bodies: impact {pair.number}, {names.pair(a.bodies)} at t = {a.time:.9g} s in A, "
+        f"{names.pair(b.bodies)} at t = {b.time:.9g} s in B"
+    )
+
+
+def _by_how_much(pair: ImpactPair) -> str:
+    """Give the differences of an impact, B - A, as far as there are any."""
+    a, b = pair.a, pair.b
+    differences = (
+        (b.time - a.time, "s in time"),
+        (b.approach_speed - a.approach_speed, "m/s in approach speed"),
+        (b.normal_impulse - a.normal_impulse, "N s in impulse"),
+    )
+    parts = [f"{value:+.2e} {what}" for value, what in differences if value]
+    parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
+    return f"{', '.join(parts)} (B - A)" if parts else "in its direction, friction or lost energy"
 
 
 def _curve(found: Diff) -> Table:

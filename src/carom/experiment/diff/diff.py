@@ -1,4 +1,4 @@
-"""Compares two recordings: scene, versions, first different frame, growth of the difference."""
+"""Compares two recordings: scene, versions, first different frame and impact, growth of the difference."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from carom.experiment.diff.divergence import Curve, Divergence, Verdict, divergence_of, verdict
 from carom.experiment.diff.frame_alignment import FrameAlignment
+from carom.experiment.diff.impact_divergence import ImpactDivergence, impact_divergence
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.comparison import Pair, write_overlay
@@ -35,11 +36,12 @@ class Diff:
     curve: Curve
     divergence: Divergence | None
     verdict: Verdict
+    impacts: ImpactDivergence | None  # None if one has none recorded
 
     @property
     def same(self) -> bool:
-        """Whether all common frames are identical to the bit."""
-        return self.verdict.kind == "same"
+        """Whether all common frames are identical to the bit, and so are the impacts that both recorded."""
+        return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
 
 def diff(a: Recording, b: Recording) -> Diff:
@@ -68,6 +70,7 @@ def diff(a: Recording, b: Recording) -> Diff:
         curve=curve,
         divergence=divergence,
         verdict=verdict(curve, divergence),
+        impacts=impact_divergence(a, b),
     )
 
 

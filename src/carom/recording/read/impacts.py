@@ -61,8 +61,8 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     recorded = int(np.count_nonzero(steps <= step))
     if len(recording.shown) < int(recording.info["bodies"]):
         return RecordedImpacts(recorded)
-    before = 0 if first == 0 else _count_at(recording, first) - int(np.count_nonzero(steps <= first))
-    count = _count_at(recording, step) - before
+    before = 0 if first == 0 else count_at(recording, first) - int(np.count_nonzero(steps <= first))
+    count = count_at(recording, step) - before
     if recorded > count:
         raise DamageError(f"{recorded} impacts up to step {step}, of {count}")
     return RecordedImpacts(recorded, count - recorded)
@@ -102,13 +102,14 @@ def _steps(recording: Recording) -> Iterator[IntArray]:
         yield np.array(chunk.batch[STEP].to_numpy())
 
 
-def _count_at(recording: Recording, step: int) -> int:
+def count_at(recording: Recording, step: int) -> int:
     """Return how many impacts the run had up to a frame; 0 if the frame does not say."""
     held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
-    for chunk in recording.chunks(held):
-        rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-        if len(rows) and "impact_count" in chunk.components:
-            return int(flat(chunk, "impact_count", Column(pa.int64()))[int(rows[-1])].as_py())
+    with reading(recording.path):
+        for chunk in recording.chunks(held):
+            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+            if len(rows) and "impact_count" in chunk.components:
+                return int(flat(chunk, "impact_count", Column(pa.int64()))[int(rows[-1])].as_py())
     return 0
 
 
