@@ -40,6 +40,19 @@ def test_a_flag_does_not_look_as_if_it_took_a_value(name: str, tmp_path: Path) -
     assert "bool" not in shown and re.search(r"--force +(Replace|Remove)", line)
 
 
+def test_the_help_groups_the_commands_in_the_order_of_the_readme(tmp_path: Path) -> None:
+    shown = carom("--help", cwd=tmp_path).stdout
+    assert re.findall(r"╭─ ([A-Z][a-z ]+) ─", shown)[1:] == ["Simulate", "Look", "Ask", "Measure", "Keep and share"]
+    tour = (Path(__file__).parents[2] / "README.md").read_text().partition("## Six things to do")[2]
+    assert [title.split()[0] for title in re.findall(r"^\*\*(\w[^*]*)\.\*\*", tour, re.MULTILINE)[:5]] == [
+        "Simulate",
+        "Look",
+        "Ask",
+        "Measure",
+        "Keep",
+    ]
+
+
 def test_force_means_in_every_command_that_something_is_replaced() -> None:
     for name, command in COMMANDS.items():
         for parameter in command.params:
@@ -68,6 +81,6 @@ def test_the_shell_completes_commands_and_bundled_scenes(tmp_path: Path) -> None
         )
         return done.stdout.split()
 
-    assert completed("carom re") == ["replay", "report", "resume", "repair"]
+    assert completed("carom re") == ["resume", "replay", "repair", "report"]
     assert completed("carom run figure") == ["figure-eight"]
     assert "extremes/mass-ratio" in completed("carom explain extremes/")

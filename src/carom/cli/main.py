@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
@@ -63,27 +64,29 @@ def _root(
     """Simulate a scene, record it, and look at every collision."""
 
 
-app.command("run", cls=Command)(run.run)
-app.command("scenes", cls=Command)(scenes.scenes)
-app.command("new", cls=Command)(scenes.new)
-app.command("explain", cls=Command)(explain.explain)
-app.command("inspect", cls=Command)(inspect.inspect)
-app.command("replay", cls=Command)(replay.replay)
-app.command("publish", cls=Command)(publish.publish)
-app.command("report", cls=Command)(report.report)
-app.command("resume", cls=Command)(resume.resume)
-app.command("stress", cls=Command)(stress.stress)
-app.command("sweep", cls=Command)(sweep.sweep)
-app.command("tradeoff", cls=Command)(tradeoff.tradeoff)
-app.command("tune", cls=Command)(tune.tune)
-app.command("view", cls=Command)(view.view)
-app.command("picture", cls=Command)(view.picture)
-app.command("movie", cls=Command)(movie.movie)
-app.command("clip", cls=Command)(clip.clip)
-app.command("contacts", cls=Command)(contacts.contacts)
-app.command("diff", cls=Command)(diff.diff)
-app.command("repair", cls=Command)(repair.repair)
-app.command("warmup", cls=Command)(warmup.warmup)
+COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in the help, as a newcomer needs them
+    "Simulate": {
+        "run": run.run,
+        "scenes": scenes.scenes,
+        "new": scenes.new,
+        "explain": explain.explain,
+        "resume": resume.resume,
+        "sweep": sweep.sweep,
+        "warmup": warmup.warmup,
+    },
+    "Look": {"view": view.view, "picture": view.picture, "movie": movie.movie},
+    "Ask": {"inspect": inspect.inspect, "contacts": contacts.contacts, "replay": replay.replay, "diff": diff.diff},
+    "Measure": {"tradeoff": tradeoff.tradeoff, "tune": tune.tune, "stress": stress.stress},
+    "Keep and share": {
+        "clip": clip.clip,
+        "repair": repair.repair,
+        "report": report.report,
+        "publish": publish.publish,
+    },
+}
+for panel, commands in COMMANDS.items():
+    for name, command in commands.items():
+        app.command(name, cls=Command, rich_help_panel=panel)(command)
 
 
 def _say_old_names_once() -> None:
