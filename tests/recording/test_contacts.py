@@ -233,6 +233,18 @@ def test_impacts_whose_columns_change_their_type_are_refused_by_a_replay(recordi
         replay(Recording.open(path))
 
 
+@pytest.mark.parametrize(("entity", "column"), [("world/forces/normal", "bodies"), ("world/contacts", "impact_count")])
+def test_rows_without_values_are_refused_by_a_replay(
+    entity: str, column: str, recording: Recording, tmp_path: Path
+) -> None:
+    def emptied(batch: pa.RecordBatch) -> pa.RecordBatch:
+        return with_column(batch, column, pa.nulls(batch.num_rows, batch[column].type))
+
+    changed(recording.path, tmp_path / "altered.rrd", entity, emptied)
+    with pytest.raises(RecordingError, match=r"altered\.rrd is not a recording, or is damaged"):
+        replay(Recording.open(tmp_path / "altered.rrd"))
+
+
 def test_a_resumed_run_has_the_impacts_of_one_that_never_stopped(recording: Recording, tmp_path: Path) -> None:
     path = carom.run(scene(duration=1.0), tmp_path / "half.rrd").path
     half = resumable_run(Recording.open(path), until=2.0)

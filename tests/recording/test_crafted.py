@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 from carom.recording.errors import RecordingError
+from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from crafted import Change, changed, mapped, retyped, with_column, without_column
 
@@ -77,6 +78,12 @@ def test_rows_that_lost_their_time_are_refused(run_file: Path) -> None:
     changed(run_file, run_file, "step/contacts", lambda batch: without_column(batch, "sim_time"), footer=False)
     with pytest.raises(RecordingError, match="rows of /step/contacts with steps, but without sim_time"):
         Recording.open(run_file)
+
+
+def test_positions_that_are_no_numbers_are_refused_by_a_picture(run_file: Path) -> None:
+    changed(run_file, run_file, "world/bodies", retyped("Ellipsoids3D:centers", several([True] * 60)))
+    with pytest.raises(RecordingError, match=r"damaged .*type bool"):
+        drawn_paths(Recording.open(run_file), [0])
 
 
 def test_names_of_fewer_bodies_than_there_are_are_refused(run_file: Path) -> None:

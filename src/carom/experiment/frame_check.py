@@ -13,6 +13,7 @@ from carom.experiment.impact_check import ImpactCheck
 from carom.experiment.mismatch import Mismatch, different, same
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
+from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
 from carom.recording.read.rows import RecordedRows, checkpoints_of, rows_of
 from carom.recording.rrd.messages import Chunk
@@ -68,6 +69,7 @@ class FrameCheck:
         self, recording: Recording, header: Header, steps: NDArray[np.int64], begin: int, all_frames: bool
     ) -> None:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared, in order
+        self._path = recording.path
         self._rows = RecordedRows(recording)
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -161,9 +163,10 @@ class FrameCheck:
             columns = [SIM_TIME, *compared]
             if all(same(block.batch[name], replayed.batch[name]) for name in columns):
                 return []
-        for k, step in enumerate(steps):
-            if found := self._row(path, int(step), replayed.batch.slice(k, 1), compared):
-                return [found]
+        with reading(self._path):
+            for k, step in enumerate(steps):
+                if found := self._row(path, int(step), replayed.batch.slice(k, 1), compared):
+                    return [found]
         return []
 
     def _skips(self, path: str, name: str, first: bool) -> bool:

@@ -13,9 +13,11 @@ from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.contact.contact_tap import MOST_IMPACTS
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
+from carom.recording.read.damage import reading
 from carom.recording.read.impacts import bodies_by_number, impacts_by_number, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.read.rows import RecordedRows, chunk_of
+from carom.recording.read.tables import Column, flat
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
@@ -61,6 +63,7 @@ class ImpactCheck:
         self, recording: Recording, encoder: BatchEncoder, rows: RecordedRows, few: Selection | None = None
     ) -> None:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
+        self._path = recording.path
         self._numbers, self._recorded = impacts_by_number(recording)
         self._drawn_at, self._drawn = bodies_by_number(recording)
         self._rows, self._encoder, self._few = rows, encoder, few
@@ -141,12 +144,13 @@ class ImpactCheck:
         return self._differ(chosen["step"], rows, replayed, [IMPACT, *replayed.components])
 
     def _differ(self, steps: IntArray, recorded: pa.Table, replayed: Chunk, columns: list[str]) -> Mismatch | None:
-        for name in columns:
-            if name not in recorded.column_names:
-                return Mismatch(int(steps[0]), f"{name} of /{replayed.entity_path}", "nothing", "values")
-            one, other = _whole(recorded[name]), _whole(replayed.batch[name])
-            if not same(one, other):
-                return _first_that_differs(steps, replayed.entity_path, name, one, other)
+        with reading(self._path):
+            for name in columns:
+                if name not in recorded.column_names:
+                    return Mismatch(int(steps[0]), f"{name} of /{replayed.entity_path}", "nothing", "values")
+                one, other = _whole(recorded[name]), _whole(replayed.batch[name])
+                if not same(one, other):
+                    return _first_that_differs(steps, replayed.entity_path, name, one, other)
         return None
 
     def _stray(self, step: int, count: int) -> Mismatch | None:
@@ -159,9 +163,10 @@ class ImpactCheck:
 
     def _count_at(self, step: int) -> int | None:
         """Return how many impacts the recording has counted up to a frame; None if it does not say."""
-        for chunk in self._rows.at(paths.CONTACTS, step):
-            if "impact_count" in chunk.components:
-                return int(chunk.batch["impact_count"][0].as_py()[0])
+        with reading(self._path):
+            for chunk in self._rows.at(paths.CONTACTS, step):
+                if "impact_count" in chunk.components:
+                    return int(flat(chunk, "impact_count", Column(pa.int64()))[0].as_py())
         return None
 
 

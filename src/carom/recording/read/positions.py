@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
@@ -92,16 +92,17 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
     steps, positions, turns = [], [], []
     n, chosen = len(recording.shown), list(places)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
-    for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
-        rows = chunk.batch.num_rows
-        centres = next((name for name in paths.CENTRES if name in chunk.components), None)
-        if centres is None:
-            continue
-        steps.append(chunk.batch[STEP].to_numpy())
-        positions.append(_numbers(chunk.batch[centres]).reshape(rows, n, 3)[:, chosen])
-        turned = next((name for name in chunk.components if name.endswith(":quaternions")), None)
-        if turned is not None:
-            turns.append(_numbers(chunk.batch[turned]).reshape(rows, n, 4)[:, chosen])
+    with reading(recording.path):
+        for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+            rows = chunk.batch.num_rows
+            centres = next((name for name in paths.CENTRES if name in chunk.components), None)
+            if centres is None:
+                continue
+            steps.append(chunk.batch[STEP].to_numpy())
+            positions.append(_numbers(chunk.batch[centres]).reshape(rows, n, 3)[:, chosen])
+            turned = next((name for name in chunk.components if name.endswith(":quaternions")), None)
+            if turned is not None:
+                turns.append(_numbers(chunk.batch[turned]).reshape(rows, n, 4)[:, chosen])
     if not steps:
         raise RecordingError(f"{recording.path} has no positions: a piece of it is missing")
     oriented = np.concatenate(turns) if len(turns) == len(steps) else None
@@ -111,4 +112,6 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
 def _numbers(column: pa.Array) -> NDArray[np.float32]:
     while pa.types.is_nested(column.type):
         column = column.flatten()
+    if column.type != pa.float32():
+        raise DamageError(f"positions or orientations of type {column.type}")
     return np.asarray(column.to_numpy(), dtype=np.float32)
