@@ -110,6 +110,8 @@ def test_without_the_extra_one_sentence_names_it(
         (["--size", "big"], "expected WIDTHxHEIGHT"),
         (["--seconds", "0"], "--seconds 0: expected more than 0"),
         (["--fps", "1000"], "--fps 1000: expected more than 0"),
+        (["--bodies", "0,1"], "--bodies 0,1: chooses the bodies of --view close-up"),
+        (["--view", "close-up", "--bodies", "0,77"], "77"),
         (["--from", "3", "--to", "2"], "from an earlier time to a later one"),
         (["--to", "99"], "99 s is not in it"),
         (["-o", "taken.gif"], "taken.gif: exists; give --force"),
@@ -148,6 +150,21 @@ def test_the_command_makes_a_movie_in_which_the_bodies_move(tmp_path: Path) -> N
         assert np.ptp(np.nonzero(coloured.any(axis=1))) > 100, "they fill a third of the height"
     for before, after in pairwise(frames):
         assert np.mean(np.abs(after - before).max(axis=2) > 40) > 0.02, "they move"
+
+
+@pytest.mark.slow
+def test_a_close_up_movie_keeps_its_two_bodies_in_the_middle(tmp_path: Path) -> None:
+    assert carom("run", "rack-break", "--set", "time.duration=0.2", "-o", "rack.rrd", cwd=tmp_path).returncode == 0
+    asked = ["--view", "close-up", "--event", "impact:5", "--seconds", "0.4", "--fps", "10", "--size", "480x360"]
+    done = carom("movie", "rack.rrd", *asked, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for frame in frames_of(tmp_path / "rack.mp4"):
+        sky = (frame[..., 2] - frame[..., 0] > 40) & (frame[..., 2] > 90)
+        orange = (frame[..., 0] - frame[..., 2] > 60) & (frame[..., 0] > 90)
+        for body in (sky, orange):
+            assert body.mean() > 0.03, "each fills more than a thirtieth of the picture"
+        middle = np.mean([np.mean(np.nonzero(body), axis=1) for body in (sky, orange)], axis=0)
+        assert np.all(np.abs(middle / (360, 480) - 0.5) < 0.2), "the camera follows them"
 
 
 @pytest.mark.slow

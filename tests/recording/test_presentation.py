@@ -81,6 +81,18 @@ def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
     assert event(bounce, "first-contact")[0] == pytest.approx(bounce.moment(), abs=1e-8)
 
 
+def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> None:
+    impacts = bounce.impacts()
+    for row in (0, len(impacts) - 1):
+        time, pair = event(bounce, f"impact:{row + 1}")
+        assert time == impacts["time"][row].as_py()
+        assert pair == Pair(impacts["i"][row].as_py(), impacts["j"][row].as_py())
+    with pytest.raises(RecordingError, match=f"no impact 99 on record; its impacts have numbers from 1 to {row + 1}"):
+        event(bounce, "impact:99")
+    with pytest.raises(RecordingError, match="--event impact:last: expected the number of an impact"):
+        event(bounce, "impact:last")
+
+
 def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) -> None:
     frame = shown_step.shown_step(bounce, bounce.moment()).frame
     assert frame is not None

@@ -10,7 +10,7 @@ import typer
 
 from carom.cli.options import ForceOption, RecordingArgument, seconds
 from carom.cli.text import say
-from carom.cli.view import pixels_of
+from carom.cli.view import BodiesOption, Theme, pixels_of
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -25,6 +25,7 @@ class MovieView(StrEnum):
 
     BODIES = "bodies"
     GRAPH = "graph"
+    CLOSE_UP = "close-up"
     ENERGY = "energy"
     ALL = "all"
 
@@ -45,6 +46,12 @@ def movie(
         typer.Option("--fps", parser=seconds, metavar="N", help="Pictures per second. Default: 30, for a GIF 20."),
     ] = None,
     view: Annotated[MovieView, typer.Option("--view", help="View that fills the picture.")] = MovieView.BODIES,
+    event: Annotated[
+        str | None,
+        typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
+    ] = None,
+    bodies: BodiesOption = None,
+    theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
     output: Annotated[
         Path | None,
@@ -63,6 +70,7 @@ def movie(
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
     _check(path, pixels, length, rate)
+    _check_view(view, event, bodies)
     with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
         from carom.recording.view.movie_file import require_encoder, write_movie
 
@@ -71,9 +79,9 @@ def movie(
     times = frame_times(recording, first, last, max(2, round(length * rate)))
     with claimed_output(path, force):
         require_encoder(path)
+        shots = pictures(recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies)
         with MovieProgress(path, times) as progress:
-            shots = progress.watched(pictures(recording, times, pixels, view.value))
-            write_movie(path, shots, len(times), pixels, rate)
+            write_movie(path, progress.watched(shots), len(times), pixels, rate)
         say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")
 
 
@@ -90,6 +98,15 @@ def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None
         raise RecordingError(f"--seconds {length:g}: expected more than 0 and at most {LONGEST:g}")
     if not 0.0 < fps <= FASTEST:
         raise RecordingError(f"--fps {fps:g}: expected more than 0 and at most {FASTEST:g}")
+
+
+def _check_view(view: MovieView, event: str | None, bodies: str | None) -> None:
+    """Refuse the choice of two bodies for a view that does not follow any."""
+    from carom.recording.errors import RecordingError
+
+    for option, given in (("--event", event), ("--bodies", bodies)):
+        if given is not None and view != MovieView.CLOSE_UP:
+            raise RecordingError(f"{option} {given}: chooses the bodies of --view close-up; give that, too")
 
 
 def _ends(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:

@@ -25,7 +25,7 @@ EventOption = Annotated[
     typer.Option(
         "--event",
         metavar="NAME",
-        help="Moment to show: one that `carom inspect` lists or a kind of event, such as impact.",
+        help="Moment to show: one that `carom inspect` lists, a kind of event, or impact:N for the Nth impact.",
     ),
 ]
 BodiesOption = Annotated[

@@ -49,6 +49,32 @@ def impacts(
     return of_body(_replayed(recording, first, last, watch), number)
 
 
+def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int]:
+    """Return the time (s) and the ends of the impact of a number, from 1 on, on the timeline ``impact``.
+
+    Raises
+    ------
+    RecordingError
+        If it is not recorded; the message says which numbers are.
+    """
+    found: list[int] = []
+    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    with reading(recording.path):
+        for chunk in recording.chunks(entries):
+            if IMPACT not in chunk.batch.schema.names:
+                continue
+            numbers = chunk.batch[IMPACT].to_numpy()
+            found += numbers[:1].tolist() + numbers[-1:].tolist()
+            row = np.flatnonzero(numbers == number)
+            if len(row):
+                time = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * (1e-9 * float(recording.info["time_scale"]))
+                at = int(row[0])
+                pair = _table(recording, chunk, time).slice(at, 1)
+                return float(time[at]), int(pair["i"][0].as_py()), int(pair["j"][0].as_py())
+    has = f"its impacts have numbers from {min(found)} to {max(found)}" if found else "it records no impacts"
+    raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
+
+
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     """Count the impacts up to a step that has a frame; of a clip those since its first frame.
 

@@ -21,7 +21,8 @@ from carom.recording.view.plot_views import Curves, energy_view, plot_views, who
 WINDOW = Canvas()
 ALL = "all"
 PLOT = "plot"
-VIEWS = ("bodies", "graph", "close-up", "energy", PLOT)
+CLOSE_UP = "close-up"
+VIEWS = ("bodies", "graph", CLOSE_UP, "energy", PLOT)
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 

@@ -18,10 +18,11 @@ from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.blueprint import ALL, blueprint
+from carom.recording.view.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
-from carom.recording.view.picture import headless, settled, window_of
+from carom.recording.view.picture import headless, note_ends, settled, window_of
+from carom.recording.view.presentation import asked
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.supplement import Supplement
@@ -55,8 +56,17 @@ def frame_times(recording: Recording, start: float, end: float, count: int) -> F
     return np.asarray(times[np.maximum(rows, 0)])
 
 
-def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], view: str = ALL) -> Iterator[bytes]:
-    """Yield a PNG for each time, in order.
+def pictures(
+    recording: Recording,
+    times: FloatArray,
+    size: tuple[int, int],
+    view: str = ALL,
+    *,
+    theme: str = "dark",
+    event: str | None = None,
+    bodies: str | None = None,
+) -> Iterator[bytes]:
+    """Return a PNG for each time, in order; they are taken as they are asked for.
 
     Each comes from a viewer that has settled: two pictures in a row are equal, byte for byte. Several viewers share the
     work, because each uses one core.
@@ -71,6 +81,12 @@ def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], vie
         Width and height in pixels.
     view
         One view that fills the picture, or all of them.
+    theme
+        Of the viewer, "dark" or "light".
+    event
+        Its name; a close-up follows its bodies, by default those of the hardest impact.
+    bodies
+        The bodies that a close-up follows, by numbers or names with a comma between them.
 
     Raises
     ------
@@ -78,10 +94,27 @@ def pictures(recording: Recording, times: FloatArray, size: tuple[int, int], vie
         If there is no Vulkan driver, a viewer ends, or the recording has nothing to show in the view.
     """
     different = list(dict.fromkeys(times.tolist()))
-    supplement = None if recording.is_overlay else _layout(recording, different, size, view)
+    supplement = None
+    if view == CLOSE_UP:
+        supplement = asked(recording, None, event, bodies, Canvas(*size, framed=False), view).supplement
+    elif not recording.is_overlay:
+        supplement = _layout(recording, different, size, view)
+    return _taken(recording, times, size, view, theme, supplement)
+
+
+def _taken(
+    recording: Recording,
+    times: FloatArray,
+    size: tuple[int, int],
+    view: str,
+    theme: str,
+    supplement: Supplement | None,
+) -> Iterator[bytes]:
+    """Take the pictures."""
+    different = list(dict.fromkeys(times.tolist()))
     count = max(1, min(_MOST_VIEWERS, os.cpu_count() or 1, len(different) // _FRAMES_EACH))
     with ExitStack() as stack:
-        studios = [_Studio(stack, recording, supplement, size, view) for _ in range(count)]
+        studios = [_Studio(stack, recording, supplement, size, view, theme) for _ in range(count)]
         waiting: deque[Future[bytes]] = deque()
         ahead = zip(different, cycle(studios), strict=False)
         last, png = np.nan, b""
@@ -97,7 +130,13 @@ class _Studio:
     """A viewer, and the thread that takes its pictures."""
 
     def __init__(
-        self, stack: ExitStack, recording: Recording, supplement: Supplement | None, size: tuple[int, int], view: str
+        self,
+        stack: ExitStack,
+        recording: Recording,
+        supplement: Supplement | None,
+        size: tuple[int, int],
+        view: str,
+        theme: str,
     ) -> None:
         self._recording = recording
         self._whole = view == ALL or recording.is_overlay
@@ -106,7 +145,8 @@ class _Studio:
         self._started = False
         self._thread = stack.enter_context(ThreadPoolExecutor(1))
         # at the end the viewer is closed first, so that a thread that waits for a picture fails at once
-        self._viewer: Viewer = stack.enter_context(headless(window_of(size, self._whole)))
+        self._viewer: Viewer = stack.enter_context(headless(window_of(size, self._whole), theme))
+        self._noted = note_ends(theme)
         stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
 
     def take(self, at: float) -> Future[bytes]:
@@ -123,6 +163,7 @@ class _Studio:
             self._viewer.add(self._supplement)
         self._view = None if self._whole else self._viewer.only_view()
         self._started = True
+        time.sleep(max(0.0, self._noted - time.monotonic()))
         settled(self._viewer, self._view)
         return self._picture()
 

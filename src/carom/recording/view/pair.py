@@ -10,9 +10,13 @@ import numpy as np
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
 from carom.recording.read.body_names import body_number
+from carom.recording.read.impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.scene.names import bodies_called, body_called
+
+_IMPACT = "impact:"  # before the number of an impact
+_DIGITS = 18  # so many fit into 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +69,20 @@ def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
 
 
 def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
-    """Return the time (s) and the bodies of an event: an extreme of `carom inspect`, or the first of a kind in the log.
+    """Return the time (s) and the bodies of an event.
+
+    Parameters
+    ----------
+    name
+        An extreme of `carom inspect`, a kind of event, of which the first is taken, or ``impact:N``, the Nth impact.
 
     Raises
     ------
     RecordingError
         If there is no such event.
     """
+    if name.startswith(_IMPACT):
+        return _impact(recording, name.removeprefix(_IMPACT))
     closing = dict(recording.closing)
     if f"moments.{name}.time" in closing:
         return float(closing[f"moments.{name}.time"]), _pair(recording, closing, f"moments.{name}.")
@@ -90,6 +101,15 @@ def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
     known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
     has = f"it has {', '.join(known)}" if known else "it has none"
     raise RecordingError(f'{recording.path} has no event "{name}"; {has}')
+
+
+def _impact(recording: Recording, text: str) -> tuple[float, Pair]:
+    """Return the time (s) and the ends of an impact, given its number on the timeline ``impact``."""
+    if not text.isdigit() or len(text) > _DIGITS:
+        raise RecordingError(f"--event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
+    at, i, j = numbered_impact(recording, int(text))
+    bodies = int(recording.info["bodies"])
+    return at, Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
 
 
 def _pair(recording: Recording, closing: dict[str, Any], prefix: str) -> Pair | None:

@@ -98,7 +98,7 @@ def render(
         )
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(window_of(size, whole), theme) as viewer:
-        noted = time.monotonic() + (_NOTE if theme == "light" else 0.0)
+        noted = note_ends(theme)
         viewer.show(recording)
         viewer.go_to(recording, moment)
         if extra is not None:
@@ -140,6 +140,11 @@ def headless(size: tuple[int, int], theme: str = "dark") -> Iterator[Viewer]:
         return
     with light_theme(size) as environment, Viewer("--persist-state", *window, environment=environment) as viewer:
         yield viewer
+
+
+def note_ends(theme: str) -> float:
+    """Return the monotonic time (s) at which a viewer that has just started no longer shows a note."""
+    return time.monotonic() + (_NOTE if theme == "light" else 0.0)
 
 
 def settled(viewer: Viewer, view: str | None) -> bytes:
