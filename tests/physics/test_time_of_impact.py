@@ -382,7 +382,7 @@ def test_a_warning_names_what_struck_within_the_step() -> None:
     space = bullet({"position": [0.0, 0.0, 0.0]})
     space.compute_dynamics(1)
     assert space._contact is not None
-    assert space._contact.contributions.shape == (1, 3)
+    assert space._contact.keep_contributions()().shape == (1, 3)
 
 
 # ------------------------------------------------------------------------------------------- colours

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -61,6 +62,22 @@ def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[n
         },
         align=True,
     )
+
+
+def raw(records: NDArray[np.void]) -> NDArray[np.void]:
+    """Return contiguous records as bytes, a view. NumPy copies fields one by one, which takes 100 times as long."""
+    return records.view(np.dtype((np.void, records.dtype.itemsize)))
+
+
+def joined(parts: Iterable[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return contiguous records, one part after another, as one array."""
+    found: NDArray[np.void] = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
+    return found
+
+
+def picked(records: NDArray[np.void], places: NDArray[np.int64]) -> NDArray[np.void]:
+    """Return some of contiguous records, a copy."""
+    return raw(records)[places].view(records.dtype)
 
 
 def columns(records: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.aligned import Room, columns
+from carom.physics.aligned import Room, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
@@ -120,14 +120,14 @@ class ContactTap:
         self._drift = impacts
         if len(impacts):
             rows = self._rows_of_drift()
-            self._impacts.add(rows[rows["mode"] == IMPACT_MODE])
+            self._impacts.add(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
 
     def see_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
         """Note the impacts found at the end of the step, before contacts are held once more."""
         rows = self._room.take(len(pairs))
         count = _pick_impacts(_found(pairs, solver), self._ends, self._step, self._ended, rows)
         if count:
-            self._impacts.add(rows[:count].copy())
+            self._impacts.add(raw(rows[:count]).copy().view(CONTACT_ROW))
 
     def take_impacts(self) -> tuple[Records, int]:
         """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and how many were left out."""
@@ -141,11 +141,11 @@ class ContactTap:
         """
         struck = self._rows_of_drift()
         if len(struck):
-            struck = struck[np.lexsort((-struck["approach_speed"], struck["j"], struck["i"]))]
+            struck = picked(struck, np.lexsort((-struck["approach_speed"], struck["j"], struck["i"])))
         rows = self._room.take(len(self._held.pairs) + len(struck) + len(pairs))
         count = _merge(self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended, rows)
         kept = np.empty(count, CONTACT_ROW) if room is None else room.take(count)
-        kept[:] = rows[:count]
+        raw(kept)[:] = raw(rows[:count])
         return kept
 
     def impulses(self, solver: ContactSolver) -> Iterator[Impulses]:
@@ -199,14 +199,14 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        return np.concatenate(self._parts) if self._parts else np.empty(0, CONTACT_ROW)
+        return self._parts[0] if len(self._parts) == 1 else joined(self._parts, CONTACT_ROW)
 
     def _leave_out(self) -> None:
         """Keep those with the largest normal impulses; of equal ones the first."""
-        rows = np.concatenate(self._parts)
+        rows = joined(self._parts, CONTACT_ROW)
         kept = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:MOST_IMPACTS])
         self.left_out += len(rows) - len(kept)
-        self._parts, self._count = [rows[kept]], len(kept)
+        self._parts, self._count = [picked(rows, kept)], len(kept)
 
 
 def _geometry(records: Records) -> tuple[FloatArray, FloatArray]:

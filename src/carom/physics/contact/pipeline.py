@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,7 @@ from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.half_space import HalfSpaces
@@ -128,6 +128,7 @@ class ContactPipeline:
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # made at the first access to `seen`
+        self._seen_place = np.empty(0, dtype=np.int64)  # (m,) places of the records of the contacts in `seen`
         if self.tap:
             self.tap.forget()
 
@@ -376,21 +377,23 @@ class ContactPipeline:
             self._seen = self._snapshot(self._dt)
         return self._seen
 
-    @property
-    def contributions(self) -> FloatArray:
-        """(m, 3) J, the ledger of each contact in `seen`."""
-        return self.seen.sums(self._solver.ledger[self._solver.order.place[self._shown()]], self.impacts.ledger)
+    def keep_contributions(self) -> Callable[[], FloatArray]:
+        """Keep the ledger of this step; the function returns that of each contact seen, (m, 3) J, at any later time."""
+        seen, place, late, struck = self.seen, self._seen_place, self._solver.ledger.copy(), self.impacts.ledger
+        return lambda: seen.sums(late[place], struck)
 
     def _snapshot(self, dt: float) -> ContactSnapshot:
-        solver, shown = self._solver, self._shown()
-        place = solver.order.place[shown]
-        normals, overlaps = solver.found_normals[place], solver.found_overlaps[place]
-        graph = CollisionGraph(self._pairs[shown], normals, overlaps, self._colours[shown], self._body_colours)
-        late = ContactSnapshot.of(graph, solver.approach[place], solver.rest_speed[place])
+        """Copy the contacts that are seen; `_seen_place` gets the places of their records."""
+        solver, m = self._solver, len(self._pairs)
+        pairs, normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
+        overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
+        colours, place = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+        found = (self._pairs, self._colours, solver.order.place, solver.contacts, solver.states, solver.found_normals)
+        count = _show(*found, pairs, normals, overlaps, colours, approach, rest_speed, place)
+        self._seen_place = place[:count]
+        graph = CollisionGraph(pairs[:count], normals[:count], overlaps[:count], colours[:count], self._body_colours)
+        late = ContactSnapshot.of(graph, approach[:count], rest_speed[:count])
         return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
-
-    def _shown(self) -> NDArray[np.bool_]:
-        return self._solver.seen[self._solver.order.place]
 
     def _compile(self) -> None:
         """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
@@ -408,6 +411,42 @@ class ContactPipeline:
         if self.tap:
             self.rows()
         self.forget()
+
+
+@kernel
+def _show(
+    pairs: IntArray,
+    colours: IntArray,
+    place: IntArray,
+    contacts: Records,
+    states: Records,
+    normals: FloatArray,
+    shown_pairs: IntArray,
+    shown_normals: FloatArray,
+    overlaps: FloatArray,
+    shown_colours: IntArray,
+    approach: FloatArray,
+    rest_speed: FloatArray,
+    shown_place: IntArray,
+) -> int:
+    """Copy the contacts that touched when they were found or carry an impulse; return how many.
+
+    Normals and overlaps are from before the position correction. A contact that it opens is resolved all the same.
+    Otherwise the body would fall and be pushed back in every step.
+    """
+    count = 0
+    for c in range(len(pairs)):
+        p = place[c]
+        state = states[p]
+        if not state.apart or contacts[p].normal_impulse > 0.0:
+            shown_pairs[count, 0], shown_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
+            for k in range(3):
+                shown_normals[count, k] = normals[p, k]
+            overlaps[count], shown_colours[count] = state.found_overlap, colours[c]
+            approach[count], rest_speed[count] = state.approach_speed, state.rest_speed
+            shown_place[count] = p
+            count += 1
+    return count
 
 
 @long_kernel

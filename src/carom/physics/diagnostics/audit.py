@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
 from carom.physics.diagnostics.extremes import Extremes
@@ -62,6 +62,7 @@ class Audit:
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names)
         self._suspects: list[Suspects] = []
+        self._last_suspects: Suspects | None = None
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
@@ -84,6 +85,7 @@ class Audit:
         self.ledger = ledger
         self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
         self._suspects = []
+        self._last_suspects = None
 
     def book(self, contacts: FloatArray) -> None:
         """Book the energies of the contacts of a step, (m, 3) J."""
@@ -94,9 +96,11 @@ class Audit:
         self.ledger = self.ledger.plus_loss(entry, loss)
         self._momentum.receive(impulse, angular_impulse)
 
-    def suspect(self, step: int, graph: CollisionGraph, contributions: FloatArray) -> None:
-        """Keep the contacts of a step for a possible warning."""
-        self._suspects.append(Suspects.of(step, graph, contributions, self._bodies))
+    def suspect(self, step: int, contact: ContactPipeline) -> None:
+        """Keep the contacts of the last step for a possible warning."""
+        if self._last_suspects is None or self._last_suspects.step != step:
+            self._last_suspects = Suspects.of(step, contact.seen.graph, contact.keep_contributions(), self._bodies)
+        self._suspects.append(self._last_suspects)
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
         """Return the energy of the present state, given the potential energies of the forces in joules."""

@@ -66,7 +66,7 @@ class Bookkeeper:
             energy=self.audit.energy_baseline,
             momentum=self.audit.momentum_baseline,
             watch=self.audit.monitor_state,
-            moments=replace(self.extremes),
+            moments=self.extremes.copy(),
             activity=self.activity.impact_energy,
             phase=self.activity.phase,
             limits=tuple(sorted(contact.warned)) if contact else (),
@@ -89,7 +89,7 @@ class Bookkeeper:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
         clock, contact = self._world.clock, self._world.contact
         if checked and contact:
-            self.audit.suspect(clock.step - 1, contact.seen.graph, contact.contributions)
+            self.audit.suspect(clock.step - 1, contact)
         if contact and contact.tap:
             contact.tap.begin(clock.step, clock.before, clock.time)
         if self.impulse_audit:
@@ -101,7 +101,7 @@ class Bookkeeper:
         if contact:
             self._book_contacts(contact)
             if checked:
-                self.audit.suspect(self._world.clock.step, contact.seen.graph, contact.contributions)
+                self.audit.suspect(self._world.clock.step, contact)
         else:
             self.activity.see(0, 0.0)
         if self.impulse_audit:

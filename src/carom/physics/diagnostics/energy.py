@@ -147,7 +147,8 @@ class EnergyAccount:
                 abs(external - known.origin.field),
                 abs(rotational - known.origin.rotational),
             )
-            self.baseline = replace(known, scale=scale)
+            if scale != known.scale:
+                self.baseline = replace(known, scale=scale)
         return Energy(
             translational=translational,
             rotational=rotational,

@@ -5,6 +5,7 @@ A closed system cannot gain energy, so a gain is an error. A warning lists the c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,41 +27,39 @@ MOST_WARNINGS = 100  # of a rise in a run; more would say nothing new
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """Copies of the contacts of one step, for a warning that may come a step later."""
+    """The contacts of one step, for a warning that may come a step later.
+
+    Every check needs them and next to none warns, so only what the next step overwrites is copied.
+    """
 
     step: int
     graph: CollisionGraph
-    contributions: FloatArray  # (m, 3) J, each contact's ledger
-    velocity: FloatArray  # (m, 2, 3) m/s, of both bodies
-    angular_velocity: FloatArray | None  # (m, 2, 3) rad/s
+    contributions: Callable[[], FloatArray]  # returns each contact's ledger, (m, 3) J
+    velocity: FloatArray  # (n + p, 3) m/s
+    angular_velocity: FloatArray | None  # (n + p, 3) rad/s
 
     @classmethod
-    def of(cls, step: int, graph: CollisionGraph, contributions: FloatArray, bodies: Bodies) -> Suspects:
-        """Copy the data that a warning shows."""
-        spins = len(bodies.angular_velocity) > 0
-        return cls(
-            step=step,
-            graph=graph,
-            contributions=contributions,
-            velocity=bodies.ends.velocity[graph.pairs],
-            angular_velocity=bodies.ends.angular_velocity[graph.pairs] if spins else None,
-        )
+    def of(cls, step: int, graph: CollisionGraph, contributions: Callable[[], FloatArray], bodies: Bodies) -> Suspects:
+        """Copy the velocities that a warning shows."""
+        ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
+        return cls(step, graph, contributions, ends.velocity.copy(), ends.angular_velocity.copy() if spins else None)
 
     def describe(self, names: Names) -> str:
         """List the contacts that added most energy, with the states of their bodies."""
         if len(self.graph) == 0:
             return f"No bodies were colliding in step {self.step}."
-        added = self.contributions[:, STABILISATION] - self.contributions[:, (RESTITUTION, FRICTION)].sum(axis=1)
+        ledger = self.contributions()
+        added = ledger[:, STABILISATION] - ledger[:, (RESTITUTION, FRICTION)].sum(axis=1)
         lines = [f"Colliding in step {self.step}, {len(self.graph)} contacts, those that added most first:"]
         lines += [self._contact(int(c), float(added[c]), names) for c in np.argsort(-added)[:MOST_CONTACTS]]
         return "\n".join(lines)
 
     def _contact(self, c: int, added: float, names: Names) -> str:
         lines = [f"  contact of overlap {self.graph.overlaps[c]:.3g} m added {added:+.3g} J"]
-        for end, body in enumerate(self.graph.pairs[c]):
-            text = f"    {names.of(int(body))}: v = {_vector(self.velocity[c, end])} m/s"
+        for body in self.graph.pairs[c]:
+            text = f"    {names.of(int(body))}: v = {_vector(self.velocity[body])} m/s"
             if self.angular_velocity is not None:
-                text += f", ω = {_vector(self.angular_velocity[c, end])} rad/s"
+                text += f", ω = {_vector(self.angular_velocity[body])} rad/s"
             lines.append(text)
         return "\n".join(lines)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from typing import Any
 
 from carom.physics.contact.statistics import ContactStatistics
@@ -68,6 +70,10 @@ class Extremes:
         self.total_contacts += tally.contacts
         self.impacts += tally.impacts
 
+    def copy(self) -> Extremes:
+        """Return a copy, which later steps leave as it is."""
+        return Extremes(*_values(self))
+
     def named(self, names: Names) -> Extremes:
         """Return the same extremes with planes separated from bodies, and both by their names."""
         found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -125,6 +131,9 @@ class Extremes:
         self.angular_momentum_error = (
             None if angular is None else _worse(self.angular_momentum_error, angular, step, time)
         )
+
+
+_values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for field in fields(Extremes)))
 
 
 def _named(extreme: Extreme, names: Names) -> Extreme:

@@ -50,32 +50,40 @@ class MomentumAccount:
 
     def __init__(self, bodies: Bodies, field: FloatArray, periodic: bool, anchored: bool = False) -> None:
         self._field = field
+        self._has_field = bool(field.any())
         self._periodic = periodic
         self._anchored = anchored
         self._linear, self._angular, self._linear_scale, self._angular_scale = _sums(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass @ bodies.position) / self._mass
+        self._baseline: MomentumBaseline | None = None  # None where it has changed since it was last asked for
 
     @property
     def baseline(self) -> MomentumBaseline:
         """The reference values; set them to continue an earlier run."""
-        linear, angular, centre = (tuple(vector.tolist()) for vector in (self._linear, self._angular, self._centre))
-        return MomentumBaseline(linear, angular, centre, self._linear_scale, self._angular_scale)
+        if self._baseline is None:
+            linear, angular, centre = (tuple(vector.tolist()) for vector in (self._linear, self._angular, self._centre))
+            self._baseline = MomentumBaseline(linear, angular, centre, self._linear_scale, self._angular_scale)
+        return self._baseline
 
     @baseline.setter
     def baseline(self, known: MomentumBaseline) -> None:
         self._linear, self._angular, self._centre = map(np.array, (known.linear, known.angular, known.centre))
         self._linear_scale, self._angular_scale = known.linear_scale, known.angular_scale
+        self._baseline = known
 
     def receive(self, linear: FloatArray, angular: FloatArray) -> None:
         """Add momenta that came from outside to the reference values."""
         self._linear, self._angular = self._linear + linear, self._angular + angular
+        self._baseline = None
 
     def balance(self, bodies: Bodies, time: float) -> Momentum:
         """Return the momenta at a time since the start, in seconds."""
         linear, angular, linear_scale, angular_scale = _sums(bodies)
-        self._linear_scale = max(self._linear_scale, linear_scale)
-        self._angular_scale = max(self._angular_scale, angular_scale)
+        if linear_scale > self._linear_scale or angular_scale > self._angular_scale:
+            self._linear_scale = max(self._linear_scale, linear_scale)
+            self._angular_scale = max(self._angular_scale, angular_scale)
+            self._baseline = None
         expected_linear, expected_angular = self._expected(time)
         return Momentum(
             linear=linear,
@@ -87,7 +95,7 @@ class MomentumAccount:
         )
 
     def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:
-        if not self._field.any():
+        if not self._has_field:
             return self._linear, self._angular
         weight = self._mass * self._field
         path = self._centre * time + 0.5 * (self._linear / self._mass) * time * time

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,8 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.scene.forces import FORCES
 
-Column = tuple[NDArray[np.generic] | list[str], list[int]]  # values of all rows, and how many each row has
+Values = NDArray[Any] | list[str]
+Column = tuple[Values, list[int]]  # values of all rows, and how many each row has
 
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
@@ -74,11 +76,21 @@ def _size(bodies: int, spins: bool, contacts: int, further: int) -> int:
 
 def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
     """Flatten checkpoints into one column per component, row after row; each row has a digest of the others."""
-    digests = [_digest({name: values for name, (values, _) in _encoded([one]).items()}) for one in checkpoints]
-    return _encoded(checkpoints) | {_DIGEST: (np.array(digests, dtype=np.uint64), [1] * len(digests))}
+    rows = [_row_of(checkpoint) for checkpoint in checkpoints]
+    for row in rows:
+        row[_DIGEST] = np.array([_digest(row)], dtype=np.uint64)
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: _column([row[name] for row in rows if name in row]) for name in names}
 
 
-def _digest(row: Mapping[str, NDArray[Any] | list[Any]]) -> int:
+def _column(parts: Sequence[Values]) -> Column:
+    """Join what each row has of a component."""
+    each = [len(part) for part in parts]
+    texts = [text for part in parts if isinstance(part, list) for text in part]
+    return (texts, each) if texts else (np.concatenate(parts), each)
+
+
+def _digest(row: Mapping[str, Values]) -> int:
     """Return 64 bits of all components of a row, by the order of their names."""
     digest = xxhash.xxh64()
     for name in sorted(row):
@@ -88,48 +100,51 @@ def _digest(row: Mapping[str, NDArray[Any] | list[Any]]) -> int:
     return digest.intdigest()
 
 
-def _encoded(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
-    columns = {
-        "position": _flat([c.position for c in checkpoints]),
-        "velocity": _flat([c.velocity for c in checkpoints]),
-        "acceleration": _flat([c.acceleration for c in checkpoints]),
-        "time": _each([c.time for c in checkpoints]),
-        "previous_dt": _each([c.previous_dt for c in checkpoints]),
+def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
+    """Return the components of a checkpoint."""
+    energy, ledger = checkpoint.energy, checkpoint.energy.ledger
+    arrays: dict[str, NDArray[Any] | float | None] = {
+        "position": checkpoint.position,
+        "velocity": checkpoint.velocity,
+        "acceleration": checkpoint.acceleration,
+        "time": checkpoint.time,
+        "previous_dt": checkpoint.previous_dt,
+        "orientation": checkpoint.orientation,
+        "angular_velocity": checkpoint.angular_velocity,
     }
-    for name in ("orientation", "angular_velocity"):
-        arrays = [array for c in checkpoints if (array := getattr(c, name)) is not None]
-        if arrays:
-            columns[name] = _flat(arrays)
-    first = checkpoints[0].energy
-    for name in (*_ENERGIES, *dict(first.others)):
-        columns[f"energy_{name}"] = _each([c.energy.term(name) for c in checkpoints])
-    for name in (*_LEDGER, *dict(first.ledger.forces)):
-        columns[f"ledger_{name}"] = _each([c.energy.ledger.entry(name) for c in checkpoints])
-    columns["books"] = [_books(c.books) for c in checkpoints], [1] * len(checkpoints)
-    carried = [c.integrator for c in checkpoints if c.integrator is not None]
-    if carried:
-        columns[_INTEGRATOR + "last_dt"] = _each([memory.last_dt for memory in carried])
-        for name in _INTEGRATOR_ARRAYS:
-            columns[_INTEGRATOR + name] = _flat([getattr(memory, name) for memory in carried])
-        columns |= _encode_orbits([memory.orbits for memory in carried if memory.orbits is not None])
-    memories = [c.contacts for c in checkpoints if c.contacts is not None]
-    return columns | _encode_contacts(memories) if memories else columns
-
-
-def _encode_orbits(orbits: Sequence[OrbitCheckpoint]) -> dict[str, Column]:
-    if not orbits:
-        return {}
-    return {_ORBITS + name: _flat([getattr(one, name) for one in orbits]) for name in ("series", *_ORBIT_ARRAYS)}
+    arrays |= {f"energy_{name}": energy.term(name) for name in (*_ENERGIES, *dict(energy.others))}
+    arrays |= {f"ledger_{name}": ledger.entry(name) for name in (*_LEDGER, *dict(ledger.forces))}
+    carried = checkpoint.integrator
+    if carried is not None:
+        arrays |= {_INTEGRATOR + name: getattr(carried, name) for name in ("last_dt", *_INTEGRATOR_ARRAYS)}
+        if carried.orbits is not None:
+            arrays |= {_ORBITS + name: getattr(carried.orbits, name) for name in ("series", *_ORBIT_ARRAYS)}
+    row = {name: np.asarray(array, dtype=np.float64).ravel() for name, array in arrays.items() if array is not None}
+    contacts = {} if checkpoint.contacts is None else _contacts_of(checkpoint.contacts)
+    return {**row, "books": [_books(checkpoint.books)], **contacts}
 
 
 def _books(books: Books) -> str:
     """Return the books as JSON; what a run does not model or look at leaves no byte."""
+    return json.dumps(_plain(books))
 
-    def entries(items: list[tuple[str, Any]]) -> dict[str, Any]:
-        kept = (item for item in items if item[1] or item[0] not in (*_BY_NAME, *_IF_ASKED))
-        return {key: dict(value) if key in _BY_NAME else value for key, value in kept}
 
-    return json.dumps(asdict(books, dict_factory=entries))
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold. `dataclasses.asdict` copies every number, which takes most of the time."""
+    names = _fields_of(value.__class__)
+    if names is None:
+        return value
+    found = {name: _plain(getattr(value, name)) for name in names}
+    for name in (*_BY_NAME, *_IF_ASKED):
+        if name in found and not found[name]:
+            del found[name]
+    return found | {name: dict(found[name]) for name in _BY_NAME if name in found}
+
+
+@cache
+def _fields_of(kind: type) -> tuple[str, ...] | None:
+    """Return the names of the fields of a data class; None if it is none."""
+    return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
 def _books_of(text: str) -> Books:
@@ -142,28 +157,17 @@ def _books_of(text: str) -> Books:
     return _BOOKS.validate_python(json.loads(text, object_hook=entries))
 
 
-def _encode_contacts(memories: Sequence[ContactCheckpoint]) -> dict[str, Column]:
+def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
     # mostly the impulses are those of the step's own contacts: their pairs are written once
-    own = [np.array_equal(memory.held_pairs, memory.pairs) for memory in memories]
-    nobody = np.empty((0, 2), dtype=np.int64)
+    own = np.array_equal(memory.held_pairs, memory.pairs)
     return {
-        "contact_pairs": _flat([memory.pairs.astype(np.uint32) for memory in memories]),
-        "contact_rest_speed": _flat([memory.rest_speed for memory in memories]),
-        "contact_dt": _each([memory.dt for memory in memories]),
-        "held_pairs": _flat(
-            [(nobody if same else m.held_pairs).astype(np.uint32) for m, same in zip(memories, own, strict=True)]
-        ),
-        "held_impulse": _flat([memory.impulse for memory in memories]),
-        "held_kick": _each([memory.kick for memory in memories]),
+        "contact_pairs": memory.pairs.ravel().astype(np.uint32),
+        "contact_rest_speed": memory.rest_speed,
+        "contact_dt": np.array([memory.dt]),
+        "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
+        "held_impulse": memory.impulse.ravel(),
+        "held_kick": np.array([memory.kick]),
     }
-
-
-def _flat(rows: Sequence[NDArray[Any]]) -> Column:
-    return np.concatenate([row.ravel() for row in rows]), [row.size for row in rows]
-
-
-def _each(values: Sequence[float]) -> Column:
-    return np.array(values, dtype=np.float64), [1] * len(values)
 
 
 def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> Checkpoint:

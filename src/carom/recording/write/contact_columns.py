@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumnList
 
+from carom.physics.aligned import joined, picked
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
@@ -19,15 +21,38 @@ from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+_NOTHING = np.empty(0, dtype=np.int64)
 
-def contact_rows(batch: Sequence[Frame]) -> NDArray[np.void]:
-    """Return the contacts of all frames, (k,) `CONTACT_ROW`, one frame's after another's."""
-    found = [frame.contact_rows for frame in batch if frame.contact_rows is not None]
-    return np.concatenate(found) if found else np.empty(0, CONTACT_ROW)
+
+class BatchContacts(NamedTuple):
+    """The contacts of a batch of frames."""
+
+    rows: NDArray[np.void]  # (k,) CONTACT_ROW, one frame's after another's; those of each sorted by pair
+    each: IntArray  # (frames,) how many each has
+    middle: FloatArray  # (frames,) N s, the middle of its scale: the median of the impulses that are not zero
+
+    @classmethod
+    def of(cls, batch: Sequence[Frame]) -> BatchContacts:
+        """Gather the contacts of a batch."""
+        parts = [frame.contact_rows for frame in batch if frame.contact_rows is not None]
+        rows = joined(parts, CONTACT_ROW)
+        each = np.array([0 if f.contact_rows is None else len(f.contact_rows) for f in batch], dtype=np.int64)
+        middle = np.empty(len(batch))
+        encoding.middles(rows, each, np.empty(len(rows)), middle)
+        return cls(rows, each, middle)
+
+    def strongest(self, counts: Sequence[int]) -> list[IntArray]:
+        """Return of each frame the rows of the largest normal impulses, the largest first; of equal ones the first."""
+        impulses, ends = -self.rows["normal_impulse"], np.cumsum(self.each).tolist()
+        starts = [0, *ends[:-1]]
+        return [
+            lo + np.argsort(impulses[lo:hi], kind="stable")[:count] if count else _NOTHING
+            for lo, hi, count in zip(starts, ends, counts, strict=True)
+        ]
 
 
 def contact_columns(
-    batch: Sequence[Frame], rows: NDArray[np.void], pairs: IntArray, radius: FloatArray
+    batch: Sequence[Frame], contacts: BatchContacts, pairs: IntArray, radius: FloatArray
 ) -> tuple[ComponentColumnList, int]:
     """Return columns with a value for each edge, and their bytes.
 
@@ -35,20 +60,23 @@ def contact_columns(
 
     Parameters
     ----------
-    rows
-        (k,) `CONTACT_ROW` of all frames, those of each sorted by pair.
     pairs
-        (m, 2), of the edges of all frames, likewise.
+        (m, 2), of the edges of all frames, sorted in each.
     radius
         (n,) m.
     """
     edges = np.array([len(frame.contacts.pairs) for frame in batch], dtype=np.int64)
-    each = np.array([0 if f.contact_rows is None else len(f.contact_rows) for f in batch], dtype=np.int64)
     ends, mode = np.empty((len(pairs), 2), dtype=np.uint32), np.empty(len(pairs), dtype=np.uint8)
     impulses = np.empty((2, len(pairs)), dtype=np.float32)
     colour, width = np.empty(len(pairs), dtype=np.uint32), np.empty(len(pairs), dtype=np.float32)
     encoding.write_contacts(
-        *(edges, pairs, each, rows, middles(batch), impulse_scale.COLOURS, impulse_scale.edge_radii(radius)),
+        edges,
+        pairs,
+        contacts.each,
+        contacts.rows,
+        contacts.middle,
+        impulse_scale.COLOURS,
+        impulse_scale.edge_radii(radius),
         *(ends, impulses[0], impulses[1], mode, colour, width),
     )
     columns = [
@@ -63,7 +91,12 @@ def contact_columns(
 
 
 def force_rows(
-    batch: Sequence[Frame], drawn: Sequence[int], longest: float, origin: FloatArray, friction: bool
+    batch: Sequence[Frame],
+    contacts: BatchContacts,
+    drawn: Sequence[int],
+    longest: float,
+    origin: FloatArray,
+    friction: bool,
 ) -> Iterable[Rows]:
     """Draw the normal and the friction impulses on body j as arrows at the contact point.
 
@@ -78,10 +111,9 @@ def force_rows(
     friction
         Whether friction is modelled.
     """
-    chosen = [strongest(frame.contact_rows, count) for frame, count in zip(batch, drawn, strict=True)]
-    rows = np.concatenate(chosen)
-    each = np.array([len(part) for part in chosen], dtype=np.int64)
-    middle = np.repeat(middles(batch), each)
+    chosen = contacts.strongest(drawn)
+    rows, each = picked(contacts.rows, np.concatenate(chosen)), np.array([len(part) for part in chosen], dtype=np.int64)
+    middle = np.repeat(contacts.middle, each)
     at = (np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin).astype(np.float32)
     ends = np.stack([rows["i"], rows["j"]], axis=1).astype(np.uint32)
     normal = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1) * rows["normal_impulse"][:, None]
@@ -95,24 +127,6 @@ def force_rows(
             *any_column("bodies", ends.ravel()).partition(2 * each),
         ]
         yield frame_rows(path, batch, ComponentColumnList(columns), array_bytes(vectors, at, ends))
-
-
-def middles(batch: Sequence[Frame]) -> FloatArray:
-    """Return the impulse (N s) in the middle of each frame's scale: the median of those that are not zero."""
-    return np.array([_median(frame.contact_rows) for frame in batch])
-
-
-def _median(rows: NDArray[np.void] | None) -> float:
-    impulses = np.empty(0) if rows is None else rows["normal_impulse"]
-    positive = impulses[impulses > 0.0]
-    return max(float(np.median(positive)), np.finfo(np.float64).tiny) if len(positive) else 1.0
-
-
-def strongest(rows: NDArray[np.void] | None, count: int) -> NDArray[np.void]:
-    """Return the contacts of the largest normal impulses, the largest first; of equal ones the first."""
-    if rows is None:
-        return np.empty(0, CONTACT_ROW)
-    return rows[np.argsort(-rows["normal_impulse"], kind="stable")[:count]]
 
 
 def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rerun import ComponentColumnList
 
+from carom.physics.aligned import joined, picked
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
@@ -16,7 +17,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.view import arrows, impulse_scale
-from carom.recording.write.contact_columns import contact_columns, contact_rows, force_rows
+from carom.recording.write.contact_columns import BatchContacts, contact_columns, force_rows
 from carom.recording.write.impact_frames import orientations_at, positions_at
 from carom.recording.write.impact_plan import ImpactPlan, Kept
 from carom.recording.write.impact_rows import impact_rows
@@ -73,7 +74,8 @@ class ContactEncoder:
         for frame in batch:
             self._look(frame)
         self._kept = [self._plan.choose(frame) for frame in batch]
-        columns, size = contact_columns(batch, contact_rows(batch), pairs, self._header.radius)
+        self._contacts = BatchContacts.of(batch)
+        columns, size = contact_columns(batch, self._contacts, pairs, self._header.radius)
         before = self._count
         counts = before + np.cumsum([_impacts(frame) for frame in batch])
         self._count = int(counts[-1])
@@ -86,7 +88,7 @@ class ContactEncoder:
         drawn = [kept.arrows for kept in self._kept]
         longest = arrows.longest(header.radius, impulse_scale.REACH)
         # also where none is drawn, which clears those of the frame before
-        yield from force_rows(batch, drawn, longest, self._origin, header.has_friction)
+        yield from force_rows(batch, self._contacts, drawn, longest, self._origin, header.has_friction)
         impacts, numbers = self._chosen(batch)
         self._recorded += len(impacts)
         if len(impacts):
@@ -119,13 +121,13 @@ class ContactEncoder:
 
     def _chosen(self, batch: Sequence[Frame]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
         """Return the impacts that are recorded, and their numbers."""
-        found, numbers = [np.empty(0, CONTACT_ROW)], [np.empty(0, dtype=np.int64)]
+        found, numbers = [], [np.empty(0, dtype=np.int64)]
         for frame, kept, before in zip(batch, self._kept, self._before, strict=True):
             if frame.impacts is not None and len(kept.impacts):
-                found.append(frame.impacts[kept.impacts])
+                found.append(picked(frame.impacts, kept.impacts))
                 # where the tap left out some itself, numbers go to those that it kept
                 numbers.append(before + 1 + kept.impacts)
-        return np.concatenate(found), np.concatenate(numbers)
+        return joined(found, CONTACT_ROW), np.concatenate(numbers)
 
     def _look(self, frame: Frame) -> None:
         """Choose references by the first frame that has something to draw."""

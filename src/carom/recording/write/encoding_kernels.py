@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.parallel.jit import inner, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -192,3 +192,67 @@ def write_contacts(
             colour[c], width[c] = scale[level], widths[level]
             c += 1
         first += each[f]
+
+
+@long_kernel
+def middles(rows: NDArray[np.void], each: IntArray, positive: FloatArray, middle: FloatArray) -> None:
+    """Write the median of each frame's normal impulses (N s) that are more than zero; 1 if it has none.
+
+    Parameters
+    ----------
+    each
+        (frames,) contacts of each frame; they follow each other in ``rows``.
+    positive
+        (len(rows),) overwritten.
+    """
+    first = 0
+    for f in range(len(each)):
+        count = 0
+        for c in range(first, first + each[f]):
+            if rows[c].normal_impulse > 0.0:
+                positive[count] = rows[c].normal_impulse
+                count += 1
+        first += each[f]
+        middle[f] = 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
+
+
+@inner
+def _median(values: FloatArray) -> float:
+    """Return the median; the order of the values changes."""
+    half = len(values) // 2
+    lo, hi = 0, len(values) - 1
+    while lo < hi:  # Hoare's selection
+        pivot, i, j = values[(lo + hi) // 2], lo, hi
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if j < half:
+            lo = i
+        if i > half:
+            hi = j
+    if len(values) % 2 == 1:
+        return float(values[half])
+    below = values[0]
+    for k in range(1, half):
+        below = max(below, values[k])
+    return float(0.5 * (below + values[half]))
+
+
+@kernel
+def count_moved(position: FloatArray, before: SingleArray) -> int:
+    """Count the bodies that are drawn elsewhere than before, (n, 3), which is overwritten by where they are now."""
+    moved = 0
+    for i in range(len(position)):
+        same = True
+        for k in range(3):
+            drawn = np.float32(position[i, k])
+            same = same and drawn == before[i, k]
+            before[i, k] = drawn
+        moved += not same
+    return moved

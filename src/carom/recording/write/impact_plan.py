@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
+from carom.recording.write.encoding_kernels import count_moved
 
 IntArray = NDArray[np.int64]
 
@@ -92,12 +93,10 @@ class _Size:
 
     def of(self, frame: Frame) -> float:
         """Return bytes."""
-        position = frame.position.astype(np.float32)
-        bodies, contacts = len(position), len(frame.contacts)
-        moved = 1.0
-        if self._before is not None:
-            moved = float(np.count_nonzero(np.any(position != self._before, axis=1))) / bodies
-        self._before = position
+        bodies, contacts = len(frame.position), len(frame.contacts)
+        if self._before is None:
+            self._before = np.full(frame.position.shape, np.nan, dtype=np.float32)
+        moved = count_moved(frame.position, self._before) / bodies
         drawn = bodies * (2 + moved * (10 if frame.orientation is None else 26))
         turned = 0.0 if frame.torque is None else 22 * (1 + moved) * min(bodies, 2 * contacts)
         return 1.08 * (drawn + turned + (5 + 12 * moved) * contacts + _SCALARS)

@@ -196,15 +196,6 @@ class ContactSolver:
         return self._system.states["approach_speed"]
 
     @property
-    def found_overlaps(self) -> FloatArray:
-        """(m,) m, overlaps before the position correction; 0 for a gap. ``found_normals``, (m, 3), are from then, too.
-
-        A contact that the position correction opens is resolved all the same. Otherwise the body would fall and be
-        pushed back in every step.
-        """
-        return self._system.states["found_overlap"]
-
-    @property
     def ledger(self) -> FloatArray:
         """(m, 3) J: losses by restitution and by friction, gain by stabilisation."""
         return terms_of(self._system.states)
@@ -214,14 +205,8 @@ class ContactSolver:
         """(k, 3) J: the same of the last `hold`, summed over each piece."""
         return terms_of(self._system.found)
 
-    @property
-    def seen(self) -> NDArray[np.bool_]:
-        """(m,) whether each contact touched when it was found or carries an impulse."""
-        carries: NDArray[np.bool_] = self._system.contacts["normal_impulse"] > 0.0
-        return ~self._system.states["apart"] | carries
-
     def statistics(self) -> ContactStatistics:
-        """Count the contacts that are `seen`, and sum their ledgers."""
+        """Count the contacts that touched or carry an impulse, and sum their ledgers."""
         return ContactStatistics.of(
             self._system.pairs, self._system.contacts, self._system.states, self._bodies.ends, self._team
         )
