@@ -313,7 +313,7 @@ def test_the_starter_names_every_section(tmp_path: Path) -> None:
     scene = Scene.load(path)
     place(scene)
     written = scene.toml
-    for section in Scene.model_fields:
+    for section in Scene.model_fields.keys() - {"promise"}:  # carom writes it
         assert re.search(rf"\[{section}\]|{section} =", written), f"{section} is not in the starter"
 
 

@@ -52,7 +52,7 @@ def _grid() -> Table:
 
 def _overview(summary: dict[str, Any]) -> Table:
     from carom.experiment.contact_counts import counts_text
-    from carom.experiment.ending import in_words
+    from carom.experiment.ending import accuracy_text, in_words
     from carom.recording.schema.impacts import RecordedImpacts
     from carom.scene.names import in_series
 
@@ -81,6 +81,8 @@ def _overview(summary: dict[str, Any]) -> Table:
     if summary["impacts"]:
         table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
     table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
+    if summary["accuracy"]:
+        table.add_row("accuracy", accuracy_text(summary["accuracy"]))
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):

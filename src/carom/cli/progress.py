@@ -14,7 +14,7 @@ from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text
-from carom.experiment.ending import in_words
+from carom.experiment.ending import accuracy_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.command import command
@@ -73,6 +73,8 @@ class Progress(LiveLine):
                 table.add_row("", f"impacts: {outcome.impacts}")
             deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
             table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
+        if outcome.accuracy:
+            table.add_row("accuracy", accuracy_text(outcome.accuracy))
         for line in warning_lines(outcome.warnings):
             table.add_row(Text("warning", style="yellow"), Text(line))
         for verdict in outcome.verdicts:

@@ -63,6 +63,8 @@ def run(
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
+        if loaded.time.accuracy is not None and loaded.promise is None:
+            progress.say(f"Looking ahead for the step that keeps {loaded.time.accuracy:g} …")
         space = recording_space(loaded, threads)
         address = live_viewer() if live else None
         with progress, telling_of(path):

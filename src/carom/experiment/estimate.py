@@ -112,6 +112,7 @@ def estimate(scene: Scene) -> Estimate:
     began = time.perf_counter()
     few = _first_frames(space)
     spent = time.perf_counter() - began
+    scene = space.scene  # with the step that its accuracy takes
     outlook = look_ahead(scene, spent / space.step)
     steps = outlook.steps
     interval = frame_interval(scene)

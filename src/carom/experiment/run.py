@@ -55,6 +55,7 @@ class Outcome:
     warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
     impacts_counted: str = EACH  # see `contact_counts`
     impacts: RecordedImpacts | None = None  # None: none were to be recorded
+    accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was asked for
 
     @property
     def ok(self) -> bool:
@@ -211,6 +212,7 @@ def _simulate(
         warnings=physics.warnings,
         impacts_counted=_impacts_counted(space),
         impacts=recorder.impacts,
+        accuracy=kept_accuracy(space.scene),
     )
 
 
@@ -299,6 +301,7 @@ def header_of(space: Space) -> Header:
         stabilises=needs.stabilisation.modelled,
         body_colouring=scene.contact.colouring == "bodies",
         duration=scene.time.duration,
+        promises=scene.promise is not None,
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,
@@ -307,6 +310,18 @@ def header_of(space: Space) -> Header:
         colour_by=scene.record.colour_by,
         properties=dict(environment(space.threads)),
     )
+
+
+def kept_accuracy(scene: Scene) -> dict[str, float]:
+    """Return what was asked for, up to when it is kept in s, and the largest Lyapunov exponent in 1/s.
+
+    ``horizon`` is there only if the promise ends before the run.
+    """
+    promise, requested = scene.promise, scene.time.accuracy
+    if promise is None or requested is None:
+        return {}
+    kept = {"requested": requested, "kept_until": promise.kept_until, "lyapunov": promise.lyapunov}
+    return kept | ({} if promise.horizon is None else {"horizon": promise.horizon})
 
 
 def _impacts_counted(space: Space) -> str:
@@ -340,6 +355,7 @@ def _summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[
             summary[f"{key}.bodies"] = ",".join(map(str, moment.bodies))
             summary[f"{key}.planes"] = ",".join(map(str, moment.planes))
             summary[f"{key}.between"] = moment.between
+    summary |= {f"accuracy.{name}": value for name, value in kept_accuracy(space.scene).items()}
     for part, seconds in space.profile.seconds().items():
         summary[f"profile.{part}"] = seconds
     for verdict in verdicts:

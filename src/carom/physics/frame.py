@@ -124,6 +124,7 @@ class Frame:
     impacts: Rows | None = None  # (k,) `CONTACT_ROW`, those since the frame before, in order of time; None: not asked
     impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
     contact_rows: Rows | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
+    expected_error: float = 0.0  # of positions over the size of the system; 0 where no accuracy is asked for
 
     @property
     def checkpoint(self) -> Checkpoint:

@@ -22,6 +22,7 @@ from carom.physics.diagnostics.pace import PaceMonitor
 from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch import batch_integrator_of
+from carom.physics.look_ahead import settled
 from carom.physics.parallel.cores import cores
 from carom.physics.parallel.thread_team import Team
 from carom.physics.reference_api import BodyProxy
@@ -80,7 +81,7 @@ class Space:
     ) -> None:
         refuse_impossible(scene)
         start = start or place(scene)
-        self.scene = scene
+        self.scene = scene = settled(scene, threads, start)
         self.names = start.name
         self.groups = start.group
         self.threads = threads or cores()
@@ -323,6 +324,7 @@ class Space:
             impacts=impacts,
             impacts_left_out=left_out,
             contact_rows=contact_rows,
+            expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )
 
     def _recorded_contacts(self, room: Room | None) -> tuple[Rows | None, int, Rows | None]:

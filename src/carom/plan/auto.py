@@ -65,6 +65,8 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contacts.contact(scene).modelled:
         return "no contact is possible"
+    if scene.time.accuracy is not None:
+        return ""
     if (force := contacts.load(scene)) and not contacts.field_presses(scene):
         whose = "the bodies' own gravity" if force == GRAVITY.short_name else f"the {force}"
         return f"{whose} presses contacts together"
@@ -75,11 +77,20 @@ def integrator(scene: Scene) -> Integrator:
     """Decide how the motion is integrated: with a high order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:
         return INTEGRATORS[scene.time.integrator]
+    if scene.time.accuracy is not None:
+        return INTEGRATORS[_accurate(scene)]
     if not _is_smooth(scene):
         return INTEGRATORS["leapfrog"]
     if _leaves_step_free(scene) and orbits_often(scene) >= FEWEST_ORBITS:
         return INTEGRATORS["wisdom-holman"]
     return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
+
+
+def _accurate(scene: Scene) -> str:
+    """Name the integrator that reaches an accuracy at the lowest cost."""
+    if contacts.contact(scene).modelled or pulls.damping(scene) or not pulls.gravity(scene).modelled:
+        return "leapfrog"
+    return "yoshida4" if scene.gravity.method == "tree" or scene.count >= TREE_FROM else "gauss-radau15"
 
 
 def _leaves_step_free(scene: Scene) -> bool:

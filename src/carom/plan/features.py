@@ -39,6 +39,7 @@ class Requirements:
     warm_up: Part
     adaptive_step: Part
     integrator: Part
+    accuracy: Part
     spin: Part
     orientation: Part
     contact: Part
@@ -128,6 +129,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         warm_up=decide(_warm_up(scene)),
         adaptive_step=decide(_adaptive_step(scene)),
         integrator=_integrator(scene),
+        accuracy=_accuracy(scene),
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
@@ -162,6 +164,8 @@ def _contradiction(scene: Scene, name: str) -> str:
             return 'contact.timing = "end-of-step"; set it to "time-of-impact"'
         case "time-of-impact" if not integrator(scene).drifts_once:
             return f'a step of {integrator(scene).name} is more than one drift; set time.integrator = "leapfrog"'
+        case "accuracy":
+            return "it has no value by itself; set time.accuracy"
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
     return next((kind.contradiction(scene) for kind in FORCES if kind.name == name), "")
@@ -226,6 +230,9 @@ def _integrator(scene: Scene) -> Part:
         name_of, share = heaviest(scene)
         turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
         return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
+    if scene.time.accuracy is not None and pulls.differing(scene):
+        why = "the accuracy, and contacts or drag" if chosen == "leapfrog" else "cheapest for the accuracy"
+        return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
         why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
         return Part(name, True, f"{chosen}: {why}")
@@ -243,12 +250,24 @@ def _integrator(scene: Scene) -> Part:
     return Part(name, True, f"leapfrog: {why}")
 
 
+def _accuracy(scene: Scene) -> Part:
+    name, promise = "accuracy", scene.promise
+    if scene.time.accuracy is None:
+        return Part(name, False, "time.accuracy is not set")
+    if promise is None:
+        return Part(name, True, f"time.accuracy = {scene.time.accuracy:g}: the step follows from runs ahead")
+    kept = "to the end" if promise.horizon is None else f"up to t = {promise.horizon:.4g} s"
+    return Part(name, True, f"steps {promise.refinement:g} times as fine as automatic ones; kept {kept}")
+
+
 def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
     if integrator(scene).hierarchical:
         return Part(name, True, "a twentieth of the shortest orbit, by its motion at the pericentre, and max_dt")
+    if scene.time.accuracy is not None and not integrator(scene).controls_error:
+        return Part(name, True, f"as fine as the accuracy takes, by {', '.join(_limits(scene)) or 'max_dt'}")
     if integrator(scene).controls_error:
         return Part(name, True, "the integrator's own estimate of its error, and max_dt")
     return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 
+from carom.plan.accuracy import refuse_coarse_tree
 from carom.plan.auto import gravity_method, integrator
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
@@ -30,6 +31,7 @@ def refuse_impossible(scene: Scene) -> None:
     SceneError
         With the key and what would be right.
     """
+    refuse_coarse_tree(scene)
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
     _refuse_damping(scene)

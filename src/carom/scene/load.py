@@ -31,6 +31,7 @@ _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
 MOST_MESSAGES = 8
+TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
 RECORDED = b"RRF2"  # first bytes of a recording
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 _INDEX = re.compile(r"[0-9]{1,9}")
@@ -220,7 +221,10 @@ def _apply_override(document: Any, override: str) -> KeyPath:
             where = ".".join(map(str, keys[: depth + 1]))
             raise SceneError(f"--set {override}: {where} is a value, not a section")
     try:
-        node[keys[-1]] = _parse_value(text.strip())
+        if not text.strip() and keys[-1] not in TEXTS:
+            node.pop(keys[-1])
+        else:
+            node[keys[-1]] = _parse_value(text.strip())
         if other := other_name(keys):
             node.pop(other[-1], None)
     except (KeyError, IndexError, TypeError, ValueError):

@@ -11,6 +11,7 @@ PARTS = (  # in the order in which a step uses them
     "warm-up",
     "adaptive-step",
     "integrator",
+    "accuracy",
     "spin",
     "orientation",
     "contact",

@@ -61,6 +61,17 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=False)
 
 
+_STEP_KEYS = {
+    "fixed_dt": None,
+    "target_dx": "auto",
+    "cfl": "auto",
+    "pull_fraction": "auto",
+    "smoothing": "auto",
+    "velocity_limit": "every-body",
+}  # keys of [time] that set the step, with the values that leave it free
+_UNCONTROLLED = ("euler", "leapfrog-dkd", "wisdom-holman")  # integrators that no look ahead is made for
+
+
 class Time(Section):
     """[time]: the duration, and how the step is chosen."""
 
@@ -93,12 +104,60 @@ class Time(Section):
         "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
     )
     fixed_dt: Positive | None = Field(None, description="s, constant step in place of the adaptive one")
+    accuracy: Annotated[Positive, Field(le=1e-2)] | None = Field(
+        None,
+        description="relative error to keep, in place of a step: of positions over the size of the system, and of "
+        "times of impact over the duration; more than 0, at most 0.01; impacts then happen at their own times",
+    )
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
         "Wisdom–Holman where they go around a dominant one 1000 times or more on orbits apart, Yoshida's where such a "
         "scene also sets its step, otherwise leapfrog",
     )
+
+    @model_validator(mode="after")
+    def _an_accuracy_sets_the_step(self) -> Self:
+        if self.accuracy is None:
+            return self
+        for key, default in _STEP_KEYS.items():
+            if getattr(self, key) != default:
+                raise ValueError(
+                    f"{key} = {getattr(self, key)} with accuracy = {self.accuracy:g}, which sets the step; remove one "
+                    f"of them (--set time.{key}= removes it)"
+                )
+        if self.integrator in _UNCONTROLLED:
+            raise ValueError(
+                f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
+                '"leapfrog", "yoshida4", "gauss-radau15" or "auto"'
+            )
+        return self
+
+
+class Promise(Section):
+    """[promise]: what a run needs to keep time.accuracy; carom finds it and writes it into the recorded scene."""
+
+    refinement: Positive = Field(description="automatic steps over those of the run; more than 0")
+    until: Positive = Field(description="s, the part of the run that was looked ahead; more than 0")
+    horizon: NonNegative | None = Field(
+        None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
+    )
+    lyapunov: Real = Field(description="1/s, largest Lyapunov exponent, over the time that was looked ahead")
+    error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
+        description="expected error of positions over the size of the system, at equally spaced times up to `until`"
+    )
+
+    @property
+    def kept_until(self) -> float:
+        """The time in s up to which the accuracy is kept."""
+        return self.until if self.horizon is None else self.horizon
+
+    def error_at(self, time: float) -> float:
+        """Return the expected error at a time in s, over the size of the system."""
+        place = min(time / self.until, 1.0) * len(self.error)
+        k = min(int(place), len(self.error) - 1)
+        before = self.error[k - 1] if k > 0 else 0.0
+        return before + (place - k) * (self.error[k] - before)
 
 
 class Gravity(Section):
@@ -539,6 +598,7 @@ class Scene(Section):
     plane: tuple[Plane, ...] = Field((), description="static half-spaces")
     expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
+    promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
 
     _toml: str = PrivateAttr("")
 
@@ -546,6 +606,11 @@ class Scene(Section):
     def toml(self) -> str:
         """The scene as TOML: the text it was loaded from with overrides applied, or one written from its values."""
         return self._toml
+
+    @property
+    def refinement(self) -> float:
+        """Automatic steps over those that the accuracy takes; 1 where none is asked for."""
+        return 1.0 if self.promise is None else self.promise.refinement
 
     @property
     def count(self) -> int:
@@ -575,6 +640,21 @@ class Scene(Section):
     def _has_a_body(self) -> Self:
         if self.count == 0:
             raise ValueError("no bodies; add a [[body]] or a [[group]]")
+        return self
+
+    @model_validator(mode="after")
+    def _an_accuracy_needs_times_of_impact(self) -> Self:
+        if self.time.accuracy is not None and self.contact.timing == "end-of-step":
+            raise ValueError(
+                f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late by '
+                "up to a step; remove one of them (--set contact.timing= removes it)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _promises_what_was_asked(self) -> Self:
+        if self.promise is not None and self.time.accuracy is None:
+            raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")
         return self
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from carom.physics.diagnostics.activity import Activity
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.diagnostics.extremes import NOTHING, Extremes
 from carom.physics.diagnostics.finite import refuse_infinities
+from carom.physics.diagnostics.horizon import end_of_promise
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
 from carom.physics.error import PhysicsError
@@ -55,6 +56,7 @@ class Bookkeeper:
         self.impulse_audit = ImpulseAudit(bodies) if audited else None
         self.pace: PaceMonitor | None = None
         self._events: list[Event] = []
+        self._kept_until = np.inf if scene.promise is None else scene.promise.kept_until  # s
         if world.contact:
             self._see_contacts(world.contact, Extremes())  # none: loads the kernels
 
@@ -84,6 +86,8 @@ class Bookkeeper:
         self.extremes = self._beginning(books.moments)
         self.activity.reopen(books.phase, books.activity)
         self._events = []
+        if checkpoint.time > self._kept_until:
+            self._kept_until = np.inf  # known already
 
     def begin_step(self, checked: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
@@ -108,6 +112,10 @@ class Bookkeeper:
             self._audit_impulses(self.impulse_audit)
         if checked:
             self.take_stock(potentials, checked)
+        clock = self._world.clock
+        if clock.time > self._kept_until:
+            self.log(end_of_promise(self._world.scene, clock.step, clock.time))
+            self._kept_until = np.inf
 
     def book_exchanges(self, entry: str, exchanges: Iterable[Exchange]) -> None:
         """Book energy and momentum exchanged with a medium, under an entry of the ledger."""

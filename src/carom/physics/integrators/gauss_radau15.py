@@ -119,6 +119,7 @@ PROGRESS = np.dtype(
         ("before", np.float64),  # s, the time before the last step
         ("next_dt", np.float64),  # s
         ("last_dt", np.float64),  # s, 0 before the first step
+        ("fraction", np.float64),  # η
         ("steps", np.int64),
         ("limit", np.int64),  # index of `LIMITS`
         ("iterations", np.int64),
@@ -146,6 +147,8 @@ class GaussRadau15:
         s
     fixed_dt
         s; None for steps from the error estimate.
+    fraction
+        η, of the shortest time in which an acceleration changes, that a step takes.
     """
 
     def __init__(
@@ -158,6 +161,7 @@ class GaussRadau15:
         softening: float,
         max_dt: float,
         fixed_dt: float | None,
+        fraction: float = STEP_FRACTION,
     ) -> None:
         n = len(position)
         moves = np.ones(n)
@@ -168,6 +172,7 @@ class GaussRadau15:
         self._softening_squared = softening * softening
         self._max_dt = max_dt if fixed_dt is None else fixed_dt
         self._adapts = fixed_dt is None
+        self._fraction = fraction
         self._progress = np.zeros(1, PROGRESS)
 
     @property
@@ -192,6 +197,7 @@ class GaussRadau15:
             array[:] = 0.0
         self._progress[0] = np.zeros(1, PROGRESS)[0]
         self._progress["next_dt"] = dt
+        self._progress["fraction"] = self._fraction
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Make steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
@@ -241,7 +247,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     rule, gravity = scene.time, scene.gravity
     pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
-    steps = (rule.max_dt, rule.fixed_dt)
+    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / scene.refinement)
     return GaussRadau15(bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps)
 
 
@@ -292,7 +298,7 @@ def _attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
         if iteration > 0 and (error >= before or error * (error / before) < CONVERGED):
             break  # only rounding is left, or would be after another pass with the same gain
         before = error
-    return _next_step(motion, dt)
+    return _next_step(motion, dt, run.fraction)
 
 
 @inner
@@ -351,7 +357,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
 
 
 @inner
-def _next_step(motion: Motion, dt: float) -> float:
+def _next_step(motion: Motion, dt: float, fraction: float) -> float:
     """Return η times the shortest time in which an acceleration changes, at the end of the step, in s."""
     start, b = motion.start, motion.b
     shortest = np.inf
@@ -367,7 +373,7 @@ def _next_step(motion: Motion, dt: float) -> float:
             a, jerk, snap = a + a1 * a1, jerk + j1 * j1, snap + s1 * s1
         if jerk > 0.0:
             shortest = min(shortest, 2.0 * a / (jerk + np.sqrt(a * snap)))
-    return float(STEP_FRACTION * dt * np.sqrt(shortest))
+    return float(fraction * dt * np.sqrt(shortest))
 
 
 @inner

@@ -42,6 +42,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "warnings": [asdict(event) for event in recording.warnings()],
         "moments": _moments(recording),
         "profile": {} if clip else _below(recording.closing, "profile"),
+        "accuracy": _below(recording.closing, "accuracy"),
         "versions": recording.versions,
         "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
     }

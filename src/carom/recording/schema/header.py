@@ -15,6 +15,7 @@ from carom.scene.half_space import HalfSpaces
 Scalar = str | int | float | bool
 
 _FLAGS = {
+    "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
     "spin": "spins",
@@ -64,6 +65,7 @@ class Header:
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
+    promises: bool = False  # an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one

@@ -75,7 +75,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "seed": _whole,
         "duration": _number,
         "arrow_length.*": _number,
-        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises"), _flag),
+        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises"), _flag),
         **dict.fromkeys(("body_colouring", "records_contacts"), _flag),
     },
     "run": {"version.*": _text, "command": _text, "git": _text, "platform": _text, "cpu": _text},
@@ -85,7 +85,9 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "outcome": _text,
         **dict.fromkeys(("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step"), _whole),
         "impacts.*": _whole,
-        **dict.fromkeys(("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*"), _number),
+        **dict.fromkeys(
+            ("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*"), _number
+        ),
         **dict.fromkeys(("contacts.max_overlap", "moments.*.value", "moments.*.time", "profile.*"), _number),
         **dict.fromkeys(("moments.*.bodies", "moments.*.planes"), _numbers),
         "moments.*.between": _text,

@@ -153,6 +153,8 @@ SERIES = (
            past=Past.RUN),
     Series("step/dt", "s", "dt", BLUE, _DT,
            lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP, flat_is_dull=True),
+    Series("step/error", "1", "expected error / size", PURPLE, _ERROR,
+           lambda s: s.frame.expected_error, "expected error of positions over the size of the system", "accuracy"),
     Series("step/contacts", "1", "contacts", BLUE, _CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,

@@ -42,6 +42,7 @@ def header_of_recording(recording: Recording) -> Header:
         colour_by=_colour_by(info),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
+        promises=bool(info.get("promises", False)),
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,

@@ -153,6 +153,8 @@ class Stream:
             "time_scale": clock.scale,
             "origin": origin,
         }
+        if header.promises:
+            identity["promises"] = True
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}
         if header.has_torque:
             for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):

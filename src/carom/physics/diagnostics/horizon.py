@@ -1,0 +1,18 @@
+"""The event that a run no longer keeps its accuracy."""
+
+from __future__ import annotations
+
+import math
+
+from carom.physics.event import Event
+from carom.scene.schema import Scene
+
+
+def end_of_promise(scene: Scene, step: int, time: float) -> Event:
+    """Return the event that the accuracy of a scene is no longer kept."""
+    promise = scene.promise
+    assert promise is not None
+    text = f"The accuracy of {scene.time.accuracy:g} is kept up to t = {promise.kept_until:.6g} s."
+    if promise.horizon is not None and promise.lyapunov > 0.0:
+        text += f" Small errors grow tenfold in {math.log(10.0) / promise.lyapunov:.3g} s."
+    return Event(step, time, "INFO", text, "horizon")

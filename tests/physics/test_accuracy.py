@@ -1,0 +1,246 @@
+"""An accuracy in place of a step: what the scene asks for is kept, up to the time that the run names."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from carom.physics.look_ahead import settled
+from carom.physics.schedule import at
+from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
+from examples import scene_of
+
+FloatArray = NDArray[np.float64]
+
+NO_PULL = {"constant": 0.0}
+ELASTIC = {"restitution": 1.0, "static_friction": 0.0}
+SPHERES: list[dict[str, Any]] = [
+    {"position": [-2.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0], "radius": 0.5},
+    {"position": [2.0, 0.6, 0.0], "velocity": [-1.0, 0.0, 0.0], "radius": 0.5},
+]
+
+
+def kepler(eccentricity: float, accuracy: float) -> Scene:
+    """Return ten orbits of semi-major axis 1, from the apocentre on; their period is 2 π."""
+    speed = math.sqrt((1.0 - eccentricity) / (1.0 + eccentricity))
+    bodies = [
+        {"mass": 1.0, "radius": 1e-3, "position": [0, 0, 0]},
+        {"mass": 1e-12, "radius": 1e-3, "position": [1.0 + eccentricity, 0, 0], "velocity": [0, speed, 0]},
+    ]
+    return scene_of(
+        bodies,
+        time={"duration": 20.0 * math.pi, "accuracy": accuracy, "max_dt": 1e3},
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+    )
+
+
+def ball(accuracy: float, **contact: Any) -> Scene:
+    """Return a ball that falls from rest on a plane 1.9 m below, for 2.4 s: three bounces."""
+    return scene_of(
+        [{"position": [0.0, 0.0, 2.0], "radius": 0.1}],
+        time={"duration": 2.4, "accuracy": accuracy},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        contact=contact,
+        plane=[{}],
+    )
+
+
+def height(time: float, e: float) -> float:
+    """Return the height of the ball above the plane at a time in s, as bounces on a point."""
+    fall, speed = math.sqrt(2.0 * 1.9 / 10.0), math.sqrt(2.0 * 1.9 * 10.0)
+    if time < fall:
+        return 1.9 - 5.0 * time * time
+    time, speed = time - fall, e * speed
+    while time > 0.2 * speed:
+        time, speed = time - 0.2 * speed, e * speed
+    return speed * time - 5.0 * time * time
+
+
+def run_to_the_end(scene: Scene, threads: int = 1) -> Space:
+    space = Space(scene, threads)
+    for _ in space.run():
+        pass
+    return space
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-5, 1e-8, 1e-10])
+def test_an_orbit_of_eccentricity_09_closes_within_the_accuracy(accuracy: float) -> None:
+    space = run_to_the_end(kepler(0.9, accuracy))
+    away = space.state.position[1] - space.state.position[0] - [1.9, 0.0, 0.0]
+    assert np.linalg.norm(away) / 1.9 < accuracy
+    assert space.scene.promise is not None and space.scene.promise.horizon is None
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+def test_a_ball_bounces_within_the_accuracy(accuracy: float) -> None:
+    space = run_to_the_end(ball(accuracy, restitution=0.8))
+    # one body has no extent, so the size of its system is its distance from the origin, 2 m
+    assert abs(space.state.position[0, 2] - 0.1 - height(2.4, 0.8)) / 2.0 < accuracy
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-10])
+def test_two_spheres_that_collide_off_centre_end_where_geometry_puts_them(accuracy: float) -> None:
+    scene = scene_of(SPHERES, time={"duration": 4.0, "accuracy": accuracy}, gravity=NO_PULL, contact=ELASTIC)
+    space = run_to_the_end(scene)
+    met = 2.0 - 0.5 * math.sqrt(1.0 - 0.36)  # s: centres are then 1 m apart, 0.6 m of it across
+    normal, v = np.array([0.8, 0.6, 0.0]), np.array([1.0, 0.0, 0.0])
+    expected = np.array([-2.0, 0.0, 0.0]) + met * v + (4.0 - met) * (v - 2.0 * (v @ normal) * normal)
+    assert np.abs(space.state.position[0] - expected).max() / 2.0 < 1e-12  # flights and impacts are exact
+
+
+def test_a_billiard_of_five_elastic_balls_returns_when_it_is_reversed() -> None:
+    bodies = [
+        {"position": [1.1 * k, 0.3 * (-1) ** k * k, 0.0], "velocity": [1.0 - 0.6 * k, 0.2 * k, 0.0], "radius": 0.5}
+        for k in range(5)
+    ]
+    common: dict[str, Any] = {"gravity": NO_PULL, "contact": ELASTIC}
+    box = {"boundary": "walls", "size": [12.0, 12.0, 12.0]}
+    there = run_to_the_end(scene_of(bodies, time={"duration": 12.0, "accuracy": 1e-6}, domain=box, **common))
+    assert there.extremes.impacts > 10
+    reversed_bodies = [
+        {"position": x.tolist(), "velocity": (-v).tolist(), "radius": 0.5}
+        for x, v in zip(there.state.position, there.state.velocity, strict=True)
+    ]
+    back = run_to_the_end(scene_of(reversed_bodies, time={"duration": 12.0, "accuracy": 1e-6}, domain=box, **common))
+    start = np.array([body["position"] for body in bodies])
+    assert np.abs(back.state.position - start).max() / 3.0 < 1e-6
+
+
+def test_looking_ahead_leaves_no_trace_in_the_run() -> None:
+    asked = Space(ball(1e-2, restitution=0.8), 1)
+    given = Space(scene_from_text(asked.scene.toml, "with its promise"), 1)
+    for one, other in zip(asked.run(), given.run(), strict=True):
+        assert (one.step, one.fingerprint, one.books, one.events) == (
+            other.step,
+            other.fingerprint,
+            other.books,
+            other.events,
+        )
+
+
+def test_the_step_does_not_depend_on_the_number_of_threads() -> None:
+    scene = scene_of(
+        [],
+        group=[{"count": 30, "radius": 0.1, "velocity": {"dispersion": 0.1}}],
+        time={"duration": 0.5, "accuracy": 1e-3},
+        gravity={"constant": 1e-4},
+    )
+    one, two = run_to_the_end(scene, 1), run_to_the_end(scene, 2)
+    assert one.scene.promise == two.scene.promise
+    assert one.fingerprint() == two.fingerprint()
+
+
+def test_a_run_goes_on_from_a_checkpoint_with_the_same_step() -> None:
+    space = Space(ball(1e-2, restitution=0.8), 1)
+    frames = list(space.run())
+    again = Space(space.scene, 1)
+    again.restore(frames[len(frames) // 2].checkpoint)
+    for _ in again.run():
+        pass
+    assert again.fingerprint() == space.fingerprint()
+    assert again.scene.toml == space.scene.toml
+
+
+def test_no_promise_is_made_where_none_is_asked_for() -> None:
+    scene = scene_of(SPHERES, time={"duration": 4.0}, gravity=NO_PULL)
+    assert settled(scene) is scene
+
+
+def chaotic(accuracy: float) -> Scene:
+    """Return eight elastic balls in a tight box: errors grow tenfold in about a tenth of a second."""
+    corners = [[x, y, z] for x in (-0.6, 0.5) for y in (-0.55, 0.6) for z in (-0.5, 0.55)]
+    bodies = [
+        {"position": corner, "velocity": [1.0 - 0.3 * k, 0.7, -0.4 * k], "radius": 0.3}
+        for k, corner in enumerate(corners)
+    ]
+    box = {"boundary": "walls", "size": [2.0, 2.0, 2.0]}
+    return scene_of(bodies, time={"duration": 20.0, "accuracy": accuracy}, domain=box, gravity=NO_PULL, contact=ELASTIC)
+
+
+def test_the_promise_ends_where_rounding_has_grown_to_the_accuracy() -> None:
+    space = Space(chaotic(1e-4), 1)
+    promise = space.scene.promise
+    assert promise is not None and promise.horizon is not None
+    # the same balls, displaced by a last bit
+    twin = space.scene.body[0].model_copy(update={"position": (math.nextafter(-0.6, 0.0), -0.55, -0.5)})
+    other = Space(space.scene.model_copy(update={"body": (twin, *space.scene.body[1:])}), 1)
+    apart, times = 0.0, np.linspace(0.0, 20.0, 401)[1:]
+    for time in times:
+        for each in (space, other):
+            for _ in each.run(float(time), schedule=at(())):
+                pass
+        d = space.state.position - other.state.position
+        apart = math.sqrt(float(np.mean(np.sum(d * d, axis=1))))
+        if apart > 1e-4:
+            break
+    assert apart > 1e-4
+    assert promise.horizon == pytest.approx(time, rel=0.2)
+
+
+def test_the_run_says_when_the_promise_ends_and_records_the_error() -> None:
+    space = Space(chaotic(1e-4), 1)
+    promise = space.scene.promise
+    assert promise is not None and promise.horizon is not None
+    frames = list(space.run(min(1.2 * promise.horizon, 20.0)))
+    said = [event for frame in frames for event in frame.events if event.kind == "horizon"]
+    assert len(said) == 1
+    assert said[0].time - said[0].time % 1e-9 >= promise.horizon - 1e-9
+    before = [frame.expected_error for frame in frames if frame.time < 0.9 * promise.horizon]
+    assert max(before) <= 1e-4
+    assert frames[-1].expected_error > 1e-4
+
+
+def test_the_lyapunov_exponent_of_a_regular_orbit_is_small_and_that_of_colliding_balls_is_not() -> None:
+    regular, irregular = settled(kepler(0.5, 1e-6)).promise, settled(chaotic(1e-4)).promise
+    assert regular is not None and irregular is not None
+    # errors of an orbit grow in proportion to time, by a factor of some hundred in ten orbits
+    assert 0.0 <= regular.lyapunov < math.log(1e3) / (20.0 * math.pi)
+    assert irregular.lyapunov > 1.0
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("fixed_dt", 0.1), ("target_dx", 0.1), ("cfl", 0.1), ("pull_fraction", 0.1), ("smoothing", 0.5)]
+)
+def test_a_key_that_sets_the_step_contradicts_an_accuracy(key: str, value: float) -> None:
+    with pytest.raises(SceneError, match=rf"{key} = {value} with accuracy = 1e-06, which sets the step"):
+        scene_of(SPHERES, time={"duration": 1.0, "accuracy": 1e-6, key: value})
+
+
+def test_late_impacts_contradict_an_accuracy() -> None:
+    with pytest.raises(SceneError, match=r'"end-of-step" with time.accuracy = 1e-06: impacts would be late'):
+        scene_of(SPHERES, time={"accuracy": 1e-6}, contact={"timing": "end-of-step"})
+
+
+def test_an_integrator_without_error_control_contradicts_an_accuracy() -> None:
+    with pytest.raises(SceneError, match='integrator = "euler" with accuracy'):
+        scene_of(SPHERES, time={"accuracy": 1e-6, "integrator": "euler"})
+
+
+def test_an_accuracy_beyond_double_precision_is_refused_with_the_best_that_there_is() -> None:
+    far = [{**body, "position": [1e6, *body["position"][1:]]} for body in SPHERES[:1]] + [
+        {**SPHERES[1], "position": [1e6 + 4.0, 0.6, 0.0]}
+    ]
+    with pytest.raises(SceneError, match=r"accuracy = 1e-10: double precision can give 5\.\de-08"):
+        Space(scene_of(far, time={"accuracy": 1e-10}, gravity=NO_PULL))
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "remedy"), [(1e-5, "gravity.opening_angle = 0.35"), (1e-9, 'gravity.method = "direct"')]
+)
+def test_a_tree_that_is_too_coarse_says_what_could_reach_the_accuracy(accuracy: float, remedy: str) -> None:
+    with pytest.raises(SceneError, match=f"whose error is about 4e-05; set {remedy}"):
+        Space(scene_of(SPHERES, time={"accuracy": accuracy}, gravity={"method": "tree"}))
+
+
+def test_a_promise_without_an_accuracy_is_refused() -> None:
+    text = "[promise]\nrefinement = 1.0\nuntil = 1.0\nlyapunov = 0.0\nerror = [0.0]\n[[body]]\n"
+    with pytest.raises(SceneError, match=r"a \[promise\] without time.accuracy"):
+        scene_from_text(text, "a scene")
