@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +13,6 @@ from carom.cli.text import say
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from carom.physics.status import StepStatus
     from carom.recording.read.recording import Recording
 
 MOST_ROWS = 40  # that are printed for people
@@ -112,7 +109,9 @@ def _table(
     numbers = [body_number(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
-    with _replaying(recording) as watch:
+    from carom.cli.replaying import replaying
+
+    with replaying(recording) as watch:
         if impacts:
             table = recording.impacts(start, end, replay=again, watch=watch)
         else:
@@ -141,22 +140,6 @@ def _hardest(recording: Recording, bodies: list[int]) -> Seconds:
     if table.num_rows == 0:
         return None
     return float(table["time"][int(np.argmax(table["normal_impulse"].to_numpy()))].as_py())
-
-
-@contextmanager
-def _replaying(recording: Recording) -> Iterator[Any]:
-    """Show where a replay stands, if there is one and it takes a while."""
-    from carom.cli.live_line import LiveLine, bar
-
-    length = float(recording.fingerprints()["time"][-1].as_py()) if recording.frames else 0.0
-
-    class Line(LiveLine):
-        def update(self, status: StepStatus) -> None:
-            done = min(1.0, status.time / length) if length else 1.0
-            self._show(lambda now: f"{bar(done)} {done:4.0%}  run again to t = {status.time:.5g} s")
-
-    with Line() as line:
-        yield line.update
 
 
 def _names(recording: Recording) -> Any:

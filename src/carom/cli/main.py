@@ -17,6 +17,7 @@ from carom.cli import (
     contacts,
     diff,
     explain,
+    export,
     inspect,
     movie,
     publish,
@@ -82,6 +83,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
         "repair": repair.repair,
         "report": report.report,
         "publish": publish.publish,
+        "export": export.export,
     },
 }
 for panel, commands in COMMANDS.items():

@@ -1,0 +1,55 @@
+"""`carom export`: bodies of a recording for other tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carom.cli.options import ForceOption, RecordingArgument, seconds
+from carom.cli.text import say
+
+
+def export(
+    file: RecordingArgument,
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet, .csv, .npz, .vtk or .extxyz."),
+    ],
+    at: Annotated[
+        float | None,
+        typer.Option(
+            "--at", parser=seconds, metavar="T", help="The step that this time (s) is in. Default: the hardest impact."
+        ),
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
+    force: ForceOption = False,
+) -> None:
+    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy.
+
+    What the checkpoints do not hold is run again. With --all, a .vtk becomes a folder of files and a .vtk.series.
+    """
+    from carom.cli.replaying import replaying
+    from carom.experiment.output import refuse_output
+    from carom.recording.edit.bundle import opened
+    from carom.recording.errors import RecordingError
+    from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, write
+    from carom.recording.export.snapshot import snapshots
+    from carom.recording.read.recording import Recording
+
+    refuse_format(output)
+    if everything and at is not None:
+        raise RecordingError("give --at or --all, not both")
+    if everything and output.suffix == VTK:
+        refuse_output(series_of(output)[0], force)
+        refuse_series(output, force)
+    else:
+        refuse_output(output, force)
+    with opened(file) as path:
+        recording = Recording.open(path)
+        recording.refuse_overlay()
+        with replaying(recording) as watch:
+            written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
+        bodies = len(recording.shown)
+    say(f"{written} written: {count} step{'s' * (count > 1)} of {bodies} bodies.")

@@ -1,0 +1,31 @@
+"""Extended XYZ, which OVITO and ASE open: a text block for each step, with named columns; lengths are in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from carom.recording.export.snapshot import Snapshot
+
+# the names under which OVITO knows the quantities
+_COLUMNS = {"position": "pos", "velocity": "velo", "orientation": "orientation", "angular_velocity": "omega"}
+
+
+def write_extended_xyz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
+    """Write all steps into one file."""
+    with path.open("w", encoding="utf-8") as file:
+        for snapshot in (first, *others):
+            file.write(_block(snapshot))
+
+
+def _block(snapshot: Snapshot) -> str:
+    columns = [("pos", snapshot.vectors["position"]), ("radius", snapshot.radius[:, None])]
+    columns += [("mass", snapshot.mass[:, None])]
+    columns += [(_COLUMNS[name], values) for name, values in snapshot.vectors.items() if name != "position"]
+    kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
+    head = f'Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} pbc="F F F"'
+    rows = np.concatenate([values for _, values in columns], axis=1).tolist()
+    lines = [f"X {body} {' '.join(map(repr, row))}" for body, row in enumerate(rows)]
+    return "\n".join([str(len(rows)), head, *lines, ""])

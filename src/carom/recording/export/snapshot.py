@@ -1,0 +1,71 @@
+"""`Snapshot`: the state of all bodies at the end of a step, as it is exported."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.checkpoint import Checkpoint
+from carom.recording.errors import RecordingError
+from carom.recording.read.body_states import AXES
+from carom.recording.read.moment import tolerance
+from carom.recording.read.recording import Recording
+from carom.recording.read.window import Watcher, Window
+from carom.recording.schema.timelines import STEP
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """All bodies at the end of a step, in float64 and SI units."""
+
+    step: int
+    time: float  # s
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
+    vectors: dict[str, FloatArray]  # (n, k) by quantity; without orientation and spin where they are not modelled
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+
+def snapshots(
+    recording: Recording, at: float | None, *, everything: bool, watch: Watcher | None = None
+) -> Iterator[Snapshot]:
+    """Yield the state at a time (s), or all recorded frames.
+
+    The steps between the checkpoints are run again, with the same bits.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such moment, or the recording cannot be run again with the same bits.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    if len(times) == 0:
+        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    moment = float(times[0]) if everything else recording.moment(at)
+    goal = min(moment - tolerance(moment), float(times[-1]))
+    window = Window(recording, goal, watch=watch)
+    wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
+    frames = window.frames(np.inf if everything else goal)
+    chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
+    for frame in itertools.islice(chosen, left):
+        if window.differs is not None:
+            raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
+        left -= 1
+        yield _snapshot(recording, frame.checkpoint)
+    if left:
+        raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
+
+
+def _snapshot(recording: Recording, state: Checkpoint) -> Snapshot:
+    bodies = recording.bodies
+    vectors = {name: getattr(state, name) for name in AXES if getattr(state, name) is not None}
+    return Snapshot(state.step, state.time, np.asarray(bodies.mass), np.asarray(bodies.radius), vectors)

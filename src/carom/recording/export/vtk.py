@@ -1,0 +1,45 @@
+"""Legacy VTK files, which ParaView and VisIt open: points with scalars and vectors (VTK File Formats, Kitware)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.recording.export.snapshot import Snapshot
+
+
+def write_vtk(path: Path, snapshot: Snapshot) -> None:
+    """Write one step: draw it in ParaView as Point Gaussians or with the filter Glyph, scaled by ``radius``."""
+    n = len(snapshot)
+    vertices = np.stack((np.ones(n, np.int32), np.arange(n, dtype=np.int32)), axis=1)
+    with path.open("wb") as file:
+        file.write(b"# vtk DataFile Version 3.0\ncarom\nBINARY\nDATASET POLYDATA\n")
+        file.write(b"FIELD FieldData 2\nTIME 1 1 double\n" + _bytes(np.array([snapshot.time])))
+        file.write(b"CYCLE 1 1 int\n" + _bytes(np.array([snapshot.step], np.int32)))
+        file.write(f"POINTS {n} double\n".encode() + _bytes(snapshot.vectors["position"]))
+        file.write(f"VERTICES {n} {2 * n}\n".encode() + _bytes(vertices))
+        file.write(f"POINT_DATA {n}\n".encode())
+        arrays = {"mass": snapshot.mass, "radius": snapshot.radius, **snapshot.vectors}
+        del arrays["position"]
+        file.write(f"FIELD FieldData {len(arrays)}\n".encode())  # readers skip all but the first SCALARS and VECTORS
+        for name, values in arrays.items():
+            file.write(f"{name} {values[0].size} {n} double\n".encode() + _bytes(values))
+
+
+def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, stem: str) -> None:
+    """Write a file for each step into a folder, and the list of their times, which ParaView opens as one."""
+    files = list[dict[str, str | float]]()
+    for snapshot in snapshots:
+        name = f"{stem}-{len(files):06d}.vtk"
+        write_vtk(folder / name, snapshot)
+        files.append({"name": f"{folder.name}/{name}", "time": snapshot.time})
+    path.write_text(json.dumps({"file-series-version": "1.0", "files": files}, indent=1), encoding="utf-8")
+
+
+def _bytes(values: NDArray[np.float64] | NDArray[np.int32]) -> bytes:
+    """Return values as VTK reads them, most significant byte first."""
+    return values.astype(values.dtype.newbyteorder(">")).tobytes() + b"\n"

@@ -1,0 +1,81 @@
+"""`carom export`: other tools get the bodies with all their digits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.csv as pc
+import pyarrow.parquet as pq
+import pytest
+
+from carom.recording.read.recording import Recording
+from command import carom
+
+BALLS = 7
+
+
+@pytest.fixture(scope="module")
+def cradle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of the seven balls of the cradle."""
+    folder = tmp_path_factory.mktemp("export")
+    done = carom("run", "newtons-cradle", "--set", "time.duration=0.2", "-o", "run.rrd", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "run.rrd"
+
+
+def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) -> None:
+    for name in ("one.parquet", "one.csv", "one.npz", "one.vtk", "one.extxyz"):
+        done = carom("export", str(cradle), "--at", "0.1", "-o", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == f"{name} written: 1 step of 7 bodies.\n"
+    bodies = Recording.open(cradle).bodies(0.1)
+    position = np.stack([bodies[axis].to_numpy() for axis in "xyz"], axis=1)
+    for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):
+        assert np.array_equal(np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1), position)
+    with np.load(tmp_path / "one.npz", allow_pickle=False) as arrays:
+        assert np.array_equal(arrays["position"], position[None]) and arrays["mass"].shape == (BALLS,)
+    lines = (tmp_path / "one.extxyz").read_text(encoding="utf-8").splitlines()
+    assert lines[0] == str(BALLS) and lines[1].startswith(
+        "Properties=species:S:1:id:I:1:pos:R:3:radius:R:1:mass:R:1:velo:R:3"
+    )
+    assert np.array_equal(np.array([line.split()[2:5] for line in lines[2:]], dtype=float), position)
+    vtk = (tmp_path / "one.vtk").read_bytes()
+    _, _, points = vtk.partition(b"POINTS 7 double\n")
+    assert np.array_equal(np.frombuffer(points[: 24 * BALLS], ">f8").reshape(BALLS, 3), position)
+
+
+def test_all_frames_are_exported_in_their_order(cradle: Path, tmp_path: Path) -> None:
+    times = Recording.open(cradle).fingerprints()["time"].to_numpy()
+    for name in ("all.npz", "all.parquet", "all.extxyz", "all.vtk"):
+        done = carom("export", str(cradle), "--all", "-o", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
+        assert np.array_equal(arrays["time"], times) and arrays["velocity"].shape == (len(times), BALLS, 3)
+    assert np.array_equal(pq.read_table(tmp_path / "all.parquet")["time"].to_numpy()[::BALLS], times)
+    assert (tmp_path / "all.extxyz").read_text(encoding="utf-8").count("Properties=") == len(times)
+    listed = json.loads((tmp_path / "all.vtk.series").read_text(encoding="utf-8"))["files"]
+    assert [file["time"] for file in listed] == times.tolist()
+    assert all((tmp_path / file["name"]).read_bytes().startswith(b"# vtk DataFile") for file in listed)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-o", "bodies.xlsx"], 'the format ".xlsx" is unknown; known endings: .parquet, .csv, .npz, .extxyz, .vtk'),
+        (["-o", "bodies.csv", "--all", "--at", "0.1"], "give --at or --all, not both"),
+        (["-o", "bodies.csv", "--at", "99"], "goes from 0 to 0.2 s, 99 s is not in it"),
+        (["-o", "taken.csv"], "taken.csv: exists; give --force"),
+        (["-o", "taken.vtk", "--all"], "taken-vtk: exists; give --force to replace the files in it"),
+        (["-o", "no/bodies.csv"], "there is no folder no"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_leaves_no_file(
+    cradle: Path, tmp_path: Path, arguments: list[str], said: str
+) -> None:
+    (tmp_path / "taken.csv").touch()
+    (tmp_path / "taken-vtk").mkdir()
+    done = carom("export", str(cradle), *arguments, cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["taken-vtk", "taken.csv"]
