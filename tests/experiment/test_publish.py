@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 
 from browser import LOADED, chromium, pixels_of
-from carom.experiment import publish as publishing
 from carom.recording.errors import RecordingError
 from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
@@ -39,14 +38,14 @@ def record(path: Path, title: str = TITLE) -> Path:
     return path
 
 
-def draw(path: object, at: float, png: Path, size: tuple[int, int]) -> None:
+def draw(path: object, request: object, png: Path, size: tuple[int, int]) -> None:
     Image.new("RGB", size, "orange").save(png)
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording, with pictures and a viewer that cost nothing."""
-    monkeypatch.setattr(publishing, "render", draw)
+    monkeypatch.setattr("carom.recording.view.picture.render", draw)
     monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
     return record(tmp_path / "my run.rrd")
 
@@ -153,7 +152,7 @@ def test_without_a_driver_the_page_has_no_pictures_and_the_command_says_why(
     def fail(*_: object) -> None:
         raise RecordingError("it needs a Vulkan driver")
 
-    monkeypatch.setattr(publishing, "render", fail)
+    monkeypatch.setattr("carom.recording.view.picture.render", fail)
     done = carom("publish", run.name, "-o", "out", "--json", cwd=run.parent)
     assert done.returncode == 0 and json.loads(done.stdout)["picture"] == "it needs a Vulkan driver"
     page = Texts((run.parent / "out" / "index.html").read_text(encoding="utf-8"))

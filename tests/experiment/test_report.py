@@ -57,7 +57,7 @@ def test_the_clip_in_a_report_replays_from_the_zip_itself(rubble: Recording, mad
 def test_a_report_on_a_moment_has_that_moment_in_it(
     rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
+    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
     end = float(rubble.fingerprints()["time"][-1].as_py())
     made = report(rubble, tmp_path / "end.zip", at=end)
     with bundle.opened(made.path) as path:
@@ -68,7 +68,7 @@ def test_a_clip_too_large_to_attach_gets_fewer_frames(
     rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reports, "ROOM", 1_500_000)
-    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
+    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
     made = report(rubble, tmp_path / "small.zip")
     assert 1 < made.frames < reports.FRAMES and made.size < 1_500_000
     monkeypatch.setattr(bundle, "LARGEST", 1000)
@@ -78,7 +78,7 @@ def test_a_clip_too_large_to_attach_gets_fewer_frames(
 
 
 def test_a_run_that_differs_says_so_in_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reports, "_picture", lambda *_: (None, "not now"))
+    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
     recording = carom.run(cloud(), tmp_path / "cloud.rrd")
     monkeypatch.setattr("carom.physics.space.fingerprint", lambda bodies, time: 1)
     made = report(recording, tmp_path / "cloud.zip")

@@ -34,6 +34,7 @@ from carom.recording.view.blueprint import ALL
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.movie import _layout, frame_times
 from carom.recording.view.presentation import asked
+from carom.recording.view.request import Request
 from crafted import assembled, messages_of, repacked, stream, with_column, without_column
 from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
 
@@ -111,8 +112,8 @@ def listed(path: Path, impacts: bool) -> None:
 def pictured(path: Path) -> None:
     """Plan a picture: what is shown of its moment, the close-up of a pair, and the plot of a body."""
     recording = Recording.open(path)
-    asked(recording, None, None, None, Canvas(800, 500, framed=True), plot="3.speed")
-    asked(recording, 2.0, None, "3,17", Canvas(800, 500, framed=True), colour_by="speed")
+    asked(recording, Request(plot="3.speed"), Canvas(800, 500, framed=True))
+    asked(recording, Request(2.0, bodies="3,17", colour_by="speed"), Canvas(800, 500, framed=True))
 
 
 def filmed(path: Path) -> None:
@@ -148,7 +149,7 @@ LONGER: tuple[tuple[Callable[[Path, Path], object], ...], ...] = (  # of every f
 def main(source: Path, folder: Path, seed: int, count: int) -> None:
     """Go through so many changes."""
     path, out = folder / "mutant.rrd", folder / "out.rrd"
-    report._picture = lambda *_: (None, "not rendered")
+    vars(report)["try_to_render"] = lambda *_: "not rendered"
     parts = messages_of(source)
     places: dict[str, list[int]] = {}
     for place, (kind, body) in enumerate(parts):

@@ -10,6 +10,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.view import impulse_scale
 from carom.recording.view.picture import render
+from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 from pixels import Pixels, of_colour, of_hue, region, view
@@ -25,7 +26,7 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
         for frame in merry.frames(150):
             recorder.put(frame)
         recorder.finish("completed")
-    assert render(folder / "run.rrd", 3.0, folder / "run.png", SIZE).time == 3.0
+    assert render(folder / "run.rrd", Request(3.0), folder / "run.png", SIZE).time == 3.0
     return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
 
 
@@ -80,7 +81,7 @@ def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
         for frame in merry.frames(60):
             recorder.put(frame)
         recorder.finish("completed", {"moments.impact.time": 1.25})
-    assert render(tmp_path / "run.rrd", None, tmp_path / "run.png", (800, 600)).time == 1.25
+    assert render(tmp_path / "run.rrd", Request(), tmp_path / "run.png", (800, 600)).time == 1.25
     assert Image.open(tmp_path / "run.png").size == (800, 600)
 
 
@@ -110,5 +111,5 @@ def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, m
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
     monkeypatch.setenv("LIBGL_DRIVERS_PATH", "/nowhere")
     with pytest.raises(RecordingError, match="apt-get install mesa-vulkan-drivers"):
-        render(tmp_path / "run.rrd", 0.0, tmp_path / "run.png")
+        render(tmp_path / "run.rrd", Request(0.0), tmp_path / "run.png")
     assert not (tmp_path / "run.png").exists()

@@ -15,6 +15,7 @@ from carom.recording.view.canvas import Area
 from carom.recording.view.legend import place_legend
 from carom.recording.view.picture import render
 from carom.recording.view.recorded_curves import recorded_curves
+from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 
@@ -32,7 +33,7 @@ def energy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         for frame in Merry(20).frames(150):
             recorder.put(frame)
         recorder.finish("completed")
-    render(folder / "run.rrd", 7.4, folder / "energy.png", SIZE, view="energy", theme=theme)
+    render(folder / "run.rrd", Request(7.4), folder / "energy.png", SIZE, view="energy", theme=theme)
     return theme, folder / "run.rrd", np.asarray(Image.open(folder / "energy.png").convert("RGB"), dtype=np.int64)
 
 

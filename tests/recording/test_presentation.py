@@ -14,6 +14,7 @@ from carom.recording.schema import paths
 from carom.recording.view import close_up, shown_step
 from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
+from carom.recording.view.request import Request
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 
@@ -122,7 +123,7 @@ def test_what_does_not_exist_is_one_sentence(
     at: float | None, name: str | None, bodies: str | None, said: str, bounce: Recording
 ) -> None:
     with pytest.raises(RecordingError, match=said):
-        asked(bounce, at, name, bodies)
+        asked(bounce, Request(at, name, bodies))
 
 
 def test_a_scene_without_contacts_has_no_close_up_and_no_graph(tmp_path: Path) -> None:

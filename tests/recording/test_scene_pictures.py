@@ -10,6 +10,7 @@ import carom
 from carom.recording.schema import palette
 from carom.recording.view import impulse_scale
 from carom.recording.view.picture import render
+from carom.recording.view.request import Request
 from carom.scene.schema import Scene
 from pixels import Pixels, of_colour, of_hue, view
 
@@ -48,7 +49,7 @@ def filled(pixels: Pixels) -> float:
 
 def picture(scene: Scene, folder: Path, *, view: str = "all", theme: str = "dark") -> Pixels:
     carom.run(scene, folder / "run.rrd")
-    render(folder / "run.rrd", None, folder / "run.png", SIZE, view=view, theme=theme)
+    render(folder / "run.rrd", Request(), folder / "run.png", SIZE, view=view, theme=theme)
     return np.asarray(Image.open(folder / "run.png").convert("RGB"), dtype=np.int64)
 
 

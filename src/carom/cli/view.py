@@ -5,11 +5,14 @@ from __future__ import annotations
 from enum import StrEnum
 from pathlib import Path
 from time import sleep
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from carom.cli.options import RecordingArgument, seconds
+
+if TYPE_CHECKING:
+    from carom.recording.view.request import Request
 
 AtOption = Annotated[
     float | None,
@@ -94,26 +97,19 @@ def view(
     if port and not web:
         raise typer.BadParameter("--port needs --web")
     from carom.cli.compiling import announce_compilation
+    from carom.recording.view.request import Request
     from carom.recording.view.window import open_window
 
-    _refuse_both(at, event)
+    request = Request(at, event, bodies, plot, colour_by)
     announce_compilation()
     _announce_replay(file, plot)
     if web:
-        _view_in_browser(file, at, event, bodies, plot, colour_by, port)
-        return
-    open_window(file, at, event=event, bodies=bodies, plot=plot, colour_by=colour_by, say=_say_missing)
+        _view_in_browser(file, request, port)
+    else:
+        open_window(file, request, say=_say_missing)
 
 
-def _view_in_browser(
-    file: Path,
-    at: float | None,
-    event: str | None,
-    bodies: str | None,
-    plot: str | None,
-    colour_by: str | None,
-    port: int,
-) -> None:
+def _view_in_browser(file: Path, request: Request, port: int) -> None:
     """Host a recording until the interrupt key."""
     import contextlib
     import getpass
@@ -129,9 +125,9 @@ def _view_in_browser(
 
     recording = Recording.open(file)
     if recording.is_overlay:
-        moment, supplement = recording.moment(at), None
+        moment, supplement = recording.moment(request.at), None
     else:
-        shown = asked(recording, at, event, bodies, plot=plot, colour_by=colour_by, dense=True)
+        shown = asked(recording, request, dense=True)
         moment, supplement = shown.time, shown.supplement
         _say_missing(shown.missing)
     with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as link:
@@ -164,33 +160,16 @@ def picture(
     """Render a moment of a recording to a PNG; needs no screen."""
     from carom.cli.compiling import announce_compilation
     from carom.recording.view.picture import render
+    from carom.recording.view.request import Request
 
     pixels = pixels_of(size)
-    _refuse_both(at, event)
+    request = Request(at, event, bodies, plot, colour_by)
     announce_compilation()
     path = output or file.with_suffix(".png")
     _announce_replay(file, plot)
-    made = render(
-        file,
-        at,
-        path,
-        pixels,
-        view=view.value,
-        theme=theme.value,
-        event=event,
-        bodies=bodies,
-        plot=plot,
-        colour_by=colour_by,
-    )
+    made = render(file, request, path, pixels, view=view.value, theme=theme.value)
     typer.echo(f"{path} written, t = {made.time:.9g} s.")
     _say_missing(made.missing)
-
-
-def _refuse_both(at: float | None, event: str | None) -> None:
-    from carom.recording.errors import RecordingError
-
-    if at is not None and event is not None:
-        raise RecordingError("give --at or --event, not both")
 
 
 def _announce_replay(file: Path, plot: str | None) -> None:

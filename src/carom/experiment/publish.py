@@ -13,7 +13,7 @@ from pathlib import Path
 from carom.experiment.overview import Moment, moments, overview
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.picture import render
+from carom.recording.view.picture import try_to_render
 from carom.recording.view.presentation import presentation
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
@@ -65,7 +65,7 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
             shown = presentation(recording, time)
             link = site.write_moment(recording, shown.time, shown.supplement, part, name)
             if not missing:
-                missing = _picture(recording, time, part / f"{name}.png")
+                missing = try_to_render(recording.path, time, part / f"{name}.png", _SIZE)
             lines = [*(f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together), f"t = {time:.9g} s"]
             figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
         index_page.write_index(part, recording.title, recording.path.name, overview(recording), figures)
@@ -113,15 +113,6 @@ def _fullest(recording: Recording) -> Moment:
 def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:
     """Group the moments of one step, in order of time."""
     return (list(group) for _, group in groupby(sorted(found, key=lambda moment: moment.step), lambda one: one.step))
-
-
-def _picture(recording: Recording, time: float, path: Path) -> str:
-    """Render a moment; return the reason if that fails."""
-    try:
-        render(recording.path, time, path, _SIZE)
-    except RecordingError as error:
-        return str(error)
-    return ""
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from carom.recording.edit import bundle
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.picture import render
+from carom.recording.view.picture import try_to_render
 from carom.scene.command import command
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
@@ -73,16 +73,17 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         _cut(recording, moment, cut)
         small = Recording.open(cut)
         replayed = _replay(small)
-        picture, missing = _picture(cut, moment, Path(folder) / "picture.png")
+        picture = Path(folder) / "picture.png"
+        missing = try_to_render(cut, moment, picture)
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
-        text = _summary(recording, small, moment, why, replayed, bool(picture), path.name)
+        text = _summary(recording, small, moment, why, replayed, not missing, path.name)
         members: dict[str, bytes | Path] = {
             "README.md": text.encode(),
             "scene.toml": recording.scene_toml.encode(),
             "environment.json": json.dumps(surroundings, indent=2).encode(),
             bundle.CLIP: cut,
         }
-        if picture:
+        if not missing:
             members["picture.png"] = picture
         size = bundle.pack(path, members)
         if size > bundle.LARGEST:
@@ -144,14 +145,6 @@ def _in_words(result: Replay) -> str:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
     return f"Replayed from step {result.begin}, **it differs** at {result.difference}."
-
-
-def _picture(recording: Path, moment: float, path: Path) -> tuple[Path | None, str]:
-    try:
-        render(recording, moment, path)
-    except RecordingError as error:
-        return None, str(error)
-    return path, ""
 
 
 def _summary(

@@ -503,8 +503,9 @@ class Recording:
             If there is no such moment, event or body, or rerun-notebook is not installed.
         """
         from carom.recording.view.notebook import show  # noqa: PLC0415 - readers need no viewer
+        from carom.recording.view.request import Request  # noqa: PLC0415
 
-        show(self, at, height, event, bodies)
+        show(self, Request(at, event, bodies), height)
 
     @cached_property
     def _start(self) -> dict[str, NDArray[Any] | list[str]]:

@@ -25,6 +25,7 @@ from carom.recording.view.picture import headless, note_ends, settled, window_of
 from carom.recording.view.presentation import asked
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
+from carom.recording.view.request import Request
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import Viewer
 
@@ -96,7 +97,7 @@ def pictures(
     different = list(dict.fromkeys(times.tolist()))
     supplement = None
     if view == CLOSE_UP:
-        supplement = asked(recording, None, event, bodies, Canvas(*size, framed=False), view).supplement
+        supplement = asked(recording, Request(event=event, bodies=bodies), Canvas(*size, framed=False), view).supplement
     elif not recording.is_overlay:
         supplement = _layout(recording, different, size, view)
     return _taken(recording, times, size, view, theme, supplement)

@@ -14,15 +14,17 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.presentation import asked
+from carom.recording.view.request import Request
 from carom.recording.view.supplement import Supplement
 from carom.recording.write.rerun_compat import send_to_notebook
 
 
-def show(recording: Recording, at: float | None, height: int, event: str | None, bodies: str | None) -> None:
+def show(recording: Recording, request: Request, height: int) -> None:
     """Display the viewer below the cell; see `Recording.show`."""
-    moment, extra = recording.moment(at), b""
-    if not recording.is_overlay:
-        shown = asked(recording, at, event, bodies, dense=True)
+    if recording.is_overlay:
+        moment, extra = recording.moment(request.at), b""
+    else:
+        shown = asked(recording, request, dense=True)
         moment, extra = shown.time, _bytes_of(recording, shown.supplement)
     try:
         viewer = Viewer(width="auto", height=height, use_global_recording=False)

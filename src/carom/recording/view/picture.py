@@ -15,6 +15,7 @@ from carom.recording.view.blueprint import ALL
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.light_theme import light_theme
 from carom.recording.view.presentation import asked
+from carom.recording.view.request import Request
 from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
 
@@ -35,26 +36,22 @@ class Picture:
 
 def render(
     path: str | Path,
-    at: float | None,
+    request: Request,
     out_png: str | Path,
     size: tuple[int, int] = (1600, 1000),
     *,
     view: str = ALL,
     theme: str = "dark",
-    event: str | None = None,
-    bodies: str | None = None,
-    plot: str | None = None,
-    colour_by: str | None = None,
     watch: Watcher = lambda _: None,
 ) -> Picture:
-    """Render a recording at a simulated time (s) into a PNG.
+    """Render a moment of a recording into a PNG.
 
     Parameters
     ----------
     path
         The recording.
-    at
-        s; without it, the event, else the most interesting moment: the hardest impact, else the most contacts.
+    request
+        What to show of it.
     out_png
         Where to write the picture.
     size
@@ -63,16 +60,8 @@ def render(
         One view that fills the picture, or all of them.
     theme
         Of the viewer, "dark" or "light"; the 3D views are dark in both.
-    event
-        Its name; the close-up view shows its bodies.
-    bodies
-        The bodies of the close-up view, by numbers or names with a comma between them.
-    plot
-        Quantities of bodies to plot, such as ``top.z,top.omega``.
-    colour_by
-        What tells the bodies apart; by default what the scene says.
     watch
-        Called while steps that have no frame are run again.
+        Called while steps without a frame are repeated.
 
     Raises
     ------
@@ -83,19 +72,9 @@ def render(
     _refuse_unwritable(Path(out_png))
     whole = view == ALL or recording.is_overlay
     if recording.is_overlay:
-        moment, extra, missing = recording.moment(at), None, ""
+        moment, extra, missing = recording.moment(request.at), None, ""
     else:
-        shown = asked(
-            recording,
-            at,
-            event,
-            bodies,
-            Canvas(*size, framed=whole),
-            view,
-            plot=plot,
-            colour_by=colour_by,
-            watch=watch,
-        )
+        shown = asked(recording, request, Canvas(*size, framed=whole), view, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(window_of(size, whole), theme) as viewer:
         noted = note_ends(theme)
@@ -113,6 +92,15 @@ def render(
     except OSError as error:
         raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
     return Picture(moment, missing)
+
+
+def try_to_render(path: Path, at: float, out_png: Path, size: tuple[int, int] = (1600, 1000)) -> str:
+    """Render a recording at a time (s); return the reason if that fails, such as a missing driver, else nothing."""
+    try:
+        render(path, Request(at), out_png, size)
+    except RecordingError as error:
+        return str(error)
+    return ""
 
 
 def _refuse_unwritable(path: Path) -> None:

@@ -25,6 +25,7 @@ from carom.recording.view.pair import event as event_of
 from carom.recording.view.recoloured import colour_rows
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
+from carom.recording.view.request import Request
 from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.trails import Trails, has_trails
@@ -45,29 +46,27 @@ class Presentation:
 
 def asked(
     recording: Recording,
-    at: float | None,
-    event: str | None,
-    bodies: str | None,
+    request: Request,
     canvas: Canvas = WINDOW,
     only: str = ALL,
     *,
-    plot: str | None = None,
-    colour_by: str | None = None,
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> Presentation:
-    """Show what a person asked for: a time (s) or an event, two bodies, and plots of bodies; see `presentation`.
+    """Choose how a request is shown; see `presentation`.
 
     Raises
     ------
     RecordingError
         If there is no such moment, event or body.
     """
-    moment, pair = (recording.moment(at), None) if event is None else event_of(recording, event)
-    pair = pair if bodies is None else named_pair(recording, bodies)
-    plots = _body_plots(recording, plot, only, watch)
+    event = request.event
+    moment, pair = (recording.moment(request.at), None) if event is None else event_of(recording, event)
+    if request.bodies is not None:
+        pair = named_pair(recording, request.bodies)
+    plots = _body_plots(recording, request.plot, only, watch)
     return presentation(
-        recording, moment, canvas, only, pair=pair, plots=plots, colour_by=colour_by, dense=dense, watch=watch
+        recording, moment, canvas, only, pair=pair, plots=plots, colour_by=request.colour_by, dense=dense, watch=watch
     )
 
 

@@ -7,37 +7,21 @@ from pathlib import Path
 
 from carom.recording.read.recording import Recording
 from carom.recording.view.presentation import Presentation, asked
+from carom.recording.view.request import Request
 from carom.recording.view.viewer import Viewer
 
 
-def open_window(
-    path: str | Path,
-    at: float | None = None,
-    *,
-    event: str | None = None,
-    bodies: str | None = None,
-    plot: str | None = None,
-    colour_by: str | None = None,
-    say: Callable[[str], None] = lambda _: None,
-) -> None:
+def open_window(path: str | Path, request: Request, *, say: Callable[[str], None] = lambda _: None) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
 
     Parameters
     ----------
     path
         The recording.
-    at
-        s; without it, the event, else the most interesting moment.
-    event
-        Its name; the close-up view shows its bodies.
-    bodies
-        The bodies of the close-up view, by numbers or names with a comma between them.
-    plot
-        Quantities of bodies to plot, such as ``top.z,top.omega``.
-    colour_by
-        What tells the bodies apart; by default what the scene says.
+    request
+        What to show of it.
     say
-        Called with the reason where the step of that moment cannot be shown.
+        Called with the reason if the step of that moment cannot be shown.
 
     Raises
     ------
@@ -46,9 +30,9 @@ def open_window(
     """
     recording = Recording.open(path)
     shown: Presentation | None = None
-    moment = at
+    moment = request.at
     if not recording.is_overlay:
-        shown = asked(recording, at, event, bodies, plot=plot, colour_by=colour_by, dense=True)
+        shown = asked(recording, request, dense=True)
         moment = shown.time
     with Viewer() as viewer:
         viewer.show(recording)
