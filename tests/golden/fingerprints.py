@@ -63,6 +63,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "extremes/size-tiny": 120,
     "extremes/stack-20": 140,
     "extremes/stack-200": 6,
+    "golden/planets": 160,  # through the encounter, and on
 }
 FEWER_BODIES = {"extremes/pile-1000": 200, "extremes/hub-4000": 600}  # in their group: to place all takes a second
 

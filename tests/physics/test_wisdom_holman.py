@@ -149,6 +149,27 @@ def test_a_comet_that_grazes_the_dominant_body_is_resolved() -> None:
     assert space.energy().relative_error <= 1e-9
 
 
+def test_encounters_are_passed_over_where_the_scene_says_so() -> None:
+    scene = orbits(encounter(1e-5, 1.0), 3.0 * YEAR, time={"encounters": "ignore"})
+    assert final(scene).foreseen.get("error", 0.0) <= 1.0  # at most the last step, which is cut
+    with pytest.raises(SceneError, match=r'time.encounters = "ignore" with .*take "wisdom-holman"'):
+        Space(orbits(planets(), 1.0, time={"encounters": "ignore", "integrator": "leapfrog"}))
+
+
+def test_many_bodies_are_pulled_as_few_are() -> None:
+    rng = np.random.default_rng(2)
+    bodies = planets()  # and light ones, so many that they are summed side by side
+    for _ in range(70):
+        axis, angle = rng.uniform(0.5, 0.6), rng.uniform(0.0, 2.0 * np.pi)
+        place = [axis * np.cos(angle), axis * np.sin(angle), 0.0]
+        speed = [-np.sin(angle) / np.sqrt(axis), np.cos(angle) / np.sqrt(axis), 0.0]
+        bodies.append({"mass": 1e-20, "radius": 1e-9, "position": place, "velocity": speed})
+    time = {"fixed_dt": YEAR / 60.0, "encounters": "ignore"}
+    many, few = (final(orbits(which, YEAR, time=time)).state for which in (bodies, planets()))
+    # the light ones pull by 10⁻²⁰; sums in another order round differently
+    assert np.abs(many.position[:4] - few.position).max() <= 1e-13
+
+
 def fingerprints(scene: Scene, **how: Any) -> dict[int, int]:
     return {frame.step: frame.fingerprint for frame in Space(scene).run(**how)}
 

@@ -14,7 +14,7 @@ from carom.scene.schema import Body, Scene
 DOMINANT = 0.99  # share of the mass from which a body dominates
 FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
 MOST_BODIES = 100  # for "auto"; more may meet often, and each close encounter is integrated with all bodies
-HILL_RADII_APART = 10.0  # for "auto": between orbits, in Hill radii, so that encounters are rare
+HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
 
 
 class Heaviest(NamedTuple):
@@ -49,18 +49,20 @@ def why_no_hierarchy(scene: Scene) -> str:
     """Say why bodies do not simply orbit a dominant one, and what would be right; empty if they do."""
     gravity = scene.gravity
     if not pulls.gravity(scene).modelled:
-        return "without gravity between bodies"
+        return 'without gravity between bodies; take "auto"'
     if gravity.softening > 0.0:
-        return f"with gravity.softening = {gravity.softening:g}, but its orbits are those of points; set it to 0"
+        soft = f"gravity.softening = {gravity.softening:g}"
+        return f'with {soft}, but its orbits are those of points; set it to 0, or take "auto"'
     if any(gravity.uniform):
         return "with gravity.uniform, under which orbits are not Kepler's; leave it out"
     fixed = next((number for number, body in enumerate(scene.body) if body.fixed), None)
     if fixed is not None:
         called = body_called(fixed, scene.body[fixed].name)
-        return f"with {called} fixed, but all bodies have to move; set fixed = false"
+        return f'with {called} fixed, but all bodies have to move; set fixed = false, or take "auto"'
     name, share = heaviest(scene)
     if share <= DOMINANT:
-        return f"without a dominant body: {name} has {100.0 * share:.4g} % of the mass, and more than 99 % are needed"
+        share_of = f"{name} has {100.0 * share:.4g} % of the mass, and more than 99 % are needed"
+        return f'without a dominant body: {share_of}; take "auto"'
     return ""
 
 

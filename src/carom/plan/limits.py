@@ -104,6 +104,11 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
     """Refuse scenes in which bodies do not orbit a dominant one, where the integrator needs that."""
     chosen = integrator(scene)
     if not chosen.hierarchical:
+        if scene.time.encounters != "resolve":
+            raise SceneError(
+                f'time.encounters = "{scene.time.encounters}" with time.integrator = "{chosen.name}", which has no '
+                'separate encounters; leave it out, or take "wisdom-holman"'
+            )
         return
     name = f'time.integrator = "{chosen.name}"'
     if require(scene).contact.modelled:
@@ -116,7 +121,7 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
     if gravity_method(scene) == "tree":
         raise SceneError(f'{name} with gravity.method = "tree": it sums all pairs; set "direct"')
     if why := why_no_hierarchy(scene):
-        raise SceneError(f'{name} {why}, or take "auto"')
+        raise SceneError(f"{name} {why}")
     for key in ("target_dx", "cfl", "pull_fraction"):
         if getattr(scene.time, key) != "auto":
             raise SceneError(f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead")

@@ -115,6 +115,11 @@ class Time(Section):
         "Wisdom–Holman where they go around a dominant one 1000 times or more on orbits apart, Yoshida's where such a "
         "scene also sets its step, otherwise leapfrog",
     )
+    encounters: Literal["resolve", "ignore"] = Field(
+        "resolve",
+        description="wisdom-holman only: whether close encounters of light bodies are left to Gauss–Radau, which then "
+        "integrates all bodies, or pass unresolved, for many bodies of negligible masses",
+    )
 
     @model_validator(mode="after")
     def _an_accuracy_sets_the_step(self) -> Self:

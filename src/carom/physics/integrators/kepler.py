@@ -37,6 +37,7 @@ PATIENCE = 8  # steps; from there on every other one is a bisection, since steps
 MAX_STEPS = 150  # half of them bisections, of which some 60 are enough
 NEARLY = 1e-8  # of X: likewise for a last step of order two
 LANES = 64
+WIDEST = 8  # numbers that any processor has side by side
 LANE_ROWS = 14
 TURN = 6.283185307179586  # rad
 
@@ -142,7 +143,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
             lanes[4 * LANES + k] = way * v[i, 1]
             lanes[5 * LANES + k] = way * v[i, 2]
             lanes[6 * LANES + k] = mu[i]
-        padded = (count + 3) // 4 * 4
+        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a rest would be done one by one
         for k in range(count, padded):
             for row in range(7):
                 lanes[row * LANES + k] = lanes[row * LANES]

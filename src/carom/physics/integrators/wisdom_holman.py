@@ -54,13 +54,14 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 STEPS_PER_TURN = 20.0  # of the shortest orbit
-HILL_RADII = 10.0  # within which bodies are close whose orbits cross: the error of a passage is some 10⁻⁹ (docs)
+HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing
 PART_OF_GAP = 0.9  # of the distance between two orbits: within it, both have left them
 PARTED = 1.2  # times the distance from which bodies are close, beyond which they are no longer
 UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of a turn or more
 STAGES = 4  # of the corrector
 SPREAD = Fraction(2, 5)
+LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
 NEAREST = 0.03  # of the semi-major axis: passages closer than that are left to Gauss–Radau integration
 FIRST_PART = 0.01  # of a step: the first one that Gauss–Radau integration tries
 ANEW, FAR, CLOSE = range(3)  # phases: from the state as it is, by equal steps, by Gauss–Radau integration
@@ -103,7 +104,7 @@ class Orbits(NamedTuple):
     speed: FloatArray  # (n, 3) m/s, likewise
     acceleration: FloatArray  # (n, 3) m/s²
     reach: FloatArray  # (n,) m, how far a body may move meanwhile
-    lanes: FloatArray  # workspace of the Kepler orbits
+    lanes: FloatArray  # workspace of the Kepler orbits and of the pulls of many
 
 
 class Conics(NamedTuple):
@@ -144,10 +145,18 @@ class WisdomHolman:
         s
     fixed_dt
         s; None for a fraction of the shortest orbit.
+    resolves
+        Whether close encounters of light bodies are left to Gauss–Radau integration.
     """
 
     def __init__(
-        self, position: FloatArray, velocity: FloatArray, pull: FloatArray, max_dt: float, fixed_dt: float | None
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        pull: FloatArray,
+        max_dt: float,
+        fixed_dt: float | None,
+        resolves: bool = True,
     ) -> None:
         n = len(position)
         vectors = [np.zeros((n, 3)) for _ in range(7)]
@@ -158,7 +167,7 @@ class WisdomHolman:
         self._first = int(np.argmax(pull))
         self._hill = cube_root(pull / (3.0 * pull[self._first]))  # Hill radii over semi-major axes
         self._max_dt, self._fixed_dt = max_dt, fixed_dt
-        self._limit = LIMITS[0]
+        self._limit, self._resolves = LIMITS[0], resolves
         self._run = np.zeros(1, RUN)
         no_field, none_fixed = np.zeros(3), np.zeros(0, np.int64)
         self._radau = GaussRadau15(position, velocity, pull, none_fixed, no_field, 0.0, max_dt, None)
@@ -301,7 +310,9 @@ class WisdomHolman:
         return Conics(axis, size, pericentre, apocentre, turn)
 
     def _near(self, conics: Conics) -> FloatArray:
-        """Return the distances in m from which bodies are close to others, (n,)."""
+        """Return the distances in m from which bodies are close to others, (n,); 0 where that does not matter."""
+        if not self._resolves:
+            return np.zeros(len(self._pull))
         hill = self._hill * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
         near = HILL_RADII * hill
         near[self._first] = 0.0
@@ -318,15 +329,17 @@ class WisdomHolman:
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> WisdomHolman:
     """Make the integrator of a scene's bodies; a scene with a uniform field is refused before."""
     pull = scene.gravity.constant * bodies.mass
-    return WisdomHolman(bodies.position, bodies.velocity, pull, scene.time.max_dt, scene.time.fixed_dt)
+    rule = scene.time
+    steps, resolves = (rule.max_dt, rule.fixed_dt), rule.encounters == "resolve"
+    return WisdomHolman(bodies.position, bodies.velocity, pull, *steps, resolves)
 
 
 @unowned
-def _drift(o: Orbits, x: FloatArray, v: FloatArray, h: float) -> None:
+def _drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: float) -> None:
     """Move all on their Kepler orbits, and the centre of mass on a line."""
     for k in range(3):
         x[0, k] += h * v[0, k]
-    revolve_all(x, v, o.mu, h, o.lanes)
+    revolve_all(x, v, mu, h, lanes)
 
 
 @unowned
@@ -352,11 +365,10 @@ def _to_jacobi(place: FloatArray, order: IntArray, share: FloatArray, x: FloatAr
 
 
 @unowned
-def _mutual(o: Orbits) -> None:
+def _mutual(place: FloatArray, pull: FloatArray, a: FloatArray) -> None:
     """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
-    place, a, pull = o.place, o.acceleration, o.pull
     n = len(place)
-    for i in range(n):
+    for i in range(min(n, 2)):
         a[i, 0] = a[i, 1] = a[i, 2] = 0.0
     for i in range(2, n):
         px, py, pz, own = place[i, 0], place[i, 1], place[i, 2], pull[i]
@@ -372,17 +384,58 @@ def _mutual(o: Orbits) -> None:
 
 
 @unowned
+def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
+    """Do the same for many bodies, with those that are pulled side by side in SIMD lanes."""
+    n = len(place)
+    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
+    for i in range(1, n):
+        dx, dy, dz = place[0, 0] - place[i, 0], place[0, 1] - place[i, 1], place[0, 2] - place[i, 2]
+        d2 = dx * dx + dy * dy + dz * dz
+        d3 = 1.0 / (d2 * np.sqrt(d2)) if i > 1 else 0.0
+        f, g = pull[0] * d3, pull[i] * d3
+        a[i, 0], a[i, 1], a[i, 2] = f * dx, f * dy, f * dz
+        sx, sy, sz = sx - g * dx, sy - g * dy, sz - g * dz
+    a[0, 0], a[0, 1], a[0, 2] = sx, sy, sz
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        for k in range(count):
+            for row in range(3):
+                lanes[row * LANES + k] = place[first + k, row]
+                lanes[(row + 3) * LANES + k] = 0.0
+        for j in range(1, n):
+            xj, yj, zj, mj = place[j, 0], place[j, 1], place[j, 2], pull[j]
+            for k in range(count):
+                dx, dy, dz = xj - lanes[k], yj - lanes[LANES + k], zj - lanes[2 * LANES + k]
+                d2 = dx * dx + dy * dy + dz * dz
+                f = mj / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
+                lanes[3 * LANES + k] += f * dx
+                lanes[4 * LANES + k] += f * dy
+                lanes[5 * LANES + k] += f * dz
+        for k in range(count):
+            for row in range(3):
+                a[first + k, row] += lanes[(row + 3) * LANES + k]
+
+
+@unowned
 def _kick(o: Orbits, x: FloatArray, v: FloatArray, h: float) -> None:
     """Change the rates of Jacobi coordinates by H_mutual; `place` has to belong to x."""
-    a, share = o.acceleration, o.share
-    _mutual(o)
+    if len(x) < LANES_FROM:
+        _mutual(o.place, o.pull, o.acceleration)
+    else:
+        _mutual_in_lanes(o.place, o.pull, o.acceleration, o.lanes)
+    _turn(x, v, o.acceleration, o.share, o.mu, h)
+
+
+@unowned
+def _turn(x: FloatArray, v: FloatArray, a: FloatArray, share: FloatArray, mu: FloatArray, h: float) -> None:
+    """Change the rates of Jacobi coordinates by Cartesian accelerations, less those of the Kepler orbits."""
     rx, ry, rz = a[0, 0], a[0, 1], a[0, 2]  # acceleration of the centre of mass of those before i
     for i in range(1, len(x)):
         ax, ay, az = a[i, 0] - rx, a[i, 1] - ry, a[i, 2] - rz
         rx, ry, rz = rx + share[i] * ax, ry + share[i] * ay, rz + share[i] * az
         if i > 1:
             r2 = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2]
-            back = o.mu[i] / (r2 * np.sqrt(r2))
+            back = mu[i] / (r2 * np.sqrt(r2))
             ax, ay, az = ax + back * x[i, 0], ay + back * x[i, 1], az + back * x[i, 2]
         v[i, 0], v[i, 1], v[i, 2] = v[i, 0] + h * ax, v[i, 1] + h * ay, v[i, 2] + h * az
 
@@ -396,14 +449,14 @@ def _correct(o: Orbits, x: FloatArray, v: FloatArray, h: float, into: bool) -> N
         a, b = CORRECTOR_DRIFT[k], CORRECTOR_KICK[k]
         if not into:
             a = -a
-        _drift(o, x, v, (waiting + a) * h)
+        _drift(x, v, o.mu, o.lanes, (waiting + a) * h)
         _from_jacobi(x, o.share, o.place)
         _kick(o, x, v, b * h)
-        _drift(o, x, v, -2.0 * a * h)
+        _drift(x, v, o.mu, o.lanes, -2.0 * a * h)
         _from_jacobi(x, o.share, o.place)
         _kick(o, x, v, -b * h)
         waiting = a
-    _drift(o, x, v, waiting * h)
+    _drift(x, v, o.mu, o.lanes, waiting * h)
 
 
 @unowned
@@ -415,13 +468,16 @@ def _meets(o: Orbits, x: FloatArray, after: float, until: float, apart: float) -
     place, speed, near, reach = o.place, o.speed, o.near, o.reach
     longest = max(abs(after), abs(until))
     shortest = apart * UNRESOLVED * (until - after)
-    n = len(place)
+    n, widest = len(place), 0.0
     for i in range(1, n):
+        widest = max(widest, near[i])
         r2 = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2]
         if r2 * np.sqrt(r2) < shortest * shortest * o.mu[i]:
             return True
         v2 = speed[i, 0] * speed[i, 0] + speed[i, 1] * speed[i, 1] + speed[i, 2] * speed[i, 2]
         reach[i] = longest * np.sqrt(v2)
+    if not widest > 0.0:
+        return False
     for i in range(2, n):
         px, py, pz, own, far = place[i, 0], place[i, 1], place[i, 2], near[i], reach[i]
         for j in range(1, i):
@@ -466,7 +522,7 @@ def _put(o: Orbits, x: FloatArray, place: FloatArray, into: FloatArray) -> None:
 def _step(o: Orbits, run: Any, x: FloatArray, v: FloatArray) -> bool:
     """Drift to the middle of the next step and kick, unless bodies meet there."""
     dt = run.dt
-    _drift(o, x, v, dt if run.count > 0 else 0.5 * dt)
+    _drift(x, v, o.mu, o.lanes, dt if run.count > 0 else 0.5 * dt)
     _from_jacobi(x, o.share, o.place)
     _from_jacobi(v, o.share, o.speed)
     if _meets(o, x, -0.5 * dt, 0.5 * dt, 1.0):
@@ -512,7 +568,7 @@ def _put_out(o: Orbits, h: float) -> None:
     x, v = o.x_spare, o.v_spare
     _copy(o.x, x)
     _copy(o.v, v)
-    _drift(o, x, v, 0.5 * h)
+    _drift(x, v, o.mu, o.lanes, 0.5 * h)
     _correct(o, x, v, h, False)
     _put(o, x, o.place, o.position)
     _put(o, v, o.speed, o.velocity)
@@ -528,13 +584,13 @@ def leap(o: Orbits, h: float, position: FloatArray, velocity: FloatArray, surely
     _to_jacobi(o.position, o.order, o.share, x)
     _to_jacobi(o.velocity, o.order, o.share, v)
     _correct(o, x, v, h, True)
-    _drift(o, x, v, 0.5 * h)
+    _drift(x, v, o.mu, o.lanes, 0.5 * h)
     _from_jacobi(x, o.share, o.place)
     _from_jacobi(v, o.share, o.speed)
     if not surely and _meets(o, x, -0.5 * abs(h), 0.5 * abs(h), 1.0):
         return False
     _kick(o, x, v, h)
-    _drift(o, x, v, 0.5 * h)
+    _drift(x, v, o.mu, o.lanes, 0.5 * h)
     _correct(o, x, v, h, False)
     _put(o, x, o.place, position)
     _put(o, v, o.speed, velocity)
