@@ -66,7 +66,7 @@ def diff(
 
 
 def _document(found: Diff, names: Names) -> dict[str, Any]:
-    """Nest what was found as JSON has it: no NaN, no infinity."""
+    """Return the result as JSON can hold it, without NaN and infinity."""
     from dataclasses import asdict
     from math import isfinite
 

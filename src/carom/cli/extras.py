@@ -10,7 +10,7 @@ from carom.experiment.error import ExperimentError
 
 @contextlib.contextmanager
 def needing(extra: str, command: str, *packages: str) -> Iterator[None]:
-    """Import what an extra brings within this context; ExperimentError that says what to install if it is not there."""
+    """Import the packages of an extra within this context; ExperimentError with the remedy if one is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

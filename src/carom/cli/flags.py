@@ -1,4 +1,4 @@
-"""Help of flags: they take no value, and so none is shown."""
+"""Commands whose help shows flags without a type, since flags take no value."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`carom inspect`: what is in a recording."""
+"""`carom inspect`: a summary of a recording."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _overview(summary: dict[str, Any]) -> Table:
 
 
 def _warnings(summary: dict[str, Any]) -> Iterator[str]:
-    """Show what the run was warned of, and an empty line after it."""
+    """Show the warnings of the run, and an empty line after them."""
     from carom.cli.warnings import warning_lines
     from carom.physics.event import Event
 

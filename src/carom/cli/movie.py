@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 LONGEST = 3600.0  # s, of a movie
 FASTEST = 120.0  # pictures a second
-GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers of GIFs slow down what is faster
+GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers slow down faster GIFs
 
 
 class MovieView(StrEnum):

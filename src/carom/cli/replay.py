@@ -82,7 +82,7 @@ def replay(
 
 
 def _agreed(seconds: float) -> bool:
-    """Ask whether to go on with a long replay; refuse if there is no terminal to ask on."""
+    """Ask for consent to a long replay; refuse it if there is no terminal."""
     if seconds <= ASKS_ABOVE:
         return True
     text = f"The rest will take about {duration_text(seconds)}"

@@ -1,4 +1,4 @@
-"""`carom resume`: go on with a run that has ended, or was ended."""
+"""`carom resume`: continue a run that has ended or was interrupted."""
 
 from __future__ import annotations
 

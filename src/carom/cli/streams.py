@@ -1,4 +1,4 @@
-"""Standard output and standard error that never end a command: what cannot be printed is dropped."""
+"""Standard output and standard error that never end a command: text that cannot be printed is dropped."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Lossy(io.RawIOBase):
         return os.isatty(self._descriptor)
 
     def writable(self) -> bool:
-        """Tell that it can be written to."""
+        """Return True."""
         return True
 
 
 def install() -> Lossy:
-    """Replace ``sys.stdout`` and ``sys.stderr``; return what is below standard output, which knows whether it failed.
+    """Replace ``sys.stdout`` and ``sys.stderr``; return the one below standard output, which knows if it failed.
 
     Characters that the encoding of a terminal lacks are printed as question marks.
     """

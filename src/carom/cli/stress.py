@@ -1,4 +1,4 @@
-"""`carom stress`: the numerical extremes, each with its criteria and what was measured."""
+"""`carom stress`: the extreme scenes, each with its criteria and the measured values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Printing text that came from a file: a title may hold anything, and a terminal does what it is told."""
+"""Printing text from files without its control characters, which a terminal would obey."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 
 import typer
 
-# control characters but tab and line feed, what reverses the direction of writing, and halves of surrogate pairs
+# control characters except tab and line feed, marks that reverse the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 

@@ -1,4 +1,4 @@
-"""`carom tradeoff`: what accuracy costs on a scene, measured."""
+"""`carom tradeoff`: the measured cost of accuracy in a scene."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def opened(
 
 
 def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
-    """Measure, saying what is measured; tell whether it was not stopped before the end."""
+    """Measure, and print the progress; return whether it was completed, not stopped by the interrupt key."""
     from rich.markup import escape
 
     from carom.cli.compiling import announce_compilation

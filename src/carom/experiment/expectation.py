@@ -1,4 +1,4 @@
-"""Compares the limits of a scene's [expect] with what a run measured."""
+"""Compares the limits of a scene's [expect] with the measured values of a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Verdict:
     measured: float
     worst: Extreme | None = None  # None if no extreme belongs to it
     at_least: bool = False  # whether the limit is a lower bound
-    note: str = ""  # what was measured, where the name does not say
+    note: str = ""  # explains the measured quantity if the name does not
     promised_at: float | None = None  # s, the end that the promise refers to, if the run ended elsewhere
 
     @property

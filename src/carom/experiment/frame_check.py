@@ -107,7 +107,7 @@ class FrameCheck:
         return None
 
     def gather(self, frame: Frame) -> None:
-        """Take note of what happened up to a frame, whether it was recorded or not."""
+        """Take the impacts and events up to a frame into account, whether it was recorded or not."""
         if self._impacts:
             self._impacts.gather(frame)
 

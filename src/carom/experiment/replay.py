@@ -1,4 +1,4 @@
-"""Run a recording again and compare every frame with what was recorded, bit for bit."""
+"""Runs a recording again and compares every frame with the recorded one, bit for bit."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from carom.recording.write.claim import Claim
 from carom.scene.command import command
 from carom.scene.schema import Scene
 
-UNDER_WAY = ".resumed.rrd"  # what the new recording is called until it is whole
+UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     Parameters
     ----------
     recording
-        A clip cannot be continued: what was before it is missing.
+        A clip cannot be continued, because the run before it is missing.
     until
         s of simulated time, by default the duration of the scene. Frames keep the interval that they had.
 
@@ -82,7 +82,7 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     Parameters
     ----------
     source
-        The recording to go on with.
+        The recording to continue.
     output
         Another ``.rrd`` to write; by default the recording itself.
     force
@@ -114,8 +114,8 @@ def resume(
 ) -> Outcome:
     """Resume a run and record the whole of it.
 
-    Until the new recording is whole it has a name of its own, ``NAME.resumed.rrd``. If the disk runs full it keeps
-    that name, and the recording is unchanged.
+    The new recording is called ``NAME.resumed.rrd`` until it is complete. If the disk runs full it keeps that name, and
+    the old recording is unchanged.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def run(
 
 
 def recording_space(scene: Scene, threads: int | None = None) -> Space:
-    """Build a space whose frames carry what the scene's recording is to have.
+    """Build a space whose frames carry all that the scene's recording needs.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def simulate(
     force
         Whether to replace a file that exists.
     claim
-        Of the path, where the caller has it and has refused what ``force`` does not allow.
+        A claim of the path, if the caller has one and has checked ``force``.
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
@@ -147,9 +147,9 @@ def simulate(
     continued
         The frames that a resumed run takes over; they are written first.
     properties
-        What the recording says of where it came from, by default what this process knows.
+        Provenance for the recording; by default that of this process.
     member
-        What the run is within a sweep, recorded with it.
+        The run's place in a sweep.
 
     Raises
     ------
@@ -272,14 +272,14 @@ def _wait(physics: _Physics, watch: Watcher | None, interrupts: Interrupts) -> N
         try:
             if watch:
                 watch(physics.space.status)
-        except KeyboardInterrupt:  # of a handler that a program has of its own
+        except KeyboardInterrupt:  # raised by the calling program's own signal handler
             if interrupts.count:
                 raise
             interrupts.count = 1
 
 
 def header_of(space: Space) -> Header:
-    """Gather what a recording of a space says before its first frame."""
+    """Return the header of a recording of a space."""
     scene, needs, state = space.scene, space.requirements, space.state
     return Header(
         title=scene.title,

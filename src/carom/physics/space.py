@@ -59,11 +59,11 @@ class Space:
     start
         Initial states of the bodies, by default those that the scene places.
     stride
-        Up to so many times the steps that the scene asks for, as far as the method bears: for a coarse look ahead,
-        which counts in `foreseen` the steps that the scene would take.
+        Takes steps up to this many times as long as the scene asks for, as far as the method allows. This is for a
+        coarse look ahead; `foreseen` counts the steps that the scene would take.
     record_contacts
-        Whether frames carry what the contacts did, in `Frame.impacts` and `Frame.contact_rows`. The bits do not depend
-        on it.
+        Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
+        not depend on it.
 
     Raises
     ------
@@ -136,7 +136,7 @@ class Space:
 
     @property
     def records_contacts(self) -> bool:
-        """Whether frames carry what contacts did."""
+        """Whether frames carry impacts and the contact table."""
         return self._records_contacts
 
     @property
@@ -350,7 +350,7 @@ class Space:
 
 
 def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
-    """Make what advances a world, by up to ``stride`` times the steps that its scene asks for."""
+    """Make the stepper of a world; steps may be up to ``stride`` times as long as its scene asks for."""
     scene = world.scene
 
     def timestep(limits: StepLimits) -> Timestep:

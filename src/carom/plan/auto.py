@@ -23,7 +23,7 @@ STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they g
 SMOOTH_UP_TO = 8  # bodies without contacts: with more, a step that does not follow the pulls misses encounters, and
 # fourth order then gains less than it costs
 
-PAIRS_UP_TO = 100  # bodies; the step examines each pair of so many; of more that costs as much as the pulls
+PAIRS_UP_TO = 100  # bodies, of which the step examines each pair; with more that costs as much as gravity
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
 PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; for two equal bodies that is twice the pair's
 SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go

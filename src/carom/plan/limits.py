@@ -140,7 +140,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
 
 
 def _refuse_small_address_space(scene: Scene) -> None:
-    """Refuse what does not fit under ``ulimit -v``: Rerun and OpenBLAS abort the process when it is used up."""
+    """Refuse scenes that do not fit under ``ulimit -v``, at which Rerun and OpenBLAS abort the process."""
     import resource  # noqa: PLC0415 - POSIX only
 
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)

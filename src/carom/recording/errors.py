@@ -8,7 +8,7 @@ class RecordingError(Exception):
 
 
 class DamageError(RecordingError):
-    """A part of a file is not what it should be; says what, and not in which file."""
+    """A part of a file is damaged; the message names the part, but not the file."""
 
 
 class TornFooterError(DamageError):

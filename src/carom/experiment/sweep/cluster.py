@@ -20,7 +20,7 @@ from carom.experiment.sweep.task import unfit
 _LOOPBACK = "127.0.0.1"
 _CONNECT = 20.0  # s
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
-_LOCAL_SETTINGS: dict[str, list[str]] = {  # whoever is on this machine may ask over HTTP: there is nothing to be had
+_LOCAL_SETTINGS: dict[str, list[str]] = {  # any user of this machine can send HTTP requests, so nothing is served
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }

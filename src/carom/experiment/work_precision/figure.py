@@ -24,7 +24,7 @@ PANELS = {
     "impacts": "number of impacts, relative",
 }
 MOST_PANELS = 6
-LEAST = 1e-14  # rounding: what is smaller is drawn there
+LEAST = 1e-14  # rounding; smaller errors are drawn here
 INK, FAINT, ACCENT = "#1b2a3a", "#8a94a0", "#d55e00"
 OWN, OTHER = "o", "D"  # markers of carom's settings, and of other engines'
 MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of each power of ten are labelled

@@ -99,7 +99,7 @@ def make_reference(
 
 
 def refined(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that make the steps of a scene so many times smaller under any limit."""
+    """Return the overrides that divide the steps of a scene by a factor, whatever limits them."""
     rule = scene.time
     if integrator(scene).controls_error and rule.fixed_dt is None:
         return [f"time.max_dt={rule.max_dt / factor!r}"]

@@ -84,7 +84,7 @@ class Study:
     threads
         For the kernels.
     force
-        Whether to begin anew and replace an existing study.
+        Whether to replace an existing study.
     advice
         Advice in the message if the folder contains another study.
 
@@ -116,7 +116,7 @@ class Study:
         return median(ranges) if ranges else 0.0
 
     def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
-        """Measure what is not measured yet, and return the results of these settings.
+        """Measure the settings that are not measured yet, and return the results of all these settings.
 
         The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
         settings are timed once, then all a second time, and so on, so a temporary slowdown of the machine affects all
@@ -299,7 +299,7 @@ class Study:
 
 
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
-    """Return what tells settings apart; names may differ."""
+    """Return the values that identify settings; names may differ."""
     return setting.overrides, setting.threads, setting.engine
 
 

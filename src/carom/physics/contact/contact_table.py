@@ -1,4 +1,4 @@
-"""The contact table: what each contact of a step did, one row a contact, for whoever reads a run.
+"""The contact table: impulses, mode and energies of the contacts of a step, one row per contact.
 
 The signs of the impulses are those of body j: it takes ``normal_impulse`` along the normal and ``friction``, body i the
 opposite. docs/physics.md, section 9, defines impulses, modes and energies.
@@ -31,9 +31,9 @@ CONTACT_ROW = np.dtype(
         ("friction_y", np.float64),
         ("friction_z", np.float64),
         ("mode", np.uint8),
-        ("restitution_loss", np.float64),  # J, what the normal impulse took out
-        ("friction_loss", np.float64),  # J, what the tangential impulse took out
-        ("stabilisation_gain", np.float64),  # J, what undoing the overlap put in
+        ("restitution_loss", np.float64),  # J, taken out by the normal impulse
+        ("friction_loss", np.float64),  # J, taken out by the tangential impulse
+        ("stabilisation_gain", np.float64),  # J, put in by the position correction or the bias
     ],
     align=True,
 )

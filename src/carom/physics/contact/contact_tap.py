@@ -1,6 +1,6 @@
-"""The contact tap: what each contact of a step did, in rows of `contact_table`, for a run that records its contacts.
+"""The contact tap: makes the rows of `contact_table` for a run that records its contacts.
 
-The tap reads what the solver leaves behind, and changes no bit of the run:
+The tap only reads the solver's records, so it changes no bit of the run:
 
 - holding after the first kick: the contacts of the step before, `see_hold`
 - impacts on the way: the log of the drift, `see_drift`
@@ -77,7 +77,7 @@ _NOT_HELD = _Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0, 
 
 
 class ContactTap:
-    """Gathers what the contacts of each step did.
+    """Gathers the impulses and energies of the contacts of each step.
 
     Parameters
     ----------
@@ -109,9 +109,9 @@ class ContactTap:
         self._drift = NO_IMPACTS
 
     def see_hold(self, pairs: IntArray, solver: ContactSolver) -> None:
-        """Note what the contacts were held by after the first kick.
+        """Keep the impulses by which contacts were held after the first kick.
 
-        Their records stay as they are until the next step finds its contacts; the ledger does not.
+        Their records do not change until the next step finds its contacts. The ledger does, so it is copied.
         """
         self._held = _Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 

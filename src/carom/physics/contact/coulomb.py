@@ -67,7 +67,7 @@ def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> boo
 
 @inline
 def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Tell whether |λ_t| = μ_k λ_n; what sticks may lie between μ_k λ_n and μ_s λ_n, too."""
+    """Return whether |λ_t| = μ_k λ_n; contacts that stick may also have |λ_t| between μ_k λ_n and μ_s λ_n."""
     tangential: float = np.sqrt(tx * tx + ty * ty + tz * tz)
     kinetic: float = material.kinetic_friction * normal
     static: float = material.static_friction * normal

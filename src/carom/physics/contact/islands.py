@@ -164,7 +164,7 @@ def _stand_alone(
     largest: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:
-    """Make each body an island of its own; tell whether one is accelerated unlike the first, since all may fall."""
+    """Make each body an island; return whether the accelerations differ, since otherwise all bodies fall alike."""
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:

@@ -1,4 +1,4 @@
-"""The contact law: what impulses a contact may exert, and what every law shares.
+"""The contact law: the impulses that a contact may exert, and the functions that all laws share.
 
 `ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels ask the law by
 these functions only. Numba resolves and inlines them when it compiles a kernel, so a call costs nothing; a law that
@@ -84,7 +84,7 @@ class ContactLaw(Protocol):
         material
             Of the contact.
         normal
-            Total of the normal impulse since the kick, not what an iteration adds to it.
+            Total of the normal impulse since the kick, not the increment of an iteration.
         tx, ty, tz
             Total of the tangential impulse that would end the slip.
         """

@@ -176,7 +176,7 @@ class Bookkeeper:
         extremes.see_contacts(clock.step, clock.time, contact.statistics)
 
     def _audit_impulses(self, audit: ImpulseAudit) -> None:
-        """Compare what contacts and forces gave in this step with what the bodies have."""
+        """Compare the impulses of contacts and forces in this step with the changes of the velocities."""
         clock, contact = self._world.clock, self._world.contact
         impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
         self.extremes.see_impulse_audit(clock.step, clock.time, audit.finish(impulses, work, self.audit.ledger))

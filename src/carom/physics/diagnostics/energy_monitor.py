@@ -29,7 +29,7 @@ MOST_WARNINGS = 100  # of a rise in a run; more would say nothing new
 class Suspects:
     """The contacts of one step, for a warning that may come a step later.
 
-    Every check needs them and next to none warns, so only what the next step overwrites is copied.
+    Each check keeps them and hardly any warns, so only the arrays that the next step overwrites are copied.
     """
 
     step: int
@@ -126,7 +126,7 @@ class EnergyMonitor:
 
 
 def _rise(energy: Energy, lowest: Energy, since: float) -> str:
-    """Say how far the energy has risen since a time in s, and by what."""
+    """Return the text of a warning: how far the energy has risen since a time in s, and why."""
     now, then = energy.ledger, lowest.ledger
     parts = {
         "stabilisation": now.stabilisation - then.stabilisation,

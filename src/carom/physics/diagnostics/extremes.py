@@ -52,7 +52,7 @@ class Extremes:
     energy_scale: float = 0.0  # J, of the last step
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings given so far
-    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None where nobody asked
+    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
 
     @property
     def energy_fault(self) -> Extreme | None:

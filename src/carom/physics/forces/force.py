@@ -78,7 +78,7 @@ class Exchange(NamedTuple):
 
 @runtime_checkable
 class Damping(Force, Protocol):
-    """A force that depends on velocities: it defines kicks and factors of its own, and books the energy that it takes.
+    """A force that depends on velocities. It defines its own kicks and factors, and books the energy that it takes.
 
     Its row in the table has ``damps`` set and names the entry of the ledger. A scene has at most one such force.
     """

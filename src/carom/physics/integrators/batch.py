@@ -47,7 +47,7 @@ class BatchIntegrator(Protocol):
         """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
+        """Continue from a checkpoint with a step in s; without a checkpoint, start at the present state."""
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Make steps until a time is reached, the run ends, or the number of steps is reached.

@@ -220,5 +220,5 @@ def _release(path: Path) -> None:
 
 
 def _types(sig: Any, codegen: Any) -> bytes:
-    """Tell what a kernel is compiled for: the types of its arguments, and the processor."""
+    """Return a key of the types of a kernel's arguments and of the processor."""
     return repr((sig, codegen.magic_tuple())).encode()

@@ -138,7 +138,7 @@ class Team:
     def _rouse(self) -> None:
         """Wake sleeping helpers."""
         assert self._pool is not None
-        with self._falling_asleep:  # a helper either sees what was posted before it sleeps, or is seen asleep here
+        with self._falling_asleep:  # a helper either sees the posted work before it sleeps, or is seen asleep here
             for who, awake in enumerate(self._awake):
                 if not awake:
                     self._awake[who] = True
@@ -184,7 +184,7 @@ class _Call:
             self.board[FAILED] = 1
 
     def end(self) -> None:
-        """Dismiss the helpers, and raise what one of them raised."""
+        """Dismiss the helpers, and raise the exception of one of them, if any."""
         dismiss(self.board)
         if self._fault is not None:
             raise self._fault from None

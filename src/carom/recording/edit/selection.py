@@ -1,4 +1,4 @@
-"""`Selection`: removes all but some bodies, and what belongs to them, from a chunk."""
+"""`Selection`: keeps the rows of some bodies in a chunk, and removes the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Position, velocity and spin of single bodies over time, as somebody asked for them: ``top.z, top.omega``."""
+"""Position, velocity and spin of single bodies over time, requested as ``top.z, top.omega``."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class BodySeries:
     """A quantity of a body over the frames of a recording."""
 
     body: int
-    name: str  # what the body is called
+    name: str  # of the body
     quantity: Quantity
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s

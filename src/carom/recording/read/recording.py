@@ -136,7 +136,7 @@ class Recording:
     @cached_property
     @_named
     def parameters(self) -> Mapping[str, Any]:
-        """The property `sweep`: the run's name in its sweep, and what varies there; empty for a run of its own."""
+        """The property `sweep`: the run's name in its sweep, and its varied values; empty for a single run."""
         return self._property("sweep")
 
     @cached_property
@@ -187,7 +187,7 @@ class Recording:
     @property
     @_named
     def records_contacts(self) -> bool:
-        """Whether what contacts and impacts did is recorded."""
+        """Whether impacts and the contact table are recorded."""
         return bool(self.info.get("records_contacts", False))
 
     @property

@@ -1,4 +1,4 @@
-"""Runs a window of a recording again, for what was not recorded of it."""
+"""Runs a window of a recording again, for data that was not recorded."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Position of a chunk in the file, and what the index knows about it."""
+    """Position of a chunk in the file, and its data in the index."""
 
     entity_path: str
     is_static: bool

@@ -84,7 +84,7 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _column(parts: Sequence[Values]) -> Column:
-    """Join what each row has of a component."""
+    """Join the values of a component in all rows."""
     each = [len(part) for part in parts]
     texts = [text for part in parts if isinstance(part, list) for text in part]
     return (texts, each) if texts else (np.concatenate(parts), each)
@@ -125,12 +125,12 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
 
 
 def _books(books: Books) -> str:
-    """Return the books as JSON; what a run does not model or look at leaves no byte."""
+    """Return the books as JSON; parts that the run does not model or audit take no byte."""
     return json.dumps(_plain(books))
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold. `dataclasses.asdict` copies every number, which takes most of the time."""
+    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, which takes most of the time."""
     names = _fields_of(value.__class__)
     if names is None:
         return value

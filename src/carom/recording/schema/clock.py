@@ -15,7 +15,7 @@ from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-7  # s; a step shorter than 100 ns would be rounded by more than half a per cent
-_FINE = 1.0e-6  # s; what the shortest step becomes when it has to be scaled up
+_FINE = 1.0e-6  # s, length of the shortest step after scaling, if it needs scaling
 
 
 @dataclass(frozen=True, slots=True)

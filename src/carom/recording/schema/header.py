@@ -72,7 +72,7 @@ class Header:
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
-    member: SweepMember | None = None  # None: a run of its own
+    member: SweepMember | None = None  # None for a single run
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
@@ -87,7 +87,7 @@ class Header:
 
     @property
     def records_contacts(self) -> bool:
-        """Whether what contacts and impacts did is recorded."""
+        """Whether impacts and the contact table are recorded."""
         return self.collides and self.record_impacts != "none"
 
     @property

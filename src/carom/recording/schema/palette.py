@@ -57,7 +57,7 @@ _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
 
 
 def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Colours of bodies by their colour in the collision graph; grey touches nobody."""
+    """Colours of bodies by their colour in the collision graph; bodies without contacts are grey."""
     cycle = np.array(BODIES, dtype=np.uint32)
     return np.where(body_colours < 0, np.uint32(GREY), cycle[body_colours % len(cycle)])
 
@@ -65,7 +65,7 @@ def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
 def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
     """Return the static colours of bodies: a hue per group, a shade per body.
 
-    With a single group of few bodies each body has a hue of its own.
+    With a single group of few bodies each body has its own hue.
     """
     count = len(group)
     few = count <= len(BODIES)

@@ -95,9 +95,9 @@ def _body_colours(header: Header) -> str:
         return "one colour for all of them, since there are so many"
     match header.coloured_by:
         case "graph":
-            return "the colour a body has in the collision graph, grey if it touches nobody"
+            return "the body's colour in the collision graph, or grey without contacts"
         case "island":
-            return "one colour for bodies that are connected by contacts, grey for those that touch nobody"
+            return "one colour for bodies that are connected by contacts, or grey without contacts"
         case "speed":
             return "by speed, from violet to yellow; the colour in the middle is the median speed of the first frame"
     return "a hue for each group, a shade for each body"

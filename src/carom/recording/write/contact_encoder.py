@@ -1,4 +1,4 @@
-"""Encodes what contacts and impacts did: columns beside the edges, arrows, and a row for each impact."""
+"""Encodes contacts and impacts: columns beside the edges, arrows, and a row for each impact."""
 
 from __future__ import annotations
 

@@ -25,11 +25,11 @@ class Kept(NamedTuple):
 
     impacts: IntArray  # which of those since the frame before, in order of time
     arrows: int  # contacts that are drawn with arrows
-    scenes: int  # of the impacts, the first so many have a frame of all bodies
+    scenes: int  # number of impacts, from the first on, with a frame of all bodies
 
 
 class ImpactPlan:
-    """Decides what is recorded of each frame's impacts and contacts.
+    """Decides which impacts and contacts of each frame are recorded.
 
     All impacts are kept while everything that is recorded of contacts takes at most a fifth of the file so far. Then
     those of the largest normal impulses are kept, of each frame at least one. The choice depends on the frames alone,

@@ -15,11 +15,11 @@ _PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts
 
 
 class LiveView:
-    """Sends what is recorded to a running viewer as well."""
+    """Sends the recorded data to a running viewer, too."""
 
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
         host, port = _host_and_port(address)
-        _probe(host, port)  # a sink with nobody listening would block for seconds, here and at exit
+        _probe(host, port)  # without a listener, a sink would block for seconds, here and at exit
         self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
         self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
 
@@ -38,7 +38,7 @@ class LiveView:
             self._hang_up()
 
     def close(self) -> None:
-        """Send what is left and disconnect."""
+        """Send the remaining data and disconnect."""
         self.flush()
         self._hang_up()
 

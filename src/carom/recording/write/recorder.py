@@ -35,7 +35,7 @@ FloatArray = NDArray[np.float64]
 _BATCH_BYTES = 4_000_000  # a call costs 0.2 ms besides its data, whatever its size
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
-_BATCH_SECONDS = 1.0  # what a killed run may lose
+_BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
 _QUEUE_BYTES = 32_000_000
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
@@ -102,7 +102,7 @@ class Recorder:
         self._queue.put(frame)
 
     def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
-        """Write what is left, the last events and the outcome, close the file, and open it again to check it."""
+        """Write the remaining frames, the last events and the outcome, close the file, and open it to check it."""
         if self._closed:
             return
         self._stop()
@@ -125,7 +125,7 @@ class Recorder:
         self._closed = True
 
     def _stop(self) -> None:
-        """End the thread after it has written what is in the queue."""
+        """End the thread after it has written the queue."""
         self._queue.close()
         self._thread.join()
 
@@ -194,7 +194,7 @@ class Recorder:
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))
 
     def _fail(self, error: RecordingError) -> None:
-        """Close the file with what there is, and then report the error to the physics."""
+        """Close the file as it is, and then report the error to the physics."""
         try:
             self._close(str(error), {}, ())
         except Exception as second:  # report the first error

@@ -33,7 +33,7 @@ class Taken:
 
 
 def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
-    """Write a batch that repeats some frames, and measure what each entity takes. The file is of no further use.
+    """Write a batch that repeats some frames, and measure the size of each entity. The file is not kept.
 
     Returns
     -------

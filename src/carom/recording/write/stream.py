@@ -32,7 +32,7 @@ _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
 
 
 class Stream:
-    """Sends what is recorded. Counts the bytes of all arrays, and raises when the disk is full."""
+    """Sends recorded data to the file. It counts the bytes of all arrays, and raises when the disk is full."""
 
     def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
         self.path = path
