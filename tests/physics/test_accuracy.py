@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.experiment.run import kept_accuracy
 from carom.physics.look_ahead import settled
 from carom.physics.schedule import at
 from carom.physics.space import Space
@@ -147,6 +148,15 @@ def test_a_run_goes_on_from_a_checkpoint_with_the_same_step() -> None:
         pass
     assert again.fingerprint() == space.fingerprint()
     assert again.scene.toml == space.scene.toml
+
+
+def test_a_longer_run_than_was_looked_ahead_ends_its_promise() -> None:
+    settled_scene = Space(ball(1e-2), 1).scene
+    longer = scene_from_text(settled_scene.toml, "longer", ["time.duration=3.0"])
+    said = [event.text for frame in Space(longer, 1).run() for event in frame.events if event.kind == "horizon"]
+    assert said == ["The accuracy of 0.01 is kept up to t = 2.4 s."]
+    assert kept_accuracy(longer)["horizon"] == 2.4
+    assert "horizon" not in kept_accuracy(settled_scene)
 
 
 def test_no_promise_is_made_where_none_is_asked_for() -> None:

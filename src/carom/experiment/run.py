@@ -321,7 +321,7 @@ def kept_accuracy(scene: Scene) -> dict[str, float]:
     if promise is None or requested is None:
         return {}
     kept = {"requested": requested, "kept_until": promise.kept_until, "lyapunov": promise.lyapunov}
-    return kept | ({} if promise.horizon is None else {"horizon": promise.horizon})
+    return kept | ({} if promise.kept_until >= scene.time.duration else {"horizon": promise.kept_until})
 
 
 def _impacts_counted(space: Space) -> str:

@@ -9,6 +9,7 @@ from carom.plan.auto import (
     FREE_CFL,
     MANY,
     STEP_PER_BODY,
+    auto_interval,
     cfl,
     held_dx,
     pull_fraction,
@@ -71,7 +72,10 @@ def _widest(scene: Scene) -> tuple[tuple[float, float | None], ...]:
 
 
 def accurate_limits(scene: Scene, refinement: float) -> StepLimits:
-    """Return limits for steps so many times shorter than automatic ones, where impacts happen at their own times."""
+    """Return limits for steps so many times shorter than automatic ones, where impacts happen at their own times.
+
+    No step is longer than the interval between the frames of an automatic recording.
+    """
 
     def finer(limit: float | None, widest: float) -> float | None:
         return None if limit is None else min(limit / refinement, widest)
@@ -79,7 +83,7 @@ def accurate_limits(scene: Scene, refinement: float) -> StepLimits:
     (widest_cfl, part), (widest_fall, fall), (widest_pull, pull) = _widest(scene)
     fall, rest, radius = finer(fall, widest_fall), held_dx(scene), smallest_radius(scene)
     return StepLimits(
-        max_dt=min(scene.time.max_dt, scene.time.max_dt / refinement),
+        max_dt=min(scene.time.max_dt, scene.time.max_dt / refinement, auto_interval(scene)),
         cfl=finer(part, widest_cfl),
         target_dx=None if fall is None else fall * fall * radius,
         held_dx=None if rest is None else min(rest / refinement**2, WIDEST_FALL**2 * radius),
