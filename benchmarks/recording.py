@@ -1,20 +1,26 @@
-"""What recording costs: the collapse with 1000 bodies, every step recorded, beside the same run without a file.
+"""What recording every step costs: runs with a recording beside the same runs without one.
 
-    python benchmarks/recording.py
+    python benchmarks/recording.py            # all scenes, 7 rounds
+    python benchmarks/recording.py --rounds 15 marbles-in-a-box
+    python benchmarks/recording.py --details  # what exact states take, and memory
 
-Two runs without a file are measured: one that only steps, and one that hands out the same frames, with their energies,
-to nobody. Rounds are interleaved and medians compared. Memory is the peak of a child process for a short run and for
-one four times as long.
+Rounds are interleaved and medians compared. "Only steps" has no frames. "Frames for nobody" hands out every frame, with
+its energy, momentum and fingerprint. CPU time is that of the physics thread, of the recorder's Python and of all other
+threads; it says where the time goes even on a busy machine, where wall time does not.
 """
 
 from __future__ import annotations
 
+import argparse
 import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -23,33 +29,115 @@ from carom.experiment.memory import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
-from carom.experiment.run import Outcome, simulate  # noqa: E402
+from carom.experiment import run as experiment  # noqa: E402
+from carom.experiment.run import Outcome, recording_space, simulate  # noqa: E402
 from carom.physics.space import Space  # noqa: E402
+from carom.recording.write.recorder import Recorder  # noqa: E402
 from carom.scene.schema import Scene  # noqa: E402
+from measurement import save  # noqa: E402
 
-ROUNDS = 5
-DURATION = 20_000.0  # s simulated, some 7 s of wall time: closing a file takes 0.1 s whatever its length
+ROUNDS = 7
+DURATION = 20_000.0  # s simulated, some 1800 steps: opening and closing a file takes 0.1 s whatever its length
+THOUSAND = ["group.0.count=1000", "group.0.region.radius=38", f"time.duration={DURATION}"]
+SCENES: dict[str, tuple[str, list[str]]] = {
+    "cloud-collapse": ("cloud-collapse", []),
+    "marbles-in-a-box": ("marbles-in-a-box", []),
+    "1000-bodies": ("cloud-collapse", THOUSAND),
+}
+VARIANTS = ("only steps", "frames for nobody", 'impacts = "none"', 'impacts = "auto"')
 
 
-def scene(duration: float) -> Scene:
-    changes = ["group.0.count=1000", "group.0.region.radius=38", "record.every=step", f"time.duration={duration}"]
-    return Scene.load("cloud-collapse", changes)
+@dataclass(frozen=True)
+class Taken:
+    """What one run took, in s."""
+
+    wall: float
+    physics: float  # CPU of the thread that steps
+    recorder: float  # CPU of the thread that encodes; it mostly holds the interpreter's lock
+    others: float  # CPU of all other threads: helpers of the physics, Rerun's, the file's
 
 
-def only_steps(space: Space) -> float:
+def scene(name: str, impacts: str) -> Scene:
+    bundled, changes = SCENES[name]
+    return Scene.load(bundled, [*changes, "record.every=step", f"record.impacts={impacts}"])
+
+
+@contextmanager
+def timed_threads() -> Iterator[dict[str, float]]:
+    """Note the CPU time of the physics thread and of the recorder's."""
+    spent = {"physics": 0.0, "recorder": 0.0}
+
+    def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> None:
+            began = time.thread_time()
+            function(*arguments)
+            spent[part] += time.thread_time() - began
+
+        return call
+
+    stepping, recording = experiment._Physics, Recorder
+    physics: Any = mock.patch.object(stepping, "_run", timed("physics", stepping._run))
+    recorder: Any = mock.patch.object(recording, "_record", timed("recorder", recording._record))
+    with physics, recorder:
+        yield spent
+
+
+def measure(name: str, variant: str, path: Path) -> tuple[Taken, int]:
+    """Run a scene in one variant; return what it took, and its steps."""
+    space = recording_space(scene(name, "none" if "auto" not in variant else "auto"))
+    with timed_threads() as spent:
+        began, cpu, own = time.perf_counter(), _cpu(), time.thread_time()
+        if variant == "only steps":
+            only_steps(space)
+        elif variant == "frames for nobody":
+            frames_for_nobody(space)
+        else:
+            simulate(space, path, force=True)
+        wall, cpu = time.perf_counter() - began, _cpu() - cpu
+        physics = spent["physics"] or time.thread_time() - own
+    return Taken(wall, physics, spent["recorder"], max(0.0, cpu - physics - spent["recorder"])), space.step
+
+
+def _cpu() -> float:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def only_steps(space: Space) -> None:
     """Step as often, with no energies but the regular checks."""
-    began = time.perf_counter()
     while space.time < space.scene.time.duration:
         space.compute_dynamics(space.step + 1)
-    return time.perf_counter() - began
 
 
-def frames_for_nobody(space: Space) -> float:
-    """Hand out every frame, with its energy, momentum and fingerprint."""
-    began = time.perf_counter()
+def frames_for_nobody(space: Space) -> None:
+    """Hand out every frame."""
     for _ in space.run():
         pass
-    return time.perf_counter() - began
+
+
+def compare(name: str, rounds: int) -> list[dict[str, Any]]:
+    """Measure a scene in all variants, print a table, and return its rows."""
+    taken: dict[str, list[Taken]] = {variant: [] for variant in VARIANTS}
+    steps = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(rounds + 1):  # the first round loads kernels and libraries
+            for variant in VARIANTS:
+                found, steps = measure(name, variant, Path(folder) / "run.rrd")
+                taken[variant] += [found] if number else []
+    rows = []
+    print(f"\n{name}: {steps} steps, medians of {rounds} rounds; on the right CPU time, ms a step")
+    print(f"{'':>20} {'wall s':>8} {'':>8} {'ms a step':>10} {'physics':>8} {'recorder':>9} {'others':>7}")
+    for variant, runs in taken.items():
+        median = Taken(*(statistics.median(asdict(run)[part] for run in runs) for part in asdict(runs[0])))
+        base = taken["only steps"]
+        over = statistics.median(run.wall / other.wall for run, other in zip(runs, base, strict=True)) - 1.0
+        each = {part: 1e3 * seconds / steps for part, seconds in asdict(median).items()}
+        print(
+            f"{variant:>20} {median.wall:8.3f} {over:+8.1%} {each['wall']:10.3f} {each['physics']:8.3f} "
+            f"{each['recorder']:9.3f} {each['others']:7.3f}"
+        )
+        rows.append({"scene": name, "variant": variant, "steps": steps, "over": over, **asdict(median)})
+    return rows
 
 
 def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
@@ -63,44 +151,48 @@ def recorded_without_exact_states(space: Space, folder: str) -> float:
     nothing = mock.patch("carom.physics.space.fingerprint", lambda bodies, time: 0)
     never: Any = mock.patch("carom.recording.write.checkpoint_plan.CheckpointPlan.chosen", lambda plan, batch: [])
     with nothing, never:
-        began = time.perf_counter()
-        simulate(space, Path(folder) / "bare.rrd", force=True)
-        return time.perf_counter() - began
+        return recorded(space, folder)[0]
+
+
+def details(rounds: int) -> None:
+    """Say what exact states take of a recording with 1000 bodies, the size of its file, and memory."""
+    whole, bare = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(rounds):
+            seconds, outcome = recorded(recording_space(scene("1000-bodies", "auto")), folder)
+            whole.append(seconds)
+            bare.append(recorded_without_exact_states(recording_space(scene("1000-bodies", "auto")), folder))
+    print(f"\nfingerprints and checkpoints: {statistics.median(whole) / statistics.median(bare) - 1:+.1%}")
+    print(f"file: {outcome.size / outcome.payload:.3f} of its payload")
+    print(f"peak memory: {peak_memory(2000.0):.0f} MB for 2000 s, {peak_memory(8000.0):.0f} MB for 8000 s simulated")
 
 
 def peak_memory(duration: float) -> float:
     """Peak resident memory in MB of a process that records so long a run."""
-    code = f"import benchmarks.recording as b; b.record_once({duration})"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = f"import recording; recording.record_once({duration})"
+    here = Path(__file__).parent
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=here)
     return float(done.stdout.strip())
 
 
 def record_once(duration: float) -> None:
+    SCENES["short"] = ("cloud-collapse", [*THOUSAND[:-1], f"time.duration={duration}"])
     with tempfile.TemporaryDirectory() as folder:
-        recorded(Space(scene(duration)), folder)
+        recorded(recording_space(scene("short", "auto")), folder)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 
 def main() -> None:
-    times: dict[str, list[float]] = {"only steps": [], "frames for nobody": [], "recorded": []}
-    times["without exact states"] = []
-    with tempfile.TemporaryDirectory() as folder:
-        recorded(Space(scene(100.0)), folder)
-        for _ in range(ROUNDS):
-            times["only steps"].append(only_steps(Space(scene(DURATION))))
-            times["frames for nobody"].append(frames_for_nobody(Space(scene(DURATION))))
-            seconds, outcome = recorded(Space(scene(DURATION)), folder)
-            times["recorded"].append(seconds)
-            times["without exact states"].append(recorded_without_exact_states(Space(scene(DURATION)), folder))
-    medians = {name: statistics.median(values) for name, values in times.items()}
-    print(f"{outcome.steps} steps, {outcome.moments.total_contacts / outcome.steps:.0f} contacts in each")
-    for name, seconds in medians.items():
-        print(f"{name:>20}: {seconds:.2f} s, {seconds / medians['only steps'] - 1:+.1%}")
-    print(f"recorded, over frames for nobody: {medians['recorded'] / medians['frames for nobody'] - 1:+.1%}")
-    exact = medians["recorded"] / medians["without exact states"] - 1
-    print(f"fingerprints and checkpoints: {exact:+.1%}")
-    print(f"file: {outcome.size / outcome.payload:.3f} of its payload")
-    print(f"peak memory: {peak_memory(2000.0):.0f} MB for 2000 s, {peak_memory(8000.0):.0f} MB for 8000 s simulated")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", help=f"of {', '.join(SCENES)} (default: all)")
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--details", action="store_true", help="what exact states take, and memory")
+    options = parser.parse_args()
+    if options.details:
+        details(options.rounds)
+        return
+    rows = [row for name in options.scenes or SCENES for row in compare(name, options.rounds)]
+    print(f"\n{save('recording', {'recording': rows})}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumnList
-from rerun.components import LineStrip3DBatch
+from rerun.components import LineStrip3DBatch, ScalarBatch
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.event import Event
@@ -310,7 +310,8 @@ class BatchEncoder:
         for series in self._recorded:
             values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
             self.curves[series.path].see(time, values)
-            yield frame_rows(series.path, batch, rr.Scalars.columns(scalars=values), array_bytes(values))
+            column = rr.ComponentColumn(rr.Scalars.descriptor_scalars(), ScalarBatch(pa.array(values)))
+            yield frame_rows(series.path, batch, ComponentColumnList([column]), array_bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Yield rows only for frames whose state differs from the frame before."""

@@ -32,11 +32,11 @@ from carom.recording.write.stream import Stream
 
 FloatArray = NDArray[np.float64]
 
-_BATCH_BYTES = 4_000_000  # a call costs 0.2 ms besides its data, whatever its size
+_BATCH_BYTES = 4_000_000  # a batch costs 2 to 7 ms besides its data, whatever its size
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
-_QUEUE_BYTES = 32_000_000
+_QUEUE_BYTES = 64_000_000
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
