@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.finite import refuse_infinities
-from carom.physics.integrators.batch import BatchIntegrator
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.physics.event import Event
+from carom.physics.integrators.batch import Batch, BatchIntegrator
+from carom.physics.integrators.checkpoint import HELD, IntegratorCheckpoint
 from carom.physics.rotation import rotate
 from carom.physics.schedule import quiet
+from carom.physics.step import KickDriftStepper
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 
 FloatArray = NDArray[np.float64]
 
+MOST_STRIKES = 100  # at one moment; bodies that still meet there are at rest on each other
+
 
 class BatchStepper:
-    """Advances a world without contacts by a `BatchIntegrator`; see `Stepper`.
+    """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet; see `Stepper`.
 
     Parameters
     ----------
@@ -30,23 +36,36 @@ class BatchStepper:
         Takes the steps.
     timestep
         Suggests the first one.
+    holder
+        Takes over when contacts come to rest, for the rest of the run; None where nothing can touch.
     """
 
-    def __init__(self, world: World, books: Bookkeeper, integrator: BatchIntegrator, timestep: Timestep) -> None:
+    def __init__(
+        self,
+        world: World,
+        books: Bookkeeper,
+        integrator: BatchIntegrator,
+        timestep: Timestep,
+        holder: KickDriftStepper | None = None,
+    ) -> None:
         self._world = world
         self._books = books
         self._integrator = integrator
         self.timestep = timestep
+        self._holder = holder
+        self._held = False  # whether the holder has taken over
+        self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
     def previous_dt(self) -> float:
-        """The step in s that the integrator would take next."""
-        return self._integrator.next_dt
+        """The step in s that the next one starts from."""
+        return self._holder.previous_dt if self._holder and self._held else self._integrator.next_dt
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of the integrator's state besides the bodies."""
-        return self._integrator.checkpoint
+        last = self._integrator.checkpoint
+        return replace(last, last_dt=HELD) if self._held else last
 
     @property
     def first_dt(self) -> float:
@@ -57,26 +76,54 @@ class BatchStepper:
         """Take a step of about dt seconds."""
         self._integrator.begin(dt)
         self._integrator.advance(0.0, dt, np.inf, 1)
+        if self._world.contact and self._holder:
+            self._world.contact.strike(None, dt)
+            self._holder.warm_up(dt)
 
     def begin(self) -> None:
         """Begin at the present positions and velocities."""
         self._integrator.begin(self.first_dt)
+        if self._world.contact:
+            self._world.contact.forget()
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint."""
+        self._held = checkpoint.integrator is not None and checkpoint.integrator.last_dt == HELD
+        self._took_last = not self._held
+        if self._holder and self._held:
+            self._holder.restore(checkpoint)
+            return
         self._integrator.restore(checkpoint.integrator, checkpoint.previous_dt)
+        if self._world.contact:
+            self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal, checked: bool) -> bool:
         """Advance up to the goal or the next check; return whether a frame is due."""
+        if self._holder and self._held:
+            return self._hold(self._holder, goal, checked)
         world, clock, bodies = self._world, self._world.clock, self._world.bodies
         every, turns = world.scene.record.check_every, world.needs.orientation.modelled
         steps, until = quiet(goal.schedule, clock.step, clock.time)
         most = 1 if turns else int(min(goal.most, steps, every - clock.step % every))
-        batch = self._integrator.advance(clock.time, goal.end, until, most)
-        clock.advance(*batch)
+        contact, audit = world.contact, self._books.impulse_audit
+        if checked:
+            self._books.suspect_contacts(clock.step)
+        if contact:
+            contact.begin_flight()
+        if audit:
+            audit.begin(self._books.audit.ledger)
+        batch = self._fly(goal.end, until, most)
+        if batch.steps == 0 and self._holder and self._held:
+            return self._hold(self._holder, goal, checked)
+        clock.advance(batch.steps, batch.before, batch.time, batch.dt, batch.limit)
         refuse_infinities(bodies, world.names.bodies, clock.step, clock.time)
         if turns:
             rotate(bodies.orientation, bodies.angular_velocity, clock.dt, world.team)
+        if contact:
+            self._books.begin_contacts()
+            if batch.meeting:
+                contact.strike(batch.meeting.ends, clock.dt)
+            contact.end_flight(clock.dt, world.profile)
         clock.foresee("error" if clock.limit == "end" else clock.limit, batch.steps)  # the end is not the scene's limit
         world.profile.mark("integrate")
         due = goal.is_reached(clock)
@@ -84,6 +131,48 @@ class BatchStepper:
         self._books.finish_step(world.forces.accelerate(potential=checked), checked)
         return due
 
-    def between(self, earlier: float) -> tuple[FloatArray, FloatArray]:
+    def _fly(self, end: float, until: float, most: int) -> Batch:
+        """Integrate up to a time, the end of the run, a number of steps, or the next impact.
+
+        Impacts where the first step begins are resolved first. No step is made if contacts are at rest there.
+        """
+        world, audit = self._world, self._books.impulse_audit
+        time, contact, velocity = world.clock.time, world.contact, world.bodies.velocity
+        for _ in range(MOST_STRIKES):
+            before = velocity.copy() if audit else velocity
+            batch = self._integrator.advance(time, end, until, most)
+            if contact is None or batch.meeting is None or batch.steps > 0:
+                if audit:
+                    audit.see_change(before)
+                return batch
+            ends = batch.meeting.ends
+            if batch.meeting.rests:
+                break
+            contact.strike(ends, 0.0)
+        self._hand_over(ends)
+        return batch
+
+    def _hand_over(self, ends: tuple[int, int]) -> None:
+        """Let the holder take over, because a contact is at rest."""
+        world, holder = self._world, self._holder
+        if holder is None:
+            return
+        self._held = True
+        text = f"Contacts come to rest ({world.names.pair(ends)}): from now on leapfrog takes the steps and holds them."
+        # an event of the step that begins here: the frame of the last step may have been taken
+        self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
+        holder.take_over()
+
+    def _hold(self, holder: KickDriftStepper, goal: Goal, checked: bool) -> bool:
+        """Let the holder take a step."""
+        self._took_last = False
+        return holder.advance(goal, checked)
+
+    @property
+    def has_solution(self) -> bool:
+        """Whether `between` returns something."""
+        return self._took_last
+
+    def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
         """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
-        return self._integrator.at(earlier)
+        return self._integrator.at(earlier) if self._took_last else None

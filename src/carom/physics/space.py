@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,8 @@ from carom.physics.stepper import Goal, Stepper
 from carom.physics.time_step import Timestep
 from carom.physics.warm_up import warm_up
 from carom.physics.world import World
-from carom.plan.auto import frame_interval, integrator
+from carom.plan.auto import frame_interval, holding, integrator
+from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.plan.step_limits import StepLimits, step_limits, wider_limits
 from carom.scene.placement import Start, place
@@ -158,6 +160,11 @@ class Space:
     def first_dt(self) -> float:
         """The step in seconds that the limits allow in the present state."""
         return self._stepper.first_dt
+
+    @property
+    def has_solution(self) -> bool:
+        """Whether the integrator has a solution within the last step, for `between`."""
+        return self._stepper.has_solution
 
     def between(self, time: float) -> tuple[FloatArray, FloatArray] | None:
         """Return positions and velocities, (n, 3) m and m/s, at a time within the last step, in s.
@@ -353,13 +360,18 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
     """Make the stepper of a world; steps may be up to ``stride`` times as long as its scene asks for."""
     scene = world.scene
 
-    def timestep(limits: StepLimits) -> Timestep:
+    def timestep(limits: StepLimits, scene: Scene = scene) -> Timestep:
         return Timestep.of(scene, limits, world.bodies, world.falling, world.team)
 
     asked = timestep(step_limits(scene))
     batches = batch_integrator_of(scene, world.needs, world.bodies, world.forces.uniform)
     if batches:
-        return BatchStepper(world, books, batches, asked)
+        holder = None
+        if world.contact:
+            held = holding(scene)
+            limits = timestep(step_limits(held), held)
+            holder = KickDriftStepper(replace(world, scene=held, needs=require(held)), books, limits)
+        return BatchStepper(world, books, batches, asked, holder)
     if stride > 1.0:
         return KickDriftStepper(world, books, timestep(wider_limits(scene, stride)), asked)
     return KickDriftStepper(world, books, asked)

@@ -75,11 +75,16 @@ class KickDriftStepper:
 
     def begin(self) -> None:
         """Begin at the present state; contacts that touch carry no impulses yet."""
+        if self._world.contact:
+            self._world.contact.forget()
+        self.take_over()
+
+    def take_over(self) -> None:
+        """Begin at the present state of a run."""
         world = self._world
         if world.needs.adaptive_step.modelled:
             self.timestep.previous = self.timestep.target(world.bodies)[0]
         if world.contact:
-            world.contact.forget()
             world.contact.begin(self.first_dt)
 
     def restore(self, checkpoint: Checkpoint) -> None:
@@ -104,6 +109,11 @@ class KickDriftStepper:
         if books.pace and clock.step % world.scene.record.check_every == 0:
             books.check_pace(*self.timestep.target(world.bodies, self.borne()))
         return due
+
+    @property
+    def has_solution(self) -> bool:
+        """False: there is no solution between the steps."""
+        return False
 
     def between(self, earlier: float) -> None:
         """Return None: there is no solution between the steps."""

@@ -67,6 +67,10 @@ class Stepper(Protocol):
             If the state is no longer finite, or a step no longer changes the clock.
         """
 
+    @property
+    def has_solution(self) -> bool:
+        """Whether there is a solution between the beginning and the end of the last step."""
+
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
         """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step.
 

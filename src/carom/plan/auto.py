@@ -65,12 +65,12 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contacts.contact(scene).modelled:
         return "no contact is possible"
-    if scene.time.accuracy is not None:
+    if scene.time.accuracy is not None or (chosen.controls_error and chosen.locates_impacts):
         return ""
     if (force := contacts.load(scene)) and not contacts.field_presses(scene):
         whose = "the bodies' own gravity" if force == GRAVITY.short_name else f"the {force}"
         return f"{whose} presses contacts together"
-    return "" if chosen.drifts_once else f"a step of {chosen.name} is more than one drift"
+    return "" if chosen.locates_impacts else f"a step of {chosen.name} is more than one drift"
 
 
 def integrator(scene: Scene) -> Integrator:
@@ -91,6 +91,13 @@ def _accurate(scene: Scene) -> str:
     if contacts.contact(scene).modelled or pulls.damping(scene) or not pulls.gravity(scene).modelled:
         return "leapfrog"
     return "yoshida4" if scene.gravity.method == "tree" or scene.count >= TREE_FROM else "gauss-radau15"
+
+
+def holding(scene: Scene) -> Scene:
+    """Return the scene with the integrator that holds contacts at rest, where its own resolves impacts only."""
+    time = scene.time.model_copy(update={"integrator": "leapfrog"})
+    contact = scene.contact.model_copy(update={"timing": "time-of-impact"})
+    return scene.model_copy(update={"time": time, "contact": contact})
 
 
 def _leaves_step_free(scene: Scene) -> bool:

@@ -162,7 +162,7 @@ def _contradiction(scene: Scene, name: str) -> str:
             return 'contact.stabilisation = "none"; set it to "split"'
         case "time-of-impact" if scene.contact.timing == "end-of-step":
             return 'contact.timing = "end-of-step"; set it to "time-of-impact"'
-        case "time-of-impact" if not integrator(scene).drifts_once:
+        case "time-of-impact" if not integrator(scene).locates_impacts:
             return f'a step of {integrator(scene).name} is more than one drift; set time.integrator = "leapfrog"'
         case "accuracy":
             return "it has no value by itself; set time.accuracy"
@@ -197,8 +197,12 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
     name, late = "time-of-impact", why_late(scene)
     if contact.modelled and late:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")
-    asked = scene.contact.timing == "time-of-impact"
-    why = 'contact.timing = "time-of-impact"' if asked else "no self-gravity presses contacts together"
+    if scene.contact.timing == "time-of-impact":
+        why = 'contact.timing = "time-of-impact"'
+    elif integrator(scene).controls_error:
+        return contacts.where_bodies_meet(name, contact, f"steps of {integrator(scene).name} end at impacts")
+    else:
+        why = "no self-gravity presses contacts together"
     return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own times within a step")
 
 

@@ -50,7 +50,7 @@ def refuse_impossible(scene: Scene) -> None:
 def _refuse_times_of_impact(scene: Scene) -> None:
     """Refuse times of impact with integrators whose step has more than one drift."""
     chosen = integrator(scene)
-    if not chosen.drifts_once and require(scene).impact_time.modelled:
+    if not chosen.locates_impacts and require(scene).impact_time.modelled:
         why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
         raise SceneError(
             f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
@@ -81,15 +81,20 @@ def _refuse_damping(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse contacts, trees and limits of the step where the integrator's own error sets the step."""
-    chosen, needs = integrator(scene), require(scene)
+    """Refuse what would make errors that the integrator's own estimate does not see, where it sets the step."""
+    chosen, contact = integrator(scene), scene.contact
     if not chosen.controls_error or chosen.hierarchical:
         return
     name = f'time.integrator = "{chosen.name}"'
-    if needs.contact.modelled:
+    if require(scene).contact.modelled and contact.timing == "end-of-step":
         raise SceneError(
-            f"{name} where bodies may touch: it does not resolve contacts; set contact.enabled = false, "
-            'or take "leapfrog" or "yoshida4"'
+            f'contact.timing = "end-of-step" with {name}, which ends its steps at impacts; '
+            'leave contact.timing out, or take "leapfrog"'
+        )
+    if require(scene).contact.modelled and contact.allow_overlap:
+        raise SceneError(
+            f"contact.allow_overlap with {name}, which does not push bodies apart; "
+            'leave contact.allow_overlap out, or take "leapfrog"'
         )
     if scene.domain.boundary == "periodic":
         raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"')

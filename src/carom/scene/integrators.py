@@ -65,6 +65,11 @@ class Integrator:
         return len(self.substeps) == 1
 
     @property
+    def locates_impacts(self) -> bool:
+        """Whether impacts can be resolved at their own times: within the one drift, or where a step is made to end."""
+        return self.drifts_once or (self.controls_error and not self.hierarchical)
+
+    @property
     def damps(self) -> bool:
         """Whether drag is supported: it needs one drift between two equal kicks (docs/physics.md, 6)."""
         return self.drifts_once and self.substeps[0].before == self.substeps[0].after
@@ -93,7 +98,7 @@ INTEGRATORS = {
             (Substep(0.0, 0.5, 1.0), Substep(0.0, 0.5, 0.0)),
         ),
         Integrator("yoshida4", "Yoshida's", 4, tuple(Substep(0.5 * w, w, 0.5 * w) for w in (_W1, _W0, _W1))),
-        Integrator("gauss-radau15", "Gauss–Radau with a step by its own error (without contacts)", 15, ()),
+        Integrator("gauss-radau15", "Gauss–Radau with a step by its own error", 15, ()),
         Integrator("wisdom-holman", "Wisdom–Holman about a dominant body (without contacts)", 2, (), hierarchical=True),
     )
 }

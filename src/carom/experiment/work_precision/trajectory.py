@@ -19,7 +19,7 @@ from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.plan.auto import frame_interval, integrator
+from carom.plan.auto import frame_interval
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
@@ -133,7 +133,6 @@ class _Watch:
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times = space, times
         self._recorded = every(frame_interval(space.scene))
-        self._has_solution = integrator(space.scene).controls_error  # between its steps
         self._frames, self._last_recorded = 1, True  # the start
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
@@ -142,9 +141,16 @@ class _Watch:
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Copy the state before a step: this is called when its length is known and nothing has moved yet."""
-        self.see_contacts(before)
-        self._began = before
+        """Copy the state before a step: this is called when its length is known and nothing has moved yet.
+
+        An integrator with a solution within its steps calls it after the step.
+        """
+        if self._space.has_solution:
+            self._began = before
+            self.see_contacts(time)
+        else:
+            self.see_contacts(before)
+            self._began = before
         self._last_recorded = self._recorded(step, before, time)
         self._frames += self._last_recorded
         done = len(self.position)
@@ -182,7 +188,7 @@ class _Watch:
         n, graph = len(frame.position), frame.contacts
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
-        if self._has_solution:
+        if self._space.has_solution:
             self._sample_solution(frame)
             return
         begin, x, v, a = self._before

@@ -7,6 +7,8 @@
 3. `find`: broad phase, geometry, colouring, and position correction of resting contacts
 4. `resolve`: after the last kick, find the impulses at the final positions
 5. `turn`: torques and angular accelerations of the step
+
+An integrator that ends its steps at impacts calls `begin_flight`, `strike` at each impact, and `end_flight`.
 """
 
 from __future__ import annotations
@@ -182,9 +184,7 @@ class ContactPipeline:
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         if self._needs.torque.modelled:
-            self._team.divide(
-                len(self._spin), MIN_BODIES_PER_COPY, _remember, self._bodies.angular_velocity, self._spin
-            )
+            self._remember_spins()
         self.held = np.zeros((0, 3))
         if self._guard:
             self._guard.remember()
@@ -205,6 +205,28 @@ class ContactPipeline:
         self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
         if self.tap:
             self.tap.see_drift(self.impacts)
+
+    def begin_flight(self) -> None:
+        """Begin steps that end at impacts: before the bodies move."""
+        if self._needs.torque.modelled:
+            self._remember_spins()
+        self.impacts = NO_IMPACTS
+
+    def strike(self, pair: tuple[int, int] | None, dt: float) -> None:
+        """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all that touch there.
+
+        Without a pair nothing happens but that the kernels are loaded.
+        """
+        assert self._event_drift is not None, "the integrator ends its steps at impacts"
+        self.impacts = self.impacts.followed_by(self._event_drift.strike(pair, dt))
+
+    def end_flight(self, dt: float, profile: Profile) -> None:
+        """Gather what the impacts at the end of the last step, of dt s, did."""
+        if self.tap:
+            self.tap.see_drift(self.impacts)
+        self.resolve(dt, 0.0, profile)
+        if self._needs.torque.modelled:
+            self.turn(dt)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
@@ -291,6 +313,10 @@ class ContactPipeline:
         fresh = [(level, text) for level, text in reached if text not in self.warned]
         self.warned.update(text for _, text in fresh)
         return fresh
+
+    def _remember_spins(self) -> None:
+        spins = self._bodies.angular_velocity
+        self._team.divide(len(self._spin), MIN_BODIES_PER_COPY, _remember, spins, self._spin)
 
     def _near(self, dt: float) -> IntArray:
         """Find the pairs that touch and, if contacts last, those that a fall from rest could close within a step.

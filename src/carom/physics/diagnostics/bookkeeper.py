@@ -52,7 +52,8 @@ class Bookkeeper:
         constant = forces.potential_of_fixed_bodies()
         self.audit = Audit(scene, bodies, world.names, forces.uniform, constant, forces.losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
-        audited = scene.expect.contact_audit is not None and not integrator(scene).controls_error
+        without_kicks = integrator(scene).controls_error and world.contact is None
+        audited = scene.expect.contact_audit is not None and not without_kicks
         self.impulse_audit = ImpulseAudit(bodies) if audited else None
         self.pace: PaceMonitor | None = None
         self._events: list[Event] = []
@@ -91,13 +92,23 @@ class Bookkeeper:
 
     def begin_step(self, checked: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
-        clock, contact = self._world.clock, self._world.contact
-        if checked and contact:
-            self.audit.suspect(clock.step - 1, contact)
-        if contact and contact.tap:
-            contact.tap.begin(clock.step, clock.before, clock.time)
+        if checked:
+            self.suspect_contacts(self._world.clock.step - 1)
+        self.begin_contacts()
         if self.impulse_audit:
             self.impulse_audit.begin(self.audit.ledger)
+
+    def suspect_contacts(self, step: int) -> None:
+        """Note the present contacts, which are of a step, as those that may have changed the energy."""
+        contact = self._world.contact
+        if contact:
+            self.audit.suspect(step, contact)
+
+    def begin_contacts(self) -> None:
+        """Begin the contacts of a step, after the clock has advanced."""
+        clock, contact = self._world.clock, self._world.contact
+        if contact and contact.tap:
+            contact.tap.begin(clock.step, clock.before, clock.time)
 
     def finish_step(self, potentials: Potentials, checked: bool) -> None:
         """Book the contacts of a step; if it is checked, compute energy and momentum too."""
@@ -105,7 +116,7 @@ class Bookkeeper:
         if contact:
             self._book_contacts(contact)
             if checked:
-                self.audit.suspect(self._world.clock.step, contact)
+                self.suspect_contacts(self._world.clock.step)
         else:
             self.activity.see(0, 0.0)
         if self.impulse_audit:

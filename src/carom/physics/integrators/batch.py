@@ -22,14 +22,22 @@ from carom.scene.schema import Scene
 FloatArray = NDArray[np.float64]
 
 
+class Meeting(NamedTuple):
+    """Two that touch: bodies, or n + p for plane p."""
+
+    ends: tuple[int, int]
+    rests: bool  # whether forces press them together so that they no longer part
+
+
 class Batch(NamedTuple):
-    """Steps that were taken in one call."""
+    """Steps that were taken in one call; none if bodies meet where the first one begins."""
 
     steps: int
     before: float  # s, time before the last one
     time: float  # s, time after it
     dt: float  # s, its length
     limit: str  # what set it
+    meeting: Meeting | None = None  # where the last one ended; to be resolved before the next call
 
 
 class BatchIntegrator(Protocol):

@@ -197,7 +197,7 @@ class WisdomHolman:
             if self._phase == ANEW:
                 self._start(time)
             if self._phase == CLOSE:
-                did, before, time, dt, limit = self._radau.advance(time, end, until, 1)
+                did, before, time, dt, limit, _ = self._radau.advance(time, end, until, 1)
                 taken += did
                 self._by_radau = True
                 if not time > before:

@@ -19,6 +19,7 @@ from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.search import Search
 from carom.physics.contact.continuous.event_loop import IMPACT, predict, resolve
 from carom.physics.contact.continuous.event_queue import put
+from carom.physics.contact.continuous.simultaneous import resolve_touching
 from carom.physics.contact.continuous.trajectories import (
     DRIFT,
     TRAJECTORY,
@@ -40,6 +41,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 LOG_ROWS = 4096  # largest number of impacts in one call
+MOST_CONTACTS = 16  # of a body at one moment, on the average
 WIDEST = 2.0  # times the radii; up to this width the contact grids also find neighbours
 
 
@@ -58,6 +60,10 @@ class Impacts:
 
     def __len__(self) -> int:
         return len(self.pairs)
+
+    def followed_by(self, later: Impacts) -> Impacts:
+        """Add later impacts."""
+        return Impacts.of(np.concatenate((self.log, later.log))) if len(self) else later
 
     @classmethod
     def of(cls, log: Records) -> Impacts:
@@ -192,6 +198,18 @@ class EventDrivenDrift:
         else:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
+
+    def strike(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
+        """Resolve the impacts of a pair at the end of a step of dt s, and of all that touch there; None of no pair."""
+        T, bodies = self._trajectories, self._bodies
+        T.rest_speed[:] = 0.0
+        drift = T.drift[0]
+        drift["dt"] = drift["kick"] = drift["clock"] = dt
+        drift["exhausted"] = 0
+        pairs = np.empty((MOST_CONTACTS * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
+        pairs[:1] = pair or 0
+        count = resolve_touching(T, pairs, self._log)
+        return Impacts.of(self._log[:count].copy())
 
     def _find_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Find the rest speed of each body."""

@@ -80,7 +80,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
             return row
         partner = T.body[known].partner
         i, j = min(known, partner), max(known, partner)
-        _collide(i, j, log[row], T)
+        collide(i, j, log[row], T)
         lossy = LAW.dissipates(T.materials[material_index(j, n)])
         _count_impact(known, lossy, T)
         _count_impact(partner, lossy, T)
@@ -210,7 +210,7 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
 
 
 @inner
-def _collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
+def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and log it."""
     v, a, omega, clock = T.v, T.a, T.omega, T.drift[0].clock
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]

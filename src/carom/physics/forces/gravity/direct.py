@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
@@ -96,6 +96,13 @@ def _lanes(count: int) -> FloatArray:
     return buffer[start : start + count]
 
 
+@inline
+def inverse_cube(d2: float) -> float:
+    """Return (d²)^{-3/2}; 0 for coincident bodies without softening."""
+    cube: float = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
+    return cube
+
+
 @long_kernel
 def _pull(
     lo: int,
@@ -139,8 +146,7 @@ def _pull(
                         ex, ey, ez = xx - tx[k], yy - ty[k], zz - tz[k]
                         d2 = dx * dx + dy * dy + dz * dz + eps2
                         e2 = ex * ex + ey * ey + ez * ez + eps2
-                        d3 = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
-                        e3 = 1.0 / (e2 * np.sqrt(e2)) if e2 > 0.0 else 0.0
+                        d3, e3 = inverse_cube(d2), inverse_cube(e2)
                         f, g = mj * d3, mm * e3
                         ax[k] = ax[k] + f * dx + g * ex
                         ay[k] = ay[k] + f * dy + g * ey
@@ -194,7 +200,7 @@ def _total(
 ) -> None:
     """Add the slabs; each has sums for its own blocks and those before them."""
     # with softening each body has added its own potential, m/ε; subtract it with the same rounding
-    own = 1.0 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0
+    own = inverse_cube(eps2)
     slab = 0
     for i in range(len(m)):
         while edges[slab + 1] * LANES <= i:

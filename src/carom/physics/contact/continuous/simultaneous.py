@@ -1,0 +1,100 @@
+"""Impacts at one moment: what touches is resolved pair by pair, again and again, until nothing closes.
+
+An integrator that ends its step at an impact calls this there. Positions are those of the impact and velocities its
+own, so each impulse is that of the event loop. Rigid bodies have no unique answer where several pairs meet at once: as
+in the event loop, pairs are taken in their order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.continuous.event_loop import COLLAPSE_FROM, MAX_IMPACTS, collide
+from carom.physics.contact.continuous.trajectories import ROUNDING, Trajectories
+from carom.physics.contact.law import LAW, material_index
+from carom.physics.parallel.jit import inline, long_kernel
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
+
+TOUCHING = 16 * 2.0**-53  # of the coordinates and of the sum of radii: a gap that is rounding
+
+
+@long_kernel
+def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
+    """Resolve the impacts of all that touch; return their number.
+
+    Parameters
+    ----------
+    T
+        The bodies at the impact; `DRIFT` has the same time for clock and kick, and ``exhausted`` 0.
+    pairs
+        (m, 2) room for the pairs that touch; the first row is one that does, whatever its gap. Without room nothing
+        is done.
+    log
+        (k,) `IMPACT`, room for their log.
+    """
+    count = _find(T, pairs)
+    row, growth = 0, 1.0
+    for sweep in range(MAX_IMPACTS):
+        before = row
+        for c in range(count):
+            i, j = pairs[c, 0], pairs[c, 1]
+            speed, speeds = _closing(i, j, T)
+            if LAW.dissipates(T.materials[material_index(j, len(T.x))]):
+                speeds *= growth
+            if speed > ROUNDING * speeds or (sweep == 0 and c == 0):
+                if row == len(log):
+                    T.drift[0].exhausted = 1
+                    return row
+                collide(i, j, log[row], T)
+                row += 1
+        if row == before:
+            return row
+        if sweep >= COLLAPSE_FROM:
+            growth *= 2.0  # infinitely many impacts, see `event_loop`
+    T.drift[0].exhausted = 1
+    return row
+
+
+@inline
+def _find(T: Trajectories, pairs: IntArray) -> int:
+    """Write the other pairs that touch after the first one; return the number of all."""
+    x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
+    count = min(1, len(pairs))
+    for i in range(n if count > 0 else 0):
+        size = abs(x[i, 0]) + abs(x[i, 1]) + abs(x[i, 2])
+        for j in range(i + 1, n):
+            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            R = radius[i] + radius[j]
+            reach = R + TOUCHING * (R + size)
+            if dx * dx + dy * dy + dz * dz <= reach * reach and T.inverse_mass[i] + T.inverse_mass[j] > 0.0:
+                count = _add(i, j, count, pairs)
+        for p in range(len(offset) if T.inverse_mass[i] > 0.0 else 0):
+            height = surface[p, 0] * x[i, 0] + surface[p, 1] * x[i, 1] + surface[p, 2] * x[i, 2] - offset[p]
+            if height - radius[i] <= TOUCHING * (radius[i] + size):
+                count = _add(i, n + p, count, pairs)
+    return count
+
+
+@inline
+def _add(i: int, j: int, count: int, pairs: IntArray) -> int:
+    """Add a pair that is not the first one, if there is room."""
+    if (i == pairs[0, 0] and j == pairs[0, 1]) or count == len(pairs):
+        return count
+    pairs[count, 0], pairs[count, 1] = i, j
+    return count + 1
+
+
+@inline
+def _closing(i: int, j: int, T: Trajectories) -> tuple[float, float]:
+    """Return the closing speed of a pair, and the sum of its speeds, in m/s."""
+    x, v, n = T.x, T.v, len(T.x)
+    rate, length, speeds = 0.0, 0.0, 0.0
+    for k in range(3):
+        d = -T.surface[j - n, k] if j >= n else x[j, k] - x[i, k]
+        rate, length = rate + d * (v[j, k] - v[i, k]), length + d * d
+        speeds += abs(v[i, k]) + abs(v[j, k])
+    return -rate / np.sqrt(length), speeds

@@ -1,0 +1,302 @@
+"""The first impact within a step of Gauss–Radau integration, on the polynomials of its bodies.
+
+With d(h) the way from one body to another (or to a plane), R the distance at which they touch, f = d² - R² and
+g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: they touch and close.
+
+A clearance, the smallest gap of any pair, lasts for as many steps as the bodies need to use it up. Only then are all
+pairs looked at, and the polynomials of those within reach followed from h = 0 on, in intervals that are halved until
+one of these holds, with M ≥ |d''|, K ≥ |g''|:
+
+- the chord of d stays farther from 0 than R + M w²/8, w being the width: they do not touch
+- g stays positive by g + g' s - ½ K s²: they separate
+- g stays negative by the same bound from the other end, and d ends inside: the only root of f is there
+
+So the first impact is found however short or grazing it is. The step is then taken again, as long as it lasts until
+that root, because the polynomial is of a lower order within a step than at its end.
+
+A contact comes to rest if forces press it together and it will be back within a part `REST` of the step.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.continuous.trajectories import ROUNDING
+from carom.physics.integrators.radau_nodes import TERMS
+from carom.physics.integrators.radau_step import Motion
+from carom.physics.parallel.jit import inline, inner
+
+FloatArray = NDArray[np.float64]
+
+COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
+TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a gap that is rounding
+SLACK = 1.0 + 1e-9  # for the rounding of the bounds
+NARROWEST = 2.0**-44  # of a step: what touches for less is a graze
+MOST_INTERVALS = 20_000  # a contact that needs more lies at rest by rounding
+REST = 1e-6  # of a step: the shortest flight between two impacts. The bodies part by 10⁻¹⁴ R in it, near rounding.
+NONE = np.inf  # no impact
+AT_REST = -1.0  # a contact that forces press together
+
+
+class Solids(NamedTuple):
+    """What may touch."""
+
+    radius: FloatArray  # (n,) m
+    surface: FloatArray  # (p, 3) normals of planes
+    offset: FloatArray  # (p,) m
+    path: FloatArray  # (COEFFICIENTS, 3) m, of d; overwritten for each pair
+
+    @classmethod
+    def of(cls, radius: FloatArray, surface: FloatArray | None = None, offset: FloatArray | None = None) -> Solids:
+        """List bodies and planes, by default none."""
+        none = np.zeros((0, 3)), np.zeros(0)
+        planes = none if surface is None or offset is None else (surface, offset)
+        return cls(np.ascontiguousarray(radius), *planes, np.zeros((COEFFICIENTS, 3)))
+
+
+@inner
+def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: float) -> float:
+    """Return the part of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
+
+    No body goes farther than ``reach``, in m.
+    """
+    x, moves, radius, n = motion.position, motion.moves, solids.radius, len(motion.position)
+    first, clearance = NONE, np.inf
+    for i in range(n):
+        for j in range(i + 1, n):
+            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            d2, R = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
+            if (clearance > 2.0 * reach and d2 > (R + clearance) * (R + clearance)) or moves[i] + moves[j] == 0.0:
+                continue  # not nearer than the nearest
+            gap = np.sqrt(d2) - R
+            clearance = min(clearance, gap)
+            if gap <= 2.0 * reach:
+                _lay_pair(motion, solids.path, i, j, dt)
+                first = _sooner(i, j, R, motion, solids, run, dt, first)
+        for p in range(len(solids.offset) if moves[i] > 0.0 else 0):
+            gap = -solids.offset[p] - radius[i]
+            for k in range(3):
+                gap += solids.surface[p, k] * x[i, k]
+            clearance = min(clearance, gap)
+            if gap <= reach:
+                _lay_height(motion, solids, i, p, dt)
+                first = _sooner(i, n + p, radius[i], motion, solids, run, dt, first)
+    run.clearance = clearance - 2.0 * reach
+    return first
+
+
+@inner
+def _sooner(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, dt: float, first: float) -> float:
+    """Return the sooner of the first impact so far and that of a pair, and note the pair."""
+    negligible = ROUNDING * _pace(motion, i, j, R, dt)
+    h = _first_root(solids.path, R, rounding(motion.position, i, j, R), negligible)
+    if h < first:
+        run.i, run.j = i, j
+        return h
+    return first
+
+
+@inner
+def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
+    """Return the distance in m that two bodies go in a step, and R."""
+    v, way = motion.velocity, R
+    for k in range(3):
+        way += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
+    return way
+
+
+@inner
+def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
+    """Return the gap in m between body i and body or plane j that is rounding."""
+    largest = R
+    for k in range(3):
+        largest = max(largest, abs(x[i, k]))
+        if j < len(x):
+            largest = max(largest, abs(x[j, k]))
+    return TOUCHING * largest
+
+
+@inline
+def reach_of(
+    v: FloatArray, start: FloatArray, b: FloatArray, field: FloatArray, moves: FloatArray, planes: int, dt: float
+) -> float:
+    """Return a bound on how far any body goes in a step, relative to planes or to the mean velocity, in m."""
+    n = len(v)
+    ux, uy, uz = 0.0, 0.0, 0.0
+    if planes == 0:
+        for i in range(n):
+            ux, uy, uz = ux + v[i, 0], uy + v[i, 1], uz + v[i, 2]
+        ux, uy, uz = ux / n, uy / n, uz / n
+    farthest = 0.0
+    for i in range(n):
+        wx, wy, wz = v[i, 0] - ux, v[i, 1] - uy, v[i, 2] - uz
+        largest = 0.0
+        for k in range(3):
+            size = abs(start[i, k] + field[k] * moves[i])
+            for m in range(TERMS):
+                size += abs(b[3 * i + k, m])
+            largest += size
+        farthest = max(farthest, np.sqrt(wx * wx + wy * wy + wz * wz) + 0.5 * dt * largest)
+    return float(SLACK * dt * farthest)
+
+
+@inner
+def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> None:
+    """Write the coefficients of the way from body i to body j."""
+    for k in range(3):
+        for m in range(COEFFICIENTS):
+            path[m, k] = coefficient(motion, j, k, m, dt) - coefficient(motion, i, k, m, dt)
+
+
+@inner
+def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> None:
+    """Write the coefficients of the way from body i to plane p, along its normal."""
+    N = solids.surface[p]
+    for m in range(COEFFICIENTS):
+        height = -solids.offset[p] if m == 0 else 0.0
+        for k in range(3):
+            height += N[k] * coefficient(motion, i, k, m, dt)
+        for k in range(3):
+            solids.path[m, k] = -height * N[k]
+
+
+@inner
+def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
+    """Return the coefficient of h^m in a coordinate of body i, in m."""
+    if m == 0:
+        return float(motion.position[i, k] + motion.position_rest[i, k])
+    if m == 1:
+        return float(dt * motion.velocity[i, k])
+    if m == 2:
+        return float(0.5 * dt * dt * (motion.start[i, k] + motion.field[k] * motion.moves[i]))
+    return float(dt * dt * motion.b[3 * i + k, m - 3] / ((m - 1) * m))
+
+
+@inner
+def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
+    """Return |d|², g, g' and |d'|² at h."""
+    d2, g, speed2, bend = 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        d, v, a = 0.0, 0.0, 0.0
+        for m in range(COEFFICIENTS - 1, -1, -1):
+            a = a * h + 2.0 * v
+            v = v * h + d
+            d = d * h + path[m, k]
+        d2, g, speed2, bend = d2 + d * d, g + d * v, speed2 + v * v, bend + d * a
+    return d2, g, speed2 + bend, speed2
+
+
+@inner
+def _chord(path: FloatArray, a: float, b: float) -> float:
+    """Return the least |d|² on the chord of d from a to b."""
+    far, along, length = 0.0, 0.0, 0.0
+    for k in range(3):
+        p, q = 0.0, 0.0
+        for m in range(COEFFICIENTS - 1, -1, -1):
+            p, q = p * a + path[m, k], q * b + path[m, k]
+        far, along, length = far + p * p, along + p * (q - p), length + (q - p) * (q - p)
+    if along >= 0.0:
+        return far
+    if -along >= length:
+        return far + 2.0 * along + length
+    return far - along * along / length
+
+
+@inner
+def _bounds(path: FloatArray) -> tuple[float, float, float]:
+    """Return bounds on |d'|, |d''| and |d'''| in [0, 1]."""
+    first, second, third = 0.0, 0.0, 0.0
+    for m in range(1, COEFFICIENTS):
+        size = np.sqrt(path[m, 0] * path[m, 0] + path[m, 1] * path[m, 1] + path[m, 2] * path[m, 2])
+        first += m * size
+        second += m * (m - 1) * size
+        third += m * (m - 1) * (m - 2) * size
+    return first, second, third
+
+
+@inner
+def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
+    """Return the first h at which bodies touch and close, `NONE` or `AT_REST`.
+
+    Parameters
+    ----------
+    path
+        (COEFFICIENTS, 3) m, of d.
+    R
+        m.
+    gap
+        m, what is rounding of d.
+    negligible
+        m, closing speed in a step that is rounding.
+    """
+    fastest, M, third = _bounds(path)
+    still = negligible * R
+    d2, g, bend, _ = _at(path, 0.0)
+    touches = d2 <= (R + gap) * (R + gap)
+    if touches and g < -still:
+        return 0.0
+    if touches and bend < 0.0 and 2.0 * g < -REST * bend:
+        return AT_REST
+    a, width = 0.0, 1.0
+    for _ in range(MOST_INTERVALS):
+        if not a < 1.0:
+            return NONE
+        b = min(1.0, a + width)
+        w = b - a
+        far = R + SLACK * M * w * w / 8.0 + gap
+        end_d2, end_g, end_bend, _ = _at(path, b)
+        K = SLACK * (3.0 * fastest * M + (np.sqrt(max(d2, end_d2)) + fastest * w) * third)
+        done = _chord(path, a, b) > far * far
+        if not done:
+            done = g > -still and g + bend * w - 0.5 * K * w * w > -still
+        if not done and end_d2 <= R * R and end_g < -still and end_g - end_bend * w + 0.5 * K * w * w < 0.0:
+            return _solve(path, R, a, b) if d2 > R * R else a
+        if not done and w <= NARROWEST:
+            if end_d2 <= R * R and end_g < -still:
+                return b
+            done = True
+        if done:
+            a, d2, g, bend = b, end_d2, end_g, end_bend
+            width = min(1.0, 2.0 * width)
+        else:
+            width *= 0.5
+    return AT_REST
+
+
+@inner
+def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
+    """Return the root of d² - R² in [a, b], where it falls, by Newton's method and bisection."""
+    h = 0.5 * (a + b)
+    for _ in range(100):
+        d2, g, _, _ = _at(path, h)
+        f = d2 - R * R
+        if f > 0.0:
+            a = h
+        else:
+            b = h
+        next_h = h - 0.5 * f / g if g < 0.0 else a
+        if not a < next_h < b:
+            next_h = 0.5 * (a + b)
+        if next_h == h or not a < next_h < b:
+            break
+        h = next_h
+    return h
+
+
+@inner
+def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
+    """Return by how much in s the step would have to be longer for a closing pair to touch at its end."""
+    n = len(motion.position)
+    if j < n:
+        _lay_pair(motion, solids.path, i, j, dt)
+        R = solids.radius[i] + solids.radius[j]
+    else:
+        _lay_height(motion, solids, i, j - n, dt)
+        R = solids.radius[i]
+    d2, g, _, _ = _at(solids.path, 1.0)
+    # (d - R) / -d', with d - R = (d² - R²)/(d + R), which keeps its digits, and d' = g/d
+    d = np.sqrt(d2)
+    return float(dt * (d2 - R * R) * d / ((d + R) * -g)) if g < 0.0 else 0.0
