@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import dense_heap
 from carom.recording.read.recording import Recording
 from command import carom_process
 
@@ -214,6 +215,25 @@ def test_a_scene_that_does_not_fit_into_the_address_space_is_refused_in_one_sent
         "raise the limit or lower the count"
     ]
     assert not (tmp_path / "x.rrd").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [1_350_000, 1_450_000, 1_550_000])
+def test_a_dense_heap_that_uses_up_the_address_space_ends_with_a_sentence_and_a_readable_file(
+    limit: int, tmp_path: Path
+) -> None:
+    # 12 000 bodies are admitted from 1.15 GB on; their 67 000 contacts need 1.6 GB: Rerun aborted the process
+    program = f'"{sys.executable}" "{dense_heap.__file__}" 12000 x.rrd'
+    script = f"ulimit -v {limit}; exec {program}"
+    done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1) and "Traceback" not in done.stderr and "panicked" not in done.stderr, done.stderr
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.finished
+    assert recording.summary()["frames"] == recording.frames
+    if done.returncode:
+        assert "address space" in done.stderr and "ulimit -v" in done.stderr
+    else:
+        assert recording.outcome == "completed"
 
 
 def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:

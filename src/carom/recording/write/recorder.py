@@ -25,6 +25,7 @@ from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.view.blueprint import blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.recorded_curves import recorded_curves
+from carom.recording.write.address_reserve import AddressReserve
 from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
@@ -71,6 +72,7 @@ class Recorder:
         # a slot is reused once its frame has left the queue, the batch being written, and `_last`
         self._slots = max(room, batch) + batch + 2
         self._plan = CheckpointPlan()
+        self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
         self._references: dict[str, float] = {}  # as last sent
         self._camera_fit: CameraFit | None = None
@@ -134,6 +136,13 @@ class Recorder:
             self._record()
         except RecordingError as error:
             self._fail(error)
+        except MemoryError:
+            self._fail(
+                RecordingError(
+                    f"cannot write more of {self.path}: no memory is left; lower the number of bodies, or raise the "
+                    "limit of the address space (`ulimit -v`)"
+                )
+            )
         except Exception as error:  # the physics thread must learn of any failure
             self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
 
@@ -143,6 +152,7 @@ class Recorder:
 
     def _write(self, batch: list[Frame]) -> None:
         encoder = self._encoder or self._begin(batch[0])
+        self._addresses.require(batch, self.path)
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
@@ -160,6 +170,7 @@ class Recorder:
 
     def _begin(self, first: Frame) -> BatchEncoder:
         """Send everything static, and before the first frame of a resumed run the frames that it continues."""
+        self._addresses.release()
         continued, position = self._continued, first.position
         if continued is not None:
             position, origin = continued.first_position(), continued.origin
@@ -204,6 +215,7 @@ class Recorder:
 
     def _close(self, outcome: str, summary: Mapping[str, Scalar], events: tuple[Event, ...]) -> None:
         last, encoder = self._last, self._encoder
+        self._addresses.release()
         try:
             if last is not None and encoder is not None:
                 if last.step != self._last_checkpoint:
