@@ -12,13 +12,17 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from carom import errors
+
 if TYPE_CHECKING:
     from carom.experiment.run import run as run
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
     from carom.scene.schema import Scene as Scene
 
-__all__ = ["Recording", "Scene", "Space", "run"]
+    __version__: str
+
+__all__ = ["Recording", "Scene", "Space", "__version__", "errors", "run"]
 
 _HOMES = {
     "Recording": "carom.recording.read.recording",
@@ -30,6 +34,13 @@ _HOMES = {
 
 def __getattr__(name: str) -> Any:
     """Import a public name on its first use: a person who asks for help does not wait for compilers and viewers."""
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("carom")
     if name not in _HOMES:
         raise AttributeError(f"module 'carom' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names, whether they have been used or not."""
+    return __all__

@@ -64,24 +64,27 @@ class Outcome:
 
 
 def run(
-    scene: Scene,
+    scene: Scene | str | Path,
     path: str | Path,
     *,
     force: bool = False,
     threads: int | None = None,
+    watch: Watcher | None = None,
 ) -> Recording:
     """Simulate a scene and record it.
 
     Parameters
     ----------
     scene
-        What to simulate.
+        What to simulate: a scene, a file or the name of a bundled scene.
     path
         The ``.rrd`` to write.
     force
         Whether to replace a file that exists.
     threads
         Threads for the kernels; the bits do not depend on it.
+    watch
+        Called several times a second, and at the end, with a `StepStatus`: step, time in s, dt, contacts, energy error.
 
     Returns
     -------
@@ -93,8 +96,12 @@ def run(
     SceneError, RecordingError, PhysicsError
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
+    loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
     with claimed_output(Path(path), force) as claim:
-        outcome = simulate(recording_space(scene, threads), path, claim=claim)
+        space = recording_space(loaded, threads)
+        outcome = simulate(space, path, claim=claim, watch=watch)
+    if watch:
+        watch(space.status)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":

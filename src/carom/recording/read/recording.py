@@ -18,6 +18,7 @@ from carom.recording.read import tables
 from carom.recording.read.body_states import bodies_at
 from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
+from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
 from carom.recording.read.summary import summary
@@ -480,6 +481,10 @@ class Recording:
     def summary(self) -> dict[str, Any]:
         """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)
+
+    def _repr_html_(self) -> str:
+        """Return the summary as a table, for notebooks."""
+        return html_of(self)
 
     def show(
         self, at: float | None = None, *, height: int = 600, event: str | None = None, bodies: str | None = None
