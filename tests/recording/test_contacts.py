@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -290,6 +291,19 @@ def frames_with_impacts(count: int, each: int) -> list[Frame]:
         rows["normal_impulse"] = np.random.default_rng(frame.step).permutation(each) + 1.0
         frames.append(replace(frame, impacts=rows, contact_rows=np.zeros(0, CONTACT_ROW)))
     return frames
+
+
+def test_what_is_too_large_for_float32_is_recorded_as_infinite_without_a_warning() -> None:
+    (frame,) = frames_with_impacts(1, 2)
+    assert frame.impacts is not None
+    for name in ("x", "approach_speed", "normal_impulse", "friction_x", "restitution_loss"):
+        frame.impacts[name] = [1.0, 1e60]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rows = impact_rows(frame.impacts, np.array([1, 2]), {}, np.ones(20), np.zeros(3))
+    columns = {column.component_descriptor().component: column.as_arrow_array() for column in rows.columns}
+    for name in ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost"):
+        assert columns[name].to_pylist() == [[1.0], [np.inf]]
 
 
 def test_all_impacts_are_kept_while_they_are_cheap() -> None:

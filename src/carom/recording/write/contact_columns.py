@@ -16,7 +16,7 @@ from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
 from carom.recording.view import impulse_scale
 from carom.recording.write import encoding_kernels as encoding
-from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows
+from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows, single
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -114,7 +114,7 @@ def force_rows(
     chosen = contacts.strongest(drawn)
     rows, each = picked(contacts.rows, np.concatenate(chosen)), np.array([len(part) for part in chosen], dtype=np.int64)
     middle = np.repeat(contacts.middle, each)
-    at = (np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin).astype(np.float32)
+    at = single(np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin)
     ends = np.stack([rows["i"], rows["j"]], axis=1).astype(np.uint32)
     normal = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1) * rows["normal_impulse"][:, None]
     tangential = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]], axis=1)
@@ -135,4 +135,4 @@ def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[n
     s = np.cbrt(size / middle)
     length = longest * (1.0 - 1.0 / (1.0 + s))
     scale = np.divide(length, size, out=np.zeros_like(size), where=size > 0.0)
-    return np.asarray(impulse * scale[:, None], dtype=np.float32)
+    return single(impulse * scale[:, None])

@@ -39,7 +39,7 @@ from carom.recording.view import arrows, colouring, impulse_scale
 from carom.recording.view.curve import Curve
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.contact_encoder import ContactEncoder
-from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows
+from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows, single
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
@@ -180,8 +180,8 @@ class BatchEncoder:
         position, orientation
             (k, n, 3) m and (k, n, 4), of all bodies at these.
         """
-        points = (position - self.origin).reshape(-1, 3).astype(np.float32)
-        turned = None if orientation is None else orientation.reshape(-1, 4).astype(np.float32)
+        points = single((position - self.origin).reshape(-1, 3))
+        turned = None if orientation is None else single(orientation.reshape(-1, 4))
         columns, size = self._drawn(points, turned, None)
         return Rows(BODIES, [], [], columns, size, numbers.tolist())
 
@@ -199,7 +199,7 @@ class BatchEncoder:
                 size = array_bytes(centres, colours)
             case _:
                 # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
-                scales = np.tile(np.repeat(self.header.radius, 3), rows).reshape(-1, 3).astype(np.float32)
+                scales = single(np.tile(np.repeat(self.header.radius, 3), rows).reshape(-1, 3))
                 columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
                 size = array_bytes(centres, turned, scales)
         return columns.partition([self.header.bodies] * rows), size

@@ -11,7 +11,7 @@ from rerun import ComponentColumnList
 
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.view import impulse_scale
-from carom.recording.write.rows import Rows, any_column, array_bytes
+from carom.recording.write.rows import Rows, any_column, array_bytes, single
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -46,26 +46,26 @@ def impact_rows(
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])
     lost = impacts["restitution_loss"] + impacts["friction_loss"]
     sizes = impulse_scale.point_radii(radius)
-    positions = point.astype(np.float32)
+    positions = single(point)
     radii = sizes[impulse_scale.level(impacts["normal_impulse"], references.get(IMPACTS, 1.0))]
     colours = impulse_scale.COLOURS[impulse_scale.level(lost, references.get(IMPACT_ENERGY, np.inf))]
     bodies = np.stack([impacts["i"], impacts["j"]], axis=1).astype(np.uint32)
-    normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1).astype(np.float32)
+    normal = single(np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1))
     scalars = {
         "approach_speed": impacts["approach_speed"],
         "normal_impulse": impacts["normal_impulse"],
         "tangential_impulse": np.sqrt(np.sum(friction * friction, axis=0)),
         "energy_lost": lost,
     }
-    single = {name: values.astype(np.float32) for name, values in scalars.items()}
+    rounded = {name: single(values) for name, values in scalars.items()}
     mode = np.ascontiguousarray(impacts["mode"])
     columns = [
         *rr.Points3D.columns(positions=positions, radii=radii, colors=colours).partition([1] * count),
         *any_column("bodies", bodies.ravel()).partition([2] * count),
         *any_column("normal", normal.ravel()).partition([3] * count),
-        *(column for name, values in single.items() for column in any_column(name, values)),
+        *(column for name, values in rounded.items() for column in any_column(name, values)),
         *any_column("mode", mode),
     ]
-    size = array_bytes(positions, radii, colours, bodies, normal, mode, *single.values()) + _INDEX_BYTES * count
+    size = array_bytes(positions, radii, colours, bodies, normal, mode, *rounded.values()) + _INDEX_BYTES * count
     steps, times = impacts["step"].tolist(), impacts["time"].tolist()
     return Rows(IMPACTS, steps, times, ComponentColumnList(columns), size, numbers.tolist())

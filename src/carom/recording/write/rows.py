@@ -39,6 +39,12 @@ def any_column(name: str, array: NDArray[np.generic] | list[str]) -> ComponentCo
     return rr.AnyValues.columns(True, **{name: pa.array(array)})
 
 
+def single(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
 def array_bytes(*arrays: NDArray[np.generic] | None) -> int:
     """Return the bytes of arrays, as far as there are any."""
     return sum(array.nbytes for array in arrays if array is not None)
