@@ -269,7 +269,7 @@ def _adaptive_step(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
     if integrator(scene).hierarchical:
-        return Part(name, True, "a twentieth of the shortest orbit, by its motion at the pericentre, and max_dt")
+        return Part(name, True, "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies, and max_dt")
     if scene.time.accuracy is not None and not integrator(scene).controls_error:
         return Part(name, True, f"as fine as the accuracy takes, by {', '.join(_limits(scene)) or 'max_dt'}")
     if integrator(scene).controls_error:

@@ -22,10 +22,10 @@ and out of them for output. With x for h times the rate of change along the orbi
 each of which adds 2 b sinh(a x) in first order in ε; they agree with it up to x^{2 `STAGES` - 1}. Errors in
 ε² h² remain.
 
-The step is the shortest period over `STEPS_PER_TURN`, where the period is that of a circular motion with the angular
-speed at the pericentre (Wisdom 2015). When two bodies pass within `HILL_RADII` of their Hill radii, or one comes so
-close to the dominant one that the step no longer resolves its motion, the state before that step is handed to
-`GaussRadau15`, which integrates all bodies until they have parted.
+The step is the shortest period over `STEPS_PER_TURN`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
+that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
+`HILL_RADII` of their Hill radii, or one comes so close to the dominant one that the step no longer resolves its motion,
+the state before that step is handed to `GaussRadau15`, which integrates all bodies until they have parted.
 """
 
 from __future__ import annotations
@@ -54,6 +54,10 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 STEPS_PER_TURN = 20.0  # of the shortest orbit
+STEPS_OF_HEAVY = (
+    50.0  # of the orbit of a body above `HEAVY`, whose encounters err by the square of its mass and the step
+)
+HEAVY = 2e-5  # of the dominant body
 HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing
 PART_OF_GAP = 0.9  # of the distance between two orbits: within it, both have left them
@@ -268,8 +272,8 @@ class WisdomHolman:
         """Order the bodies, choose the step and take the present state as a new start."""
         orbits, conics = self._orbits, self._conics()
         order = np.argsort(conics.axis, kind="stable")
-        turn = float(conics.turn[order[1:]].min())
-        dt, self._limit = turn / STEPS_PER_TURN, "orbit"
+        steps = np.where(self._pull > HEAVY * self._pull[self._first], STEPS_OF_HEAVY, STEPS_PER_TURN)
+        dt, self._limit = float((conics.turn / steps)[order[1:]].min()), "orbit"
         if self._fixed_dt is not None:
             dt, self._limit = self._fixed_dt, "fixed"
         elif dt >= self._max_dt:
