@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property, reduce, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
@@ -16,20 +15,20 @@ from carom.physics.event import Event
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.body_states import bodies_at
+from carom.recording.read.body_table import BodyTable
 from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
+from carom.recording.read.entities import Entities, Values, values_of
 from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
 from carom.recording.read.summary import summary
-from carom.recording.read.tables import Column
 from carom.recording.read.trajectory import trajectory
 from carom.recording.rrd.index import Container
-from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk, Entry, Store
+from carom.recording.rrd.messages import RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.event_kinds import CLOSING, kind_of
-from carom.recording.schema.properties import checked
 from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import SIM_TIME, STEP
 
@@ -38,8 +37,6 @@ if TYPE_CHECKING:
     from carom.recording.read.window import Watcher
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
-
-_PROPERTIES = "__properties"
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -58,41 +55,6 @@ def _named(
     return reads
 
 
-@dataclass(frozen=True, slots=True)
-class BodyTable:
-    """The static properties of the bodies; called with a time, their exact state at that time."""
-
-    name: list[str]  # (n,)
-    group: NDArray[np.int64]  # (n,)
-    mass: NDArray[np.float64]  # (n,) kg
-    radius: NDArray[np.float64]  # (n,) m
-    inertia: NDArray[np.float64]  # (n,) kg m²
-    _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
-
-    def __call__(self, at: float | None = None) -> pa.Table:
-        """Return the state of all bodies at the end of the step that a time is in, in float64.
-
-        It is that of a checkpoint, or else of a replay from the checkpoint before.
-
-        Parameters
-        ----------
-        at
-            s, by default the moment of `Recording.moment`.
-
-        Returns
-        -------
-        states
-            Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
-            wx, wy, wz (rad/s). The metadata of its schema has the ``step``, the ``time`` (s) and the ``source``.
-
-        Raises
-        ------
-        RecordingError
-            If the time is not in the recording, or it cannot be run again.
-        """
-        return self._states(at)
-
-
 class Recording:
     """A recording on disk. Make one with :meth:`open`."""
 
@@ -100,7 +62,7 @@ class Recording:
         self.path = container.path
         self.finished = container.finished  # the file has its footer: the run closed it
         self.store = store
-        self._container = container
+        self._entities = Entities(container, store)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -126,31 +88,31 @@ class Recording:
     @_named
     def info(self) -> Mapping[str, Any]:
         """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
-        return self._property("carom")
+        return self._entities.properties("carom")
 
     @cached_property
     @_named
     def properties(self) -> Mapping[str, Any]:
         """The property `run`: versions, command, git, cpu and whatever else the caller added."""
-        return self._property("run")
+        return self._entities.properties("run")
 
     @cached_property
     @_named
     def parameters(self) -> Mapping[str, Any]:
         """The property `sweep`: the run's name in its sweep, and its varied values; empty for a single run."""
-        return self._property("sweep")
+        return self._entities.properties("sweep")
 
     @cached_property
     @_named
     def closing(self) -> Mapping[str, Any]:
         """The property `outcome`: how it ended; empty if the run was killed."""
-        return self._property("outcome")
+        return self._entities.properties("outcome")
 
     @cached_property
     @_named
     def arrow_references(self) -> Mapping[str, Any]:
         """The property `arrows`: reference magnitudes of the arrows."""
-        return self._property("arrows")
+        return self._entities.properties("arrows")
 
     @property
     def versions(self) -> dict[str, str]:
@@ -162,7 +124,7 @@ class Recording:
     @_named
     def clip(self) -> Mapping[str, Any]:
         """The property `clip`: where this piece was cut out; empty if it is a whole run."""
-        return self._property("clip")
+        return self._entities.properties("clip")
 
     @cached_property
     @_named
@@ -178,7 +140,7 @@ class Recording:
     @_named
     def is_overlay(self) -> bool:
         """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
-        return bool(self._property("diff") or self._property("tradeoff"))
+        return bool(self._entities.properties("diff") or self._entities.properties("tradeoff"))
 
     def refuse_overlay(self) -> None:
         """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""
@@ -208,13 +170,13 @@ class Recording:
     def scene_toml(self) -> str:
         """The scene, exactly as it was written."""
         self.refuse_overlay()
-        return str(self._static(paths.SCENE_TOML)["TextDocument:text"][0])
+        return str(self._entities.static(paths.SCENE_TOML)["TextDocument:text"][0])
 
     @cached_property
     @_named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time."""
-        stored, n = self._static(paths.STATIC_STATE), int(self.info["bodies"])
+        stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
         names, groups = stored["name"], np.asarray(stored["group"])
         if not isinstance(names, list) or len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
@@ -357,7 +319,7 @@ class Recording:
     @_named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
-        return self._table(paths.MOMENTUM, tables.MOMENTA)
+        return self._entities.table(paths.MOMENTUM, tables.MOMENTA)
 
     @_named
     def events(self) -> pa.Table:
@@ -365,7 +327,7 @@ class Recording:
 
         Recordings made before events had kinds say only of some, by their texts, which kind they are.
         """
-        table = self._table(paths.EVENTS, tables.EVENTS, optional=("kind",))
+        table = self._entities.table(paths.EVENTS, tables.EVENTS, optional=("kind",))
         table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
         told = zip(table["kind"].to_pylist(), table["text"].to_pylist(), strict=True)
         kinds = pa.array([kind_of(kind, text) for kind, text in told], pa.string())
@@ -402,7 +364,7 @@ class Recording:
     @_named
     def checkpoint_times(self) -> dict[int, float]:
         """Simulated times (s) of the checkpoints by step, rising; a clip's first may precede its frames."""
-        table = self._table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
+        table = self._entities.table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
         times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
         times |= {int(step): float(time) for step, time in rows}
@@ -433,11 +395,11 @@ class Recording:
             )
         return found
 
-    def _checkpoint_row(self, step: int) -> dict[str, NDArray[Any] | list[str]]:
-        for chunk in self._chunks_at(step, paths.CHECKPOINT):
+    def _checkpoint_row(self, step: int) -> dict[str, Values]:
+        for chunk in self._entities.chunks_at(step, paths.CHECKPOINT):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             if len(rows):
-                return {name: _values(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
+                return {name: values_of(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
         if self._start and int(self._start[STEP][0]) == step:
             return self._start
         raise RecordingError(f"{self.path} has no checkpoint at step {step}")
@@ -449,7 +411,7 @@ class Recording:
     @_named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
-        for chunk in self._chunks_at(step, paths.BODIES):
+        for chunk in self._entities.chunks_at(step, paths.BODIES):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
             for name in paths.CENTRES:
                 if len(rows) and name in chunk.components:
@@ -459,7 +421,7 @@ class Recording:
     @_named
     def drawn_box(self, path: str) -> NDArray[np.float64]:
         """Return the size of the walls or of the periodic box as drawn, (3,) m."""
-        half = np.asarray(self._static(path)["Boxes3D:half_sizes"], dtype=np.float64)
+        half = np.asarray(self._entities.static(path)["Boxes3D:half_sizes"], dtype=np.float64)
         if half.shape != (3,) or not np.all((half > 0.0) & np.isfinite(half)):
             raise DamageError(f"/{path} is not one box")
         return 2.0 * half
@@ -513,19 +475,19 @@ class Recording:
         show(self, Request(at, event, bodies), height)
 
     @cached_property
-    def _start(self) -> dict[str, NDArray[Any] | list[str]]:
-        return self._static(paths.START, required=False)
+    def _start(self) -> dict[str, Values]:
+        return self._entities.static(paths.START, required=False)
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        found = self._table(paths.FINGERPRINT, tables.FINGERPRINTS)
+        found = self._entities.table(paths.FINGERPRINT, tables.FINGERPRINTS)
         times = found["time"].to_numpy()
         if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
             raise DamageError("times that do not rise")
         return found
 
     def _states(self, path: str) -> pa.Table:
-        table = self._table(path, tables.STATES)
+        table = self._entities.table(path, tables.STATES)
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
@@ -538,7 +500,7 @@ class Recording:
         paths = {path.rsplit("/", 1)[1]: path for path in sorted(series) if path.startswith(f"{root}/")}
         parts: dict[str, pa.Table] = {}
         for name in names or paths:
-            chunks = self._chunks(paths[name], "Scalars:scalars") if name in paths else iter(())
+            chunks = self._entities.chunks(paths[name], "Scalars:scalars") if name in paths else iter(())
             found = tables.table(f"{root}/{name}", chunks, tables.SCALARS)
             if found.num_rows:
                 parts[name] = found
@@ -555,13 +517,9 @@ class Recording:
         places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
         return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
 
-    def _table(self, path: str, columns: Mapping[str, Column], optional: Sequence[str] = ()) -> pa.Table:
-        return tables.table(path, self._chunks(path), columns, optional)
-
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks one by one, unchanged."""
-        with reading(self.path):
-            yield from self._container.chunks(entries)
+        return self._entities.read(entries)
 
     def temporal_chunks(self) -> Iterator[Chunk]:
         """Read all chunks that are not static, unchanged."""
@@ -569,45 +527,4 @@ class Recording:
 
     def layout(self) -> list[Chunk]:
         """Read the chunks of the layout that it opens with; empty if there is none."""
-        layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
-        return list(self.chunks(layouts[-1].entries)) if layouts else []
-
-    def _chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks in order; with a component, those that have it."""
-        found = [entry for entry in self.store.entries if not entry.is_static and entry.entity_path == path]
-        for chunk in self.chunks(sorted(found, key=lambda entry: entry.first_step or 0)):
-            if component is None or component in chunk.components:
-                yield chunk
-
-    def _chunks_at(self, step: int, path: str) -> Iterator[Chunk]:
-        """Read those chunks of an entity that a step may be in."""
-        found = [entry for entry in self.store.entries if entry.entity_path == path and entry.holds(step)]
-        return self.chunks(found)
-
-    def _static(self, path: str, required: bool = True) -> dict[str, NDArray[Any] | list[str]]:
-        """Read the components of a static entity: arrays, or lists of texts."""
-        found: dict[str, NDArray[Any] | list[str]] = {}
-        for chunk in self.chunks([e for e in self.store.entries if e.is_static and e.entity_path == path]):
-            if chunk.batch.num_rows != 1:
-                raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which holds for all times")
-            found |= {name: _values(chunk.batch[name][0]) for name in chunk.components}
-        if not found and required:
-            raise RecordingError(f"{self.path} has no /{path}: it ended before the first frame was written")
-        return found
-
-    def _property(self, name: str) -> dict[str, Any]:
-        stored = self._static(f"{_PROPERTIES}/{name}", required=False)
-        lists = {key: list(values) if isinstance(values, list) else values.tolist() for key, values in stored.items()}
-        return checked(name, {key: values[0] if len(values) == 1 else values for key, values in lists.items()})
-
-
-def _values(row: pa.ListScalar) -> NDArray[Any] | list[str]:
-    """Copy one row of a component: an array, or a list of texts. DamageError if a value is missing."""
-    values = row.values
-    if values is None or values.null_count:
-        raise DamageError("a row without its values")
-    if pa.types.is_string(values.type):
-        return list(values.to_pylist())
-    while pa.types.is_nested(values.type):
-        values = values.flatten()
-    return np.array(values.to_numpy(zero_copy_only=False))
+        return self._entities.layout()
