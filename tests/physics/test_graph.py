@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.constraint_graph import (
     OVERFLOW,
@@ -18,6 +18,7 @@ from carom.physics.contact.constraint_graph import (
     colour_contacts,
 )
 from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
+from carom.physics.error import PhysicsError
 from examples import random_bodies, solver_of
 
 IntArray = NDArray[np.int64]
@@ -157,3 +158,8 @@ def test_in_a_periodic_box_the_nearest_image_is_touched() -> None:
     solver = solver_of(bodies, HierarchicalGrid(bodies.radius, box).pairs(bodies.position), [0.0, 0.0, 0.0], box)
     assert np.array_equal(solver.normals, [[-1.0, 0.0, 0.0]])
     assert np.allclose(solver.arms.sum(axis=1), 0.8, rtol=1e-15)
+
+
+def test_more_pairs_than_there_is_memory_for_are_reported_with_a_remedy() -> None:
+    with pytest.raises(PhysicsError, match=r"1e\+15 pairs of bodies may touch .* lower time.max_dt"):
+        _room_for(10**15)

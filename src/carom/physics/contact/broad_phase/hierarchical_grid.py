@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
+from carom.physics.error import PhysicsError
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
@@ -72,7 +73,7 @@ class HierarchicalGrid:
         table = self._cells.sort(position, scale, skin)
         m = self._find(table, self._cells.layout, scale, skin)
         if self._taken[0] > self._found.shape[1]:
-            self._found = np.empty((2, 3 * self._taken[0] // 2, 2), dtype=np.int64)
+            self._found = _room_for(int(self._taken[0]))
             m = self._find(table, self._cells.layout, scale, skin)
         return self._found[0, :m].copy()
 
@@ -83,6 +84,17 @@ class HierarchicalGrid:
         self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, taken, found)
         m: int = sort_pairs(taken[0], found, self._counts)
         return m
+
+
+def _room_for(pairs: int) -> IntArray:
+    """Return room for so many pairs and half as many again. PhysicsError if there is no memory for them."""
+    try:
+        return np.empty((2, 3 * pairs // 2, 2), dtype=np.int64)
+    except MemoryError as error:
+        raise PhysicsError(
+            f"{pairs:.3g} pairs of bodies may touch within one step, and a list of them needs {48e-9 * pairs:.3g} GB; "
+            "lower time.max_dt or time.fixed_dt, or move the bodies apart"
+        ) from error
 
 
 @long_kernel
