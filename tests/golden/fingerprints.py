@@ -51,6 +51,8 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "cloud-collapse": 35,
     "elastic-gas": 8,
     "planet-with-gravel": 10,
+    "golden/bounces": 200,
+    "golden/orbits": 120,
     "extremes/collapse-3": 80,
     "extremes/dense-gas": 25,
     "extremes/elastic-chain": 20,
