@@ -17,6 +17,7 @@ import numpy as np
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.islands import Islands, largest_coordinate, largest_square
 from carom.physics.contact.law import materials_of
@@ -27,6 +28,8 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.parallel.thread_team import SOLO, load_helpers
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
+from carom.recording.schema import palette
+from carom.recording.write import encoding_kernels as encoding
 from carom.scene.half_space import half_spaces
 from carom.scene.placement import place
 from carom.scene.schema import Scene
@@ -45,6 +48,7 @@ def compile_ahead() -> None:
     """Compile the kernels that most runs need, the last first: the two processes meet once, and neither waits."""
     scene = Scene.from_dict(POINTS)
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
+    _compile_encoding()
     _compile_second_steps(bodies)
     Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
@@ -58,6 +62,27 @@ def compile_ahead() -> None:
     tap.rows(solver.order.pairs, solver)
     solver.statistics()
     solver.compile_phases()
+
+
+def _compile_encoding() -> None:
+    """Compile what writes a batch of frames, for a batch without any."""
+    position, single, points = np.empty((0, 0, 3)), np.empty((0, 3), np.float32), np.empty((0, 0, 3), np.float32)
+    values, each, pairs = np.empty(0), np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    numbers, bytes_, scale = np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.float32)
+    rows, ends, strips = np.empty(0, CONTACT_ROW), np.empty((0, 2), np.uint32), np.empty((0, 6), np.float32)
+    white, box = np.uint32(palette.WHITE), np.zeros(3)
+    encoding.write_contacts(
+        *(each, pairs, each, rows, values, numbers, scale, ends, scale, scale, bytes_, numbers, scale)
+    )
+    encoding.middles(rows, each, values, values)
+    encoding.draw_edges(
+        *(each, pairs, np.empty((0, 3)), values, each, points, values, box, numbers, palette.SERIAL_STAGE, white),
+        *(strips, numbers, np.empty((0, 2))),
+    )
+    encoding.draw_arrows(position, each, numbers, values, points, values, values, 1.0, single, single)
+    encoding.turning(position, numbers, values, each)
+    encoding.cast_orientations(np.empty((0, 0, 4)), np.empty((0, 0, 4), np.float32))
+    encoding.cast_positions(position, box, points)
 
 
 def _compile_second_steps(bodies: Bodies) -> None:
