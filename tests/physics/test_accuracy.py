@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.experiment.run import kept_accuracy
+from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.look_ahead import settled
 from carom.physics.schedule import at
 from carom.physics.space import Space
@@ -254,3 +255,40 @@ def test_a_promise_without_an_accuracy_is_refused() -> None:
     text = "[promise]\nrefinement = 1.0\nuntil = 1.0\nlyapunov = 0.0\nerror = [0.0]\n[[body]]\n"
     with pytest.raises(SceneError, match=r"a \[promise\] without time.accuracy"):
         scene_from_text(text, "a scene")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [2, 6])
+def test_balls_that_pull_and_bounce_keep_to_the_event_driven_solution(index: int) -> None:
+    """Five balls that pull each other and bounce, beside the event-driven solution."""
+    rng = np.random.default_rng(index)
+    bodies: list[dict[str, Any]] = [
+        {
+            "position": (2.0 * np.array([k % 2, k // 2 % 2, k // 4]) + 0.8 * rng.random(3)).tolist(),
+            "velocity": (rng.random(3) - 0.5).tolist(),
+            "radius": 0.3,
+            "mass": 0.2,
+        }
+        for k in range(5)
+    ]
+    common: dict[str, Any] = {
+        "gravity": {"constant": 1.0},
+        "contact": {"restitution": 0.9, "static_friction": 0.3 * (index % 2)},
+    }
+    scene = scene_of(bodies, time={"duration": 6.0, "accuracy": 1e-4}, **common)
+    plain = scene_of(bodies, time={"duration": 6.0}, **common)
+    times = np.linspace(0.0, 6.0, 25)[1:]
+    exact = solve(Space(plain, 1), times, budget=20.0).trajectory
+    space = Space(scene, 1)
+    promise = space.scene.promise
+    assert promise is not None
+    start = space.state.position.copy()
+    size = math.sqrt(float(np.mean(np.sum((start - start.mean(axis=0)) ** 2, axis=1))))
+    for time, position in zip(exact.time, exact.position, strict=True):
+        if time > promise.kept_until:
+            break
+        for _ in space.run(float(time), schedule=at(())):
+            pass
+        error = math.sqrt(float(np.mean(np.sum((space.state.position - position) ** 2, axis=1)))) / size
+        assert error <= 1e-4, time
+    assert len(exact.time) > 2

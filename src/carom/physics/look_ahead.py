@@ -9,7 +9,7 @@ makes errors grow, contacts and chaos too. The runs begin with the longest usefu
 extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
 
 Chaos ends every promise. A twin run that starts displaced by `DISPLACEMENT` shows by which factor G(t) errors grow.
-Rounding alone makes an error of ρ G(t). The horizon is the time at which e(t) + ρ G(t) exceeds the accuracy. The
+Rounding alone makes an error of ρ G(t). The horizon is the time at which 2 e(t) + ρ G(t) exceeds the accuracy. The
 largest Lyapunov exponent is ln G(t) / t, at the end or when the twins are `APART`.
 """
 
@@ -26,7 +26,6 @@ from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at
 from carom.plan.auto import integrator
 from carom.plan.features import require
-from carom.plan.step_limits import coarsest_refinement
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.placement import Start, place
@@ -35,7 +34,9 @@ from carom.scene.schema import Promise, Scene
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 64  # times at which runs are compared
+LONGEST = 1.0  # refinement of the longest useful steps
 SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
+MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
 FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
 TRIED = 2  # comparisons before an order is believed
 BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
@@ -123,9 +124,8 @@ class _LookAhead:
         if integrator(self._scene).controls_error:
             return self._settle_radau()
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
-            refinement = coarsest_refinement(self._scene)
-            growth = self._growth(self._run(refinement))
-            return self._promise(refinement, self._rounding * growth.factor, growth)
+            growth = self._growth(self._run(LONGEST))
+            return self._promise(LONGEST, self._rounding * growth.factor, growth)
         return self._settle_steps()
 
     def _settle_radau(self) -> Scene:
@@ -136,7 +136,7 @@ class _LookAhead:
         return self._promise(chosen, errors[chosen], growth)
 
     def _settle_steps(self) -> Scene:
-        refinement = coarsest_refinement(self._scene)
+        refinement = LONGEST
         coarse, apart, idle = self._run(refinement), list[FloatArray](), 0
         while True:
             refinement *= 2.0
@@ -148,7 +148,7 @@ class _LookAhead:
                 break
             coarse = fine
         growth = self._growth(fine if chosen >= 0 else coarse)
-        return self._promise(refinement * 2.0**chosen, error + self._rounding * growth.factor, growth)
+        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * growth.factor, growth)
 
     def _stays(self, apart: list[FloatArray], kept: float) -> bool:
         """Tell whether the last halving hardly changed the distance where the accuracy is not kept any more."""

@@ -261,7 +261,7 @@ def _accuracy(scene: Scene) -> Part:
     if promise is None:
         return Part(name, True, f"time.accuracy = {scene.time.accuracy:g}: the step follows from runs ahead")
     kept = "to the end" if promise.horizon is None else f"up to t = {promise.horizon:.4g} s"
-    return Part(name, True, f"steps {promise.refinement:g} times as fine as automatic ones; kept {kept}")
+    return Part(name, True, f"steps refined {promise.refinement:.3g} times; kept {kept}")
 
 
 def _adaptive_step(scene: Scene) -> Part:

@@ -23,7 +23,6 @@ HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolli
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
-COARSEST = 2.0**-10  # automatic steps over the longest that an accuracy may ask for
 WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
 
 
@@ -55,47 +54,28 @@ def step_limits(scene: Scene) -> StepLimits:
     )
 
 
-def coarsest_refinement(scene: Scene) -> float:
-    """Return the power of two at which every limit is at its widest, or the next smaller one."""
-    stride = max(limit / (narrow or math.inf) for limit, narrow in _widest(scene))
-    refinement = 1.0
-    while refinement * stride > 1.0 and refinement > COARSEST:
-        refinement /= 2.0
-    return refinement
-
-
-def _widest(scene: Scene) -> tuple[tuple[float, float | None], ...]:
-    """Return pairs of the widest and the automatic limit, both as lengths of a step; None where there is no limit."""
-    reach = target_dx(scene)
-    fall = None if reach is None else math.sqrt(reach / smallest_radius(scene))
-    return (FREE_CFL, cfl(scene)), (WIDEST_FALL, fall), (WIDEST_PULL, pull_fraction(scene))
-
-
 def accurate_limits(scene: Scene, refinement: float) -> StepLimits:
-    """Return limits for steps so many times shorter than automatic ones, where impacts happen at their own times.
+    """Return limits for steps so many times shorter than the longest useful ones, with impacts at their own times.
 
-    No step is longer than the interval between the frames of an automatic recording.
+    Every limit shrinks alike, so that runs with different refinements differ wherever the step matters. No step is
+    longer than the interval between the frames of an automatic recording.
     """
-
-    def finer(limit: float | None, widest: float) -> float | None:
-        return None if limit is None else min(limit / refinement, widest)
-
-    (widest_cfl, part), (widest_fall, fall), (widest_pull, pull) = _widest(scene)
-    fall, rest, radius = finer(fall, widest_fall), held_dx(scene), smallest_radius(scene)
+    touches = cfl(scene) is not None
     return StepLimits(
-        max_dt=min(scene.time.max_dt, scene.time.max_dt / refinement, auto_interval(scene)),
-        cfl=finer(part, widest_cfl),
-        target_dx=None if fall is None else fall * fall * radius,
-        held_dx=None if rest is None else min(rest / refinement**2, WIDEST_FALL**2 * radius),
-        held_part=min(HELD_PART / refinement, WIDEST_HELD_PART),
-        pull_fraction=finer(pull, widest_pull),
+        max_dt=min(scene.time.max_dt, auto_interval(scene)) / refinement,
+        cfl=FREE_CFL / refinement if touches else None,
+        target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
+        held_dx=None,
+        held_part=HELD_PART,
+        pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL / refinement,
         smoothing=1.0,
     )
 
 
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
     """Return limits for steps up to ``stride`` times longer, as far as contacts are still found and orbits kept."""
-    stride /= scene.refinement
+    if scene.promise is not None:
+        return accurate_limits(scene, scene.promise.refinement / stride)
 
     def wider(limit: float | None, widest: float) -> float | None:
         return None if limit is None else min(stride * limit, max(limit, widest))

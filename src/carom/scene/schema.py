@@ -142,7 +142,9 @@ class Time(Section):
 class Promise(Section):
     """[promise]: what a run needs to keep time.accuracy; carom finds it and writes it into the recorded scene."""
 
-    refinement: Positive = Field(description="automatic steps over those of the run; more than 0")
+    refinement: Positive = Field(
+        description="longest useful steps over those of the run; for gauss-radau15, its usual ones; more than 0"
+    )
     until: Positive = Field(description="s, the part of the run that was looked ahead; more than 0")
     horizon: NonNegative | None = Field(
         None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
@@ -614,7 +616,7 @@ class Scene(Section):
 
     @property
     def refinement(self) -> float:
-        """Automatic steps over those that the accuracy takes; 1 where none is asked for."""
+        """The refinement that the accuracy takes; 1 where none is asked for."""
         return 1.0 if self.promise is None else self.promise.refinement
 
     @property
