@@ -33,7 +33,7 @@ from carom.recording.write.stream import Stream
 
 FloatArray = NDArray[np.float64]
 
-_BATCH_BYTES = 4_000_000  # a batch costs 2 to 7 ms besides its data, whatever its size
+_BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
