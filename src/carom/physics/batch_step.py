@@ -124,7 +124,8 @@ class BatchStepper:
             if batch.meeting:
                 contact.strike(batch.meeting.ends, clock.dt)
             contact.end_flight(clock.dt, world.profile)
-        clock.foresee("error" if clock.limit == "end" else clock.limit, batch.steps)  # the end is not the scene's limit
+        # an end or an impact cuts one step, and is no limit of the scene
+        clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")
         due = goal.is_reached(clock)
         checked = checked or due or clock.step % every == 0

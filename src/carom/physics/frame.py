@@ -98,7 +98,7 @@ class Frame:
     step: int
     time: float  # s
     dt: float  # s, the step that led here; 0 at step 0
-    dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "cap", "growth", "fixed", "end" or "start"
+    dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field

@@ -46,6 +46,7 @@ DT_LIMITS = {
     "velocity": ORANGE,
     "pull": VERMILION,
     "error": VERMILION,
+    "impact": YELLOW,
     "cap": SKY,
     "growth": YELLOW,
     "fixed": BLUE,
