@@ -74,14 +74,14 @@ def conditioned(x: FloatArray, v: FloatArray, h: float, place: FloatArray) -> fl
     return found
 
 
-ECCENTRICITIES = (0.0, 1e-8, 0.05, 0.5, 0.9, 0.99, 0.9999, 1.0001, 1.5, 100.0)
+ECCENTRICITIES = (0.0, 0.05, 0.9, 0.9999, 1.0001, 100.0)
 
 
 @pytest.mark.parametrize("e", ECCENTRICITIES)
 def test_a_step_of_any_length_is_exact_to_rounding_on_any_conic(e: float) -> None:
     rng = np.random.default_rng(5)
     widest = np.pi if e < 1.0 else 0.9 * np.arccos(-1.0 / e)
-    for _ in range(6):
+    for _ in range(3):
         x, v = at_anomaly(e, rng.uniform(-widest, widest))
         h = float(rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-3.0, 1.5))
         place, moved, turned = exact(x, v, h), x[None].copy(), v[None].copy()
