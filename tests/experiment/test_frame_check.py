@@ -142,3 +142,16 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
         clip(whole, tmp_path / "clip.rrd", later + 0.05, 1.0, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
         assert part.same and part.compared == part.frames > 2
+
+
+@pytest.mark.parametrize("every", ["step", 0.05])
+def test_a_clip_replays_wherever_it_begins(every: str | float, tmp_path: Path) -> None:
+    scene = cloud(12, time={"duration": 1.0, "max_dt": 0.02}, record={"every": every, "impacts": "all"})
+    run = carom.run(scene, tmp_path / "run.rrd")
+    times = run.fingerprints()["time"].to_numpy()
+    hit = set(run.impacts()["step"].to_pylist()) & set(run.fingerprints()["step"].to_pylist())
+    assert hit or every != "step", "a clip begins with a step that has impacts"
+    for first in range(1, len(times) - 2, max(1, len(times) // 12)):
+        clip(run.path, tmp_path / "clip.rrd", times[first], times[-1])
+        checked = replay(Recording.open(tmp_path / "clip.rrd"))
+        assert checked.same, f"from frame {first}: {checked.difference}"

@@ -28,6 +28,7 @@ from carom.recording.write.impact_plan import largest
 from carom.recording.write.impact_rows import impact_rows
 
 LEFT_OUT = "impacts that the recording leaves out, and whether they should be (it has the largest between two frames)"
+FIRST_BODIES = "bodies drawn at impacts before the first frame"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
 IntArray = NDArray[np.int64]
@@ -70,6 +71,7 @@ class ImpactCheck:
         self._clock = Clock(float(recording.info["time_scale"]))
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
         steps = recording.fingerprints()[STEP]
+        self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         if self._leaves_out:
@@ -106,12 +108,12 @@ class ImpactCheck:
     def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
         recorded = _within(self._numbers, interval)
         own = self._numbers[recorded]
-        if self._few:
+        if self._few or (self._leaves_out and interval.before is None):
             chosen = np.flatnonzero(np.isin(interval.numbers, own))
         elif self._leaves_out:
             chosen = largest(interval.impacts, max(1, len(own)))
         else:
-            chosen = np.arange(len(interval.impacts))
+            chosen = np.flatnonzero(interval.impacts["step"] >= self._first_step)
         numbers, impacts = interval.numbers[chosen], interval.impacts[chosen]
         if not np.array_equal(numbers, own):
             return _other_choice(interval.frame.step, paths.IMPACTS, own, numbers)
@@ -128,6 +130,9 @@ class ImpactCheck:
         drawn = _within(self._drawn_at, interval)
         own = self._drawn_at[drawn]
         if not len(own):
+            return None
+        if interval.before is None and interval.frame.step > 0:
+            self.skipped[FIRST_BODIES] = None
             return None
         recorded = self._numbers[_within(self._numbers, interval)]
         expected = recorded[np.isin(recorded, own)] if self._few else recorded[: len(own)]
