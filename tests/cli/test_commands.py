@@ -260,6 +260,7 @@ def test_a_copy_of_a_bundled_scene_keeps_its_comments(tmp_path: Path) -> None:
     assert "Look for" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_without_a_cache_the_command_says_that_it_compiles(tmp_path: Path) -> None:
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     # A free body needs the fewest kernels.

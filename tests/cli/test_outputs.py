@@ -70,6 +70,7 @@ def test_a_name_of_300_characters_is_one_sentence(command: list[str], tmp_path: 
     assert "File name too long" in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_recording_that_is_removed_under_way_ends_its_run_and_says_so(tmp_path: Path) -> None:
     path = tmp_path / "x.rrd"
     run = subprocess.Popen(

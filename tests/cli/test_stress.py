@@ -76,6 +76,7 @@ def test_a_mistake_is_one_message_and_exit_code_2(arguments: list[str], said: st
     assert said in done.stderr and "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_what_is_done_so_far(tmp_path: Path) -> None:
     run = subprocess.Popen(
         [sys.executable, "-m", "carom", "stress", "-o", "out"],

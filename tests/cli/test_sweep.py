@@ -94,6 +94,7 @@ def test_the_table_has_a_row_a_run_as_parquet_and_as_csv(
         assert [row["fingerprint"] for row in csv.DictReader(file)] == table["fingerprint"].to_pylist()
 
 
+@pytest.mark.slow
 def test_running_again_tries_only_what_failed(swept: Path) -> None:
     kept = {path: path.stat().st_ino for path in (swept / "out" / "runs").iterdir()}
     lost = swept / "out" / "runs" / f"{BOUNCY}.rrd"
@@ -177,6 +178,7 @@ def test_a_figure_is_drawn_of_one_column_over_another(swept: Path) -> None:
     assert str(path.relative_to(swept)) in drawn.stdout and path.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
     first: tuple[Path, subprocess.CompletedProcess[str]],
     monkeypatch: pytest.MonkeyPatch,

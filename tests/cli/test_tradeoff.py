@@ -59,6 +59,7 @@ def test_a_mistake_is_one_message_and_nothing_is_run(arguments: tuple[str, ...],
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_interrupt_key_keeps_what_is_done_and_the_command_goes_on_with_it(tmp_path: Path) -> None:
     short = ("--set", "time.duration=1.0")
     arguments = ("tradeoff", "figure-eight", *short, "--vary", "step=4,2,1,0.5", "-o", "study", "--repeats")

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from carom.recording.read.recording import Recording
 from command import carom, carom_process
 
@@ -79,6 +81,7 @@ def test_a_resumed_recording_survives_a_second_resume_and_a_killed_one(tmp_path:
     assert [path.name for path in tmp_path.iterdir()] == ["x.rrd"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_during_a_resume_leaves_the_recording_as_it_was(tmp_path: Path) -> None:
     run = tmp_path / "x.rrd"
     assert carom("run", "elastic-gas", "--set", "time.duration=1", "-o", "x.rrd", cwd=tmp_path).returncode == 0

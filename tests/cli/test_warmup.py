@@ -28,6 +28,7 @@ def kernels() -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_warmup_says_where_the_kernels_are(tmp_path: Path) -> None:
     warmth = json.loads(command("warmup", "--json", cwd=tmp_path).stdout)
     assert warmth["seconds"] > 0.0 and list(Path(warmth["cache"]).glob("*.nbc"))

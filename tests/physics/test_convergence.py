@@ -65,6 +65,7 @@ def test_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(co
         assert np.abs(space.state.velocity).max() <= 1e-3  # m/s: it has come to rest
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, derandomize=True)
 @given(
     masses=st.lists(st.floats(-3, 6).map(lambda power: 10.0**power), min_size=2, max_size=7),

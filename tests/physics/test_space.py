@@ -162,6 +162,7 @@ def gas(duration: float, count: int = 300, **contact: Any) -> Scene:
     )
 
 
+@pytest.mark.slow
 def test_an_elastic_gas_keeps_its_kinetic_energy_through_100000_collisions() -> None:
     space = Space(gas(duration=160.0))
     before = space.energy().translational

@@ -83,6 +83,7 @@ def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
         assert np.array_equal(found[0], many)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_takes_a_bed_to_the_same_bits() -> None:
     # Columns and rows of spheres that touch, on a floor, in a field that leans: enough contacts that all is shared out.
     site = np.stack(np.meshgrid(np.arange(40), np.arange(30), np.arange(6), indexing="ij"), axis=-1).reshape(-1, 3)

@@ -15,7 +15,7 @@ from rerun.notebook import Viewer
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import (
     StoredLayout,
@@ -114,7 +114,8 @@ def test_a_file_sink_writes_into_a_pipe_and_closes_it_when_it_is_disconnected(tm
     stream.set_sinks(rr.FileSink(sink.entry))
     sink.opened()
     steps = np.arange(100)
-    stream.send_columns("a", [rr.TimeColumn(STEP, sequence=steps)], rr.Scalars.columns(scalars=np.sqrt(steps)))
+    times = [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=steps)]
+    stream.send_columns("a", times, rr.Scalars.columns(scalars=np.sqrt(steps)))
     stream.flush(timeout_sec=60.0)
     sink.settle()
     assert sink.written == (tmp_path / "x.rrd").stat().st_size > 800  # what was flushed is in the file
