@@ -16,4 +16,5 @@ def in_words(outcome: str) -> str:
 def accuracy_text(accuracy: Mapping[str, float]) -> str:
     """Say whether a run kept its accuracy; for the keys see `carom.experiment.run.kept_accuracy`."""
     until = f"up to t = {accuracy['horizon']:.6g} s only" if "horizon" in accuracy else "to the end"
-    return f"{accuracy['requested']:g} kept {until}; largest Lyapunov exponent {accuracy['lyapunov']:.3g} / s"
+    exponent = f"largest Lyapunov exponent over that time {accuracy['lyapunov']:.3g} / s"
+    return f"{accuracy['requested']:g} kept {until}; {exponent}"
