@@ -20,5 +20,5 @@ def test_messages_come_out_whole_however_the_stream_is_cut(size: int) -> None:
 
 def test_a_torn_message_is_held_back() -> None:
     splitter = MessageSplitter()
-    assert splitter.feed(HEADER + MESSAGES[0] + MESSAGES[2][:-1]) == [HEADER, MESSAGES[0]]
-    assert splitter.feed(MESSAGES[2][-1:]) == [MESSAGES[2]]
+    assert list(splitter.feed(HEADER + MESSAGES[0] + MESSAGES[2][:-1])) == [HEADER, MESSAGES[0]]
+    assert list(splitter.feed(MESSAGES[2][-1:])) == [MESSAGES[2]]

@@ -52,6 +52,8 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
+            if received():  # a library that was being imported caught the exception
+                raise KeyboardInterrupt
             known = (signal.SIG_DFL, signal.default_int_handler, _raise)
             for number in (signal.SIGINT, *ENDING):
                 if signal.getsignal(number) in known:

@@ -60,6 +60,23 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.2, "max_dt": 0.02},
         "expect": {"contact_audit": 1e-12},
     },
+    "impacts found on polynomials": {
+        "body": [{"position": [-1.2, 0.0, 0.0], "mass": 1.0}, {"position": [1.2, 0.1, 0.0], "mass": 1.0}],
+        "plane": [{"point": [0.0, 0.0, -1.5]}],
+        "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
+        "contact": {"restitution": 1.0},
+        "time": {"duration": 3.0, "max_dt": 1.0, "integrator": "gauss-radau15"},
+    },
+    "planets that pass each other": {
+        "body": [
+            {"position": [0.0, 0.0, 0.0], "mass": 1.0},
+            {"position": [1.0, 0.0, 0.0], "velocity": [0.0, 1.0, 0.0], "mass": 1e-5},
+            {"position": [0.92, 0.5, 0.0], "velocity": [-0.466, 0.858, 0.0], "mass": 1e-5},
+        ],
+        "gravity": {"constant": 1.0},
+        "contact": {"enabled": False, "allow_overlap": True},
+        "time": {"duration": 8.0, "max_dt": 1.0, "integrator": "wisdom-holman"},
+    },
     "a pile in a wind, and what falls on it": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],

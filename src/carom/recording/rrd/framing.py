@@ -126,14 +126,24 @@ class MessageSplitter:
         self._in_messages = False
         self._ended = False
 
-    def feed(self, piece: bytes) -> list[bytes]:
+    def feed(self, piece: bytes | memoryview) -> Iterator[bytes]:
         """Add a piece; yield every message that it completes."""
+        self.add(piece)
+        while (message := self.take()) is not None:
+            yield message
+
+    def add(self, piece: bytes | memoryview) -> None:
+        """Add a piece; after a MemoryError it may be added again."""
         self._pending += piece
-        whole: list[bytes] = []
-        while (length := self._next_length()) is not None and length <= len(self._pending):
-            whole.append(bytes(self._pending[:length]))
-            del self._pending[:length]
-        return whole
+
+    def take(self) -> bytes | None:
+        """Return the next message, None if it is not complete; after a MemoryError it may be taken again."""
+        length = self._next_length()
+        if length is None or length > len(self._pending):
+            return None
+        message = bytes(memoryview(self._pending)[:length])
+        del self._pending[:length]
+        return message
 
     def _next_length(self) -> int | None:
         """Size of the next message in bytes; None if too little of it has arrived."""

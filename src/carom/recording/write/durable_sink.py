@@ -10,18 +10,24 @@ from __future__ import annotations
 import array
 import errno
 import fcntl
+import mmap
 import os
 import resource
 import select
 import termios
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 from carom.recording.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 from carom.recording.write.disk_reserve import DiskReserve
 
+Result = TypeVar("Result")
+
+_SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
 _PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
 _POLL = 0.0005  # s
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
@@ -48,6 +54,8 @@ class DurableSink:
         soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()
+        self._spare = mmap.mmap(-1, _SPARE)
+        self._piece = memoryview(bytearray(_PIPE))  # taken now: later there may be no memory for it
         self._turn = threading.Lock()
         self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
@@ -91,6 +99,7 @@ class DurableSink:
         self._thread.join()
         os.close(self._source)
         self._reserve.release()
+        self._spare.close()
         try:
             os.fsync(self._file)
         except OSError as error:
@@ -98,20 +107,33 @@ class DurableSink:
         os.close(self._file)
 
     def _copy(self) -> None:
-        while True:
+        size = 1
+        while size:
             select.select([self._source], [], [])
-            with (
-                self._turn
-            ):  # read and write under one lock: `settle` may then conclude from an empty pipe that all is written
-                piece = os.read(self._source, _PIPE)
-                for message in self._splitter.feed(piece):
-                    self._write(message)
-            if not piece:
-                return
+            with self._turn:  # `settle` may then conclude from an empty pipe that all is written
+                size = os.readv(self._source, [self._piece])
+                if self.error is None:  # or else drain the pipe: Rerun's sink would block for ever
+                    self._write_whole(self._piece[:size])
+
+    def _write_whole(self, piece: memoryview) -> None:
+        """Write the messages that a piece completes; without memory for them, once more with that kept for it."""
+        try:
+            self._retried(lambda: self._splitter.add(piece))
+            while (message := self._retried(self._splitter.take)) is not None:
+                self._write(message)
+        except MemoryError:
+            self.error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    def _retried(self, work: Callable[[], Result]) -> Result:
+        try:
+            return work()
+        except MemoryError:
+            self._spare.close()
+            return work()
 
     def _write(self, message: bytes) -> None:
-        if self.error is not None:
-            return  # keep draining the pipe, or Rerun's sink would block for ever
+        if self.error is not None:  # of a message before
+            return
         if self._limit is not None and self.written + len(message) > self._limit - self._reserve.size:
             self._use_reserve()  # treat a file size limit like a full disk, before it is reached
         rest = memoryview(message)
