@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.schedule import at
 from carom.physics.space import Space
-from carom.scene.schema import Scene
-from few_bodies import Problem, Run, energy_error, planets
+from few_bodies import Problem, Run, energy_error, planets, scene_of
 
 FloatArray = NDArray[np.float64]
 Solver = Callable[[Problem, float], Run]  # with a step
@@ -90,18 +89,8 @@ def with_carom(integrator: str, *, own_step: bool = False, **keys: str) -> Solve
     """Return a solver by an integrator of carom, which may choose its step."""
 
     def solve(problem: Problem, dt: float) -> Run:
-        rows = zip(problem.mass.tolist(), problem.position.tolist(), problem.velocity.tolist(), strict=True)
         steps = {} if own_step else {"fixed_dt": dt}
-        scene = Scene.from_dict(
-            {
-                "time": {"duration": problem.duration, "max_dt": 1e9, "integrator": integrator, **steps, **keys},
-                "gravity": {"constant": 1.0},
-                "contact": {"enabled": False},
-                "record": {"check_every": 1_000_000},
-                "body": [{"mass": m, "position": x, "velocity": v, "radius": 1e-9} for m, x, v in rows],
-            }
-        )
-        space = Space(scene, threads=1)
+        space = Space(scene_of(problem, integrator=integrator, **steps, **keys), threads=1)
         began = time.process_time()
         for _ in space.run(schedule=at(())):
             pass
