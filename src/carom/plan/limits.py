@@ -100,9 +100,8 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
         raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"')
     if gravity_method(scene) == "tree":
         raise SceneError(f'{name} with gravity.method = "tree", whose error it cannot control; set "direct"')
-    for key in ("target_dx", "cfl", "pull_fraction"):
-        if getattr(scene.time, key) != "auto":
-            raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
+    if key := _limit_of_steps(scene):
+        raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
 
 
 def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
@@ -127,9 +126,13 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
         raise SceneError(f'{name} with gravity.method = "tree": it sums all pairs; set "direct"')
     if why := why_no_hierarchy(scene):
         raise SceneError(f"{name} {why}")
-    for key in ("target_dx", "cfl", "pull_fraction"):
-        if getattr(scene.time, key) != "auto":
-            raise SceneError(f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead")
+    if key := _limit_of_steps(scene):
+        raise SceneError(f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead")
+
+
+def _limit_of_steps(scene: Scene) -> str:
+    """Return the first key that limits the steps of kicks and drifts; empty if none is given."""
+    return next((key for key in ("target_dx", "cfl", "pull_fraction") if getattr(scene.time, key) != "auto"), "")
 
 
 def _refuse_narrow_box(scene: Scene) -> None:

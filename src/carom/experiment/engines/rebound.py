@@ -17,6 +17,7 @@ from carom.experiment.work_precision.settings_grid import STEPS, Setting
 from carom.experiment.work_precision.trajectory import FloatArray, IntArray, Trajectory
 from carom.physics.space import Space
 from carom.plan.features import require
+from carom.plan.hierarchy import DOMINANT
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 
@@ -26,7 +27,6 @@ OLDEST = 5  # major version; earlier ones name the settings of integrators other
 ANY = ("leapfrog",)  # with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # unless asked to end every step with a state that can be read
-DOMINANT = 0.99  # of the whole mass
 PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
 
 
