@@ -10,15 +10,21 @@ END = struct.pack("<QQ", 0, 4) + b"foot"
 STREAM_FOOTER = b"RRF2FOOT".rjust(32, b".")
 
 
+def fed(splitter: MessageSplitter, piece: bytes) -> list[bytes]:
+    """Add a piece; return every message that it completes."""
+    splitter.add(piece)
+    return list(iter(splitter.take, None))
+
+
 @pytest.mark.parametrize("size", [1, 7, 16, 100_000])
 def test_messages_come_out_whole_however_the_stream_is_cut(size: int) -> None:
     stream = HEADER + b"".join(MESSAGES) + END + STREAM_FOOTER
     splitter = MessageSplitter()
-    whole = [m for start in range(0, len(stream), size) for m in splitter.feed(stream[start : start + size])]
+    whole = [m for start in range(0, len(stream), size) for m in fed(splitter, stream[start : start + size])]
     assert whole == [HEADER, *MESSAGES, END, STREAM_FOOTER]
 
 
 def test_a_torn_message_is_held_back() -> None:
     splitter = MessageSplitter()
-    assert list(splitter.feed(HEADER + MESSAGES[0] + MESSAGES[2][:-1])) == [HEADER, MESSAGES[0]]
-    assert list(splitter.feed(MESSAGES[2][-1:])) == [MESSAGES[2]]
+    assert fed(splitter, HEADER + MESSAGES[0] + MESSAGES[2][:-1]) == [HEADER, MESSAGES[0]]
+    assert fed(splitter, MESSAGES[2][-1:]) == [MESSAGES[2]]

@@ -24,11 +24,24 @@ FloatArray = NDArray[np.float64]
 class Snapshot:
     """All bodies at the end of a step, in float64 and SI units."""
 
-    step: int
-    time: float  # s
+    state: Checkpoint
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
-    vectors: dict[str, FloatArray]  # (n, k) by quantity; without orientation and spin where they are not modelled
+
+    @property
+    def step(self) -> int:
+        """The number of the step."""
+        return self.state.step
+
+    @property
+    def time(self) -> float:
+        """The time at its end in s."""
+        return self.state.time
+
+    @property
+    def vectors(self) -> dict[str, FloatArray]:
+        """The state by quantity, (n, k) each; without orientation and spin where they are not modelled."""
+        return {name: getattr(self.state, name) for name in AXES if getattr(self.state, name) is not None}
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -53,6 +66,7 @@ def snapshots(
     moment = float(times[0]) if everything else recording.moment(at)
     goal = min(moment - tolerance(moment), float(times[-1]))
     window = Window(recording, goal, watch=watch)
+    mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)
     chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
@@ -60,12 +74,6 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
         left -= 1
-        yield _snapshot(recording, frame.checkpoint)
+        yield Snapshot(frame.checkpoint, mass, radius)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
-
-
-def _snapshot(recording: Recording, state: Checkpoint) -> Snapshot:
-    bodies = recording.bodies
-    vectors = {name: getattr(state, name) for name in AXES if getattr(state, name) is not None}
-    return Snapshot(state.step, state.time, np.asarray(bodies.mass), np.asarray(bodies.radius), vectors)

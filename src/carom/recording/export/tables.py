@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,22 +12,22 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
 from carom.recording.export.snapshot import Snapshot
-from carom.recording.read.body_states import AXES
+from carom.recording.read.body_states import state_table
 
 
 def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write a Parquet file, a row group for each step."""
-    table = table_of(first)
-    with pq.ParquetWriter(path, table.schema) as writer:
-        writer.write_table(table)
-        for snapshot in others:
-            writer.write_table(table_of(snapshot))
+    _write(pq.ParquetWriter, path, first, others)
 
 
 def write_csv(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write a CSV file with a header; numbers keep all their digits."""
+    _write(pc.CSVWriter, path, first, others)
+
+
+def _write(writer_of: Callable[..., Any], path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     table = table_of(first)
-    with pc.CSVWriter(path, table.schema) as writer:
+    with writer_of(path, table.schema) as writer:
         writer.write_table(table)
         for snapshot in others:
             writer.write_table(table_of(snapshot))
@@ -34,14 +35,8 @@ def write_csv(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
 
 def table_of(snapshot: Snapshot) -> pa.Table:
     """Tabulate a snapshot."""
-    n = len(snapshot)
-    columns = {
-        "step": np.full(n, snapshot.step),
-        "time": np.full(n, snapshot.time),
-        "body": np.arange(n),
-        "mass": snapshot.mass,
-        "radius": snapshot.radius,
-    }
-    for name, values in snapshot.vectors.items():
-        columns |= dict(zip(AXES[name], np.ascontiguousarray(values.T), strict=True))
-    return pa.table(columns)
+    table = state_table([snapshot.state], slice(None))
+    own = {"body": np.arange(len(snapshot)), "mass": snapshot.mass, "radius": snapshot.radius}
+    for place, (name, values) in enumerate(own.items(), start=2):  # after step and time
+        table = table.add_column(place, name, pa.array(values))
+    return table

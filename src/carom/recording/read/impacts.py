@@ -57,22 +57,17 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int]
     RecordingError
         If it is not recorded; the message says which numbers are.
     """
-    found: list[int] = []
-    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    numbers, table = impacts_by_number(recording)
+    found = np.flatnonzero(numbers == number)
+    if not len(found):
+        has = (
+            f"its impacts have numbers from {numbers[0]} to {numbers[-1]}" if len(numbers) else "it records no impacts"
+        )
+        raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
     with reading(recording.path):
-        for chunk in recording.chunks(entries):
-            if IMPACT not in chunk.batch.schema.names:
-                continue
-            numbers = chunk.batch[IMPACT].to_numpy()
-            found += numbers[:1].tolist() + numbers[-1:].tolist()
-            row = np.flatnonzero(numbers == number)
-            if len(row):
-                time = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * (1e-9 * float(recording.info["time_scale"]))
-                at = int(row[0])
-                pair = _table(recording, chunk, time).slice(at, 1)
-                return float(time[at]), int(pair["i"][0].as_py()), int(pair["j"][0].as_py())
-    has = f"its impacts have numbers from {min(found)} to {max(found)}" if found else "it records no impacts"
-    raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
+        chunk = Chunk(paths.IMPACTS, table.slice(int(found[0]), 1).to_batches()[0])
+        row = _table(recording, chunk, _times(recording, chunk)).to_pylist()[0]
+    return row["time"], row["i"], row["j"]
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
@@ -156,19 +151,24 @@ def _interval(recording: Recording, start: float | None, end: float | None) -> t
 
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
-    scale = 1e-9 * float(recording.info["time_scale"])
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
         if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):
             raise DamageError(f"rows of /{paths.IMPACTS} that are not in the order of their numbers")
         before = int(numbers[-1])
-        time = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
+        time = _times(recording, chunk)
         if len(time) and time[0] <= last and time[-1] >= first:
             table = _table(recording, chunk, time)
             found.append(table.filter(pa.array((time >= first) & (time <= last))))
     told = impacts_until(recording, int(recording.fingerprints()[STEP][-1].as_py()))
     return pa.concat_tables(found).replace_schema_metadata({"source": "recorded", "left_out": str(told.left_out)})
+
+
+def _times(recording: Recording, chunk: Chunk) -> NDArray[np.float64]:
+    """Return the times of the rows of a chunk, in s."""
+    scale = 1e-9 * float(recording.info["time_scale"])
+    return np.asarray(chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale)
 
 
 def _table(recording: Recording, chunk: Chunk, time: NDArray[np.float64]) -> pa.Table:

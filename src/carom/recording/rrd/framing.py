@@ -126,12 +126,6 @@ class MessageSplitter:
         self._in_messages = False
         self._ended = False
 
-    def feed(self, piece: bytes | memoryview) -> Iterator[bytes]:
-        """Add a piece; yield every message that it completes."""
-        self.add(piece)
-        while (message := self.take()) is not None:
-            yield message
-
     def add(self, piece: bytes | memoryview) -> None:
         """Add a piece; after a MemoryError it may be added again."""
         self._pending += piece
