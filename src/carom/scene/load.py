@@ -23,7 +23,8 @@ from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, other_name
-from carom.scene.schema import ABOUT_THE_END, Scene, Time
+from carom.scene.schema import Scene, Time
+from carom.scene.schema.expect import ABOUT_THE_END
 from carom.scene.toml_text import toml_text
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read

@@ -1,0 +1,84 @@
+"""[contact]: how contacts are modelled."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from carom.scene.schema.quantity import AnyReal, Count, Friction, Section
+
+
+class Material(NamedTuple):
+    """Coefficients of the contact law: from [contact] between bodies, from [[plane]] at that plane."""
+
+    restitution: float
+    static_friction: float
+    kinetic_friction: float
+
+
+class Contact(Section):
+    """[contact]: how contacts are modelled."""
+
+    enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
+    restitution: AnyReal = Field(
+        0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
+    )
+    static_friction: Friction = Field(0.6, description="Coulomb coefficient of a sticking contact; not negative")
+    kinetic_friction: Friction = Field(
+        0.4, description="Coulomb coefficient of a sliding contact, from 0 to static_friction"
+    )
+    solver: Literal["lasting", "staged"] = Field(
+        "lasting",
+        description="solver of resting contacts: warm-started impulses (lasting), or impulses that start from 0 "
+        "in every step (staged)",
+    )
+    colouring: Literal["contacts", "bodies"] = Field(
+        "contacts", description="graph colouring that finds contacts to solve in parallel: of contacts or of bodies"
+    )
+    stabilisation: Literal["split", "baumgarte", "none"] = Field(
+        "split",
+        description="how overlaps are corrected: bodies are moved (split), a velocity bias (baumgarte), or not (none)",
+    )
+    timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
+        "auto",
+        description="when impacts are resolved: at the end of their step, or at their own times within it; auto is "
+        "time-of-impact unless the bodies' own gravity presses contacts together",
+    )
+    search: Literal["grid", "k-d-tree"] = Field(
+        "grid", description="broad phase: a hierarchical grid, or a k-d tree with the same result, 2 to 8 times slower"
+    )
+    sweeps: Literal["auto"] | Annotated[Count, Field(le=10_000)] = Field(
+        "auto",
+        description="solver iterations in a step: as many as the contacts need (auto), or at most this many",
+    )
+    allow_overlap: Annotated[bool, Field(strict=True)] = Field(
+        False, description="true: explicit bodies may overlap at the start"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _follow_the_given_friction(cls, data: Any) -> Any:
+        """Adapt the default of one coefficient if it contradicts the other, which is given."""
+        if not isinstance(data, dict):
+            return data
+        static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
+        if isinstance(static, (int, float)) and kinetic is None:
+            return {**data, "kinetic_friction": min(0.4, static)}
+        if isinstance(kinetic, (int, float)) and static is None:
+            return {**data, "static_friction": max(0.6, kinetic)}
+        return data
+
+    @model_validator(mode="after")
+    def _sliding_is_not_harder_than_starting(self) -> Self:
+        if self.kinetic_friction > self.static_friction:
+            raise ValueError(
+                f"kinetic_friction = {self.kinetic_friction:g} is above static_friction = {self.static_friction:g}; "
+                "a sliding contact cannot resist more than a sticking one, so kinetic_friction must be the smaller"
+            )
+        return self
+
+    @property
+    def material(self) -> Material:
+        """The coefficients between bodies."""
+        return Material(self.restitution, self.static_friction, self.kinetic_friction)

@@ -1,0 +1,26 @@
+"""[domain]: the space around the bodies."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from carom.scene.schema.quantity import Positive, Section
+
+
+class Domain(Section):
+    """[domain]: the space around the bodies."""
+
+    boundary: Literal["open", "periodic", "walls"] = Field(
+        "open", description="open space, a periodic box, or a box with walls"
+    )
+    size: tuple[Positive, Positive, Positive] | None = Field(
+        None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
+    )
+
+    @model_validator(mode="after")
+    def _a_box_has_a_size(self) -> Self:
+        if self.boundary != "open" and self.size is None:
+            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z] in metres')
+        return self

@@ -1,0 +1,49 @@
+"""[gravity] and [drag]: the forces on the bodies."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from carom.scene.schema.quantity import LARGEST, ORIGIN, NonNegative, Positive, Section, Vector
+
+
+class Gravity(Section):
+    """[gravity]: the gravity of the bodies on each other, and a uniform field."""
+
+    constant: NonNegative = Field(
+        6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 is no gravity; not negative"
+    )
+    method: Literal["auto", "direct", "tree", "none"] = Field(
+        "auto", description="how gravity is summed; auto takes a tree for 5000 bodies or more"
+    )
+    opening_angle: Positive = Field(
+        0.5,
+        le=1,
+        description="rad, tree only: boxes with a smaller angular radius pull as a whole; more than 0, at most 1",
+    )
+    quadrupoles: Annotated[bool, Field(strict=True)] = Field(
+        True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
+    )
+    softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
+    uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
+
+
+class Drag(Section):
+    """[drag]: Stokes' drag in a medium, a = -(v - u)/τ."""
+
+    relaxation_time: Positive = Field(
+        description="s, τ, in which the velocity relative to the medium falls to 1/e; more than 0"
+    )
+    medium_velocity: Vector = Field(ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium")
+
+    @model_validator(mode="after")
+    def _the_push_of_the_medium_is_a_number(self) -> Self:
+        largest = max(map(abs, self.medium_velocity))
+        if largest > LARGEST * self.relaxation_time:
+            raise ValueError(
+                f"medium_velocity / relaxation_time is more than {LARGEST:g} m/s²; raise relaxation_time, or choose "
+                "other units"
+            )
+        return self

@@ -1,0 +1,25 @@
+"""Matter of a sphere: a density or a mass, and how it is spread."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from carom.scene.schema.quantity import Positive, Section
+
+
+class Matter(Section):
+    """Matter of a sphere: a density or a mass, not both."""
+
+    density: Positive | None = Field(None, description="kg/m³, 1000 unless mass is given; more than 0")
+    mass: Positive | None = Field(None, description="kg, of each body, in place of a density; more than 0")
+    inertia_factor: Positive = Field(
+        0.4, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
+    )
+
+    @model_validator(mode="after")
+    def _density_or_mass(self) -> Self:
+        if self.density is not None and self.mass is not None:
+            raise ValueError("density and mass are both given; leave one out")
+        return self

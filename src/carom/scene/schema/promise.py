@@ -1,0 +1,37 @@
+"""[promise]: what a run needs to keep time.accuracy."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from carom.scene.schema.quantity import NonNegative, Positive, Real, Section
+
+
+class Promise(Section):
+    """[promise]: what a run needs to keep time.accuracy; carom finds it and writes it into the recorded scene."""
+
+    refinement: Positive = Field(
+        description="longest useful steps over those of the run; for gauss-radau15, its usual ones; more than 0"
+    )
+    until: Positive = Field(description="s, the part of the run that was looked ahead; more than 0")
+    horizon: NonNegative | None = Field(
+        None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
+    )
+    lyapunov: Real = Field(description="1/s, largest Lyapunov exponent, over the time that was looked ahead")
+    error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
+        description="expected error of positions over the size of the system, at equally spaced times up to `until`"
+    )
+
+    @property
+    def kept_until(self) -> float:
+        """The time in s up to which the accuracy is kept."""
+        return self.until if self.horizon is None else self.horizon
+
+    def error_at(self, time: float) -> float:
+        """Return the expected error at a time in s, over the size of the system."""
+        place = min(time / self.until, 1.0) * len(self.error)
+        k = min(int(place), len(self.error) - 1)
+        before = self.error[k - 1] if k > 0 else 0.0
+        return before + (place - k) * (self.error[k] - before)

@@ -1,0 +1,137 @@
+"""The scene: everything that a run depends on, as validated data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, PrivateAttr, model_validator
+
+from carom.scene.schema.body import Body
+from carom.scene.schema.contact import Contact
+from carom.scene.schema.domain import Domain
+from carom.scene.schema.expect import Expect
+from carom.scene.schema.forces import Drag, Gravity
+from carom.scene.schema.group import Group
+from carom.scene.schema.model import Model
+from carom.scene.schema.plane import Plane
+from carom.scene.schema.promise import Promise
+from carom.scene.schema.quantity import Section
+from carom.scene.schema.record import Record
+from carom.scene.schema.sweep import Sweep
+from carom.scene.schema.time import Time
+
+
+class Scene(Section):
+    """What to simulate: validated, complete, immutable.
+
+    Examples
+    --------
+    >>> scene = Scene.from_dict({"body": [{"radius": 1.0}], "time": {"duration": 1.0}})
+    >>> scene.time.max_dt
+    1.0
+    """
+
+    title: str = Field("Untitled scene", description="one line; shown everywhere")
+    description: str = Field("", description="what to look for, shown in the recording")
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
+        0, description="seed of the random start; 0 or more, below 2**63"
+    )
+    time: Time = Field(Time(), description="the duration, and how the step is chosen")
+    gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
+    drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
+    contact: Contact = Field(Contact(), description="how contacts are modelled")
+    domain: Domain = Field(Domain(), description="the space around the bodies")
+    model: Model = Field(Model(), description="parts to model even though the scene does not require them")
+    record: Record = Field(Record(), description="how often frames are recorded and the energy is checked")
+    group: tuple[Group, ...] = Field((), description="many bodies at random positions")
+    body: tuple[Body, ...] = Field((), description="single bodies")
+    plane: tuple[Plane, ...] = Field((), description="static half-spaces")
+    expect: Expect = Field(Expect(), description="promises that are checked at the end")
+    sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
+    promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
+
+    _toml: str = PrivateAttr("")
+
+    @property
+    def toml(self) -> str:
+        """The scene as TOML: the text it was loaded from with overrides applied, or one written from its values."""
+        return self._toml
+
+    @property
+    def refinement(self) -> float:
+        """The refinement that the accuracy takes; 1 where none is asked for."""
+        return 1.0 if self.promise is None else self.promise.refinement
+
+    @property
+    def count(self) -> int:
+        """Number of bodies."""
+        return len(self.body) + sum(group.count for group in self.group)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether there are planes, walls or fixed bodies, which take up momentum."""
+        return bool(self.plane) or self.domain.boundary == "walls" or any(body.fixed for body in self.body)
+
+    @classmethod
+    def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
+        """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
+        from carom.scene.load import load_scene  # noqa: PLC0415 - load needs Scene
+
+        return load_scene(source, overrides or [])
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Scene:
+        """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
+        from carom.scene.load import scene_from_dict  # noqa: PLC0415 - load needs Scene
+
+        return scene_from_dict(data)
+
+    @model_validator(mode="after")
+    def _has_a_body(self) -> Self:
+        if self.count == 0:
+            raise ValueError("no bodies; add a [[body]] or a [[group]]")
+        return self
+
+    @model_validator(mode="after")
+    def _an_accuracy_needs_times_of_impact(self) -> Self:
+        if self.time.accuracy is not None and self.contact.timing == "end-of-step":
+            raise ValueError(
+                f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late by '
+                "up to a step; remove one of them (--set contact.timing= removes it)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _promises_what_was_asked(self) -> Self:
+        if self.promise is not None and self.time.accuracy is None:
+            raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_uniform_field(self) -> Self:
+        if self.domain.boundary == "periodic" and any(self.gravity.uniform):
+            raise ValueError(
+                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and '
+                "the potential of the field is not periodic; set gravity.uniform = [0, 0, 0]"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_planes(self) -> Self:
+        if self.domain.boundary == "periodic" and self.plane:
+            raise ValueError(
+                'domain.boundary = "periodic" with a [[plane]]: a periodic space cannot contain planes; use '
+                'boundary = "walls" or "open", or remove the plane'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _periodic_space_has_no_self_gravity(self) -> Self:
+        pulls = self.gravity.constant > 0 and self.gravity.method != "none"
+        if self.domain.boundary == "periodic" and pulls:
+            raise ValueError(
+                'domain.boundary = "periodic" with self-gravity: the sum over infinitely many images does not '
+                "converge, so there is no right answer to compute; set gravity.constant = 0"
+            )
+        return self

@@ -1,0 +1,93 @@
+"""[time]: the duration, and how the step is chosen."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from carom.scene.integrators import AUTO, INTEGRATORS, described
+from carom.scene.schema.quantity import Positive, Section
+
+if TYPE_CHECKING:
+    IntegratorName = str
+else:
+    IntegratorName = Literal[(AUTO, *INTEGRATORS)]
+
+
+_STEP_KEYS = {
+    "fixed_dt": None,
+    "target_dx": "auto",
+    "cfl": "auto",
+    "pull_fraction": "auto",
+    "smoothing": "auto",
+    "velocity_limit": "every-body",
+}  # keys of [time] that set the step, with the values that leave it free
+_UNCONTROLLED = ("euler", "leapfrog-dkd", "wisdom-holman")  # integrators that no look ahead is made for
+
+
+class Time(Section):
+    """[time]: the duration, and how the step is chosen."""
+
+    duration: Positive = Field(10.0, description="s, simulated time; more than 0")
+    max_dt: Positive = Field(1.0, description="s, largest step; more than 0")
+    target_dx: Positive | Literal["auto"] = Field(
+        "auto",
+        description="m, largest distance that an acceleration may move a body from rest in a step; "
+        '"auto" is a fraction of the smallest radius, smaller for fewer bodies, and no limit where nothing can touch',
+    )
+    cfl: Positive | Literal["auto"] = Field(
+        "auto",
+        description="largest distance that a body may move in a step, as a fraction of its own radius; more than 0; "
+        '"auto" is 0.5, 1 where impacts are resolved at their own times and nothing presses contacts together, and '
+        "no limit where nothing can touch",
+    )
+    pull_fraction: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="step as a fraction of the shortest time in which a pull changes the motion of a pair, "
+        'r/√(v² + G(m_i + m_j)/r); more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
+        "touch (with more than 100 bodies 0.02, from the largest acceleration), and no limit elsewhere or with a "
+        "target_dx",
+    )
+    smoothing: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="weight of the new step in the moving average; more than 0; 1 is no smoothing; "
+        '"auto" is 0.2, and 1 where only pull_fraction limits the step',
+    )
+    velocity_limit: Literal["every-body", "fastest-body"] = Field(
+        "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
+    )
+    fixed_dt: Positive | None = Field(None, description="s, constant step in place of the adaptive one")
+    accuracy: Annotated[Positive, Field(le=1e-2)] | None = Field(
+        None,
+        description="relative error to keep, in place of a step: of positions over the size of the system, and of "
+        "times of impact over the duration; more than 0, at most 0.01; impacts then happen at their own times",
+    )
+    integrator: IntegratorName = Field(
+        AUTO,
+        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
+        "Wisdom–Holman where they go around a dominant one 1000 times or more on orbits apart, Yoshida's where such a "
+        "scene also sets its step, otherwise leapfrog",
+    )
+    encounters: Literal["resolve", "ignore"] = Field(
+        "resolve",
+        description="wisdom-holman only: whether close encounters of light bodies are left to Gauss–Radau, which then "
+        "integrates all bodies, or pass unresolved, for many bodies of negligible masses",
+    )
+
+    @model_validator(mode="after")
+    def _an_accuracy_sets_the_step(self) -> Self:
+        if self.accuracy is None:
+            return self
+        for key, default in _STEP_KEYS.items():
+            if getattr(self, key) != default:
+                raise ValueError(
+                    f"{key} = {getattr(self, key)} with accuracy = {self.accuracy:g}, which sets the step; remove one "
+                    f"of them (--set time.{key}= removes it)"
+                )
+        if self.integrator in _UNCONTROLLED:
+            raise ValueError(
+                f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
+                '"leapfrog", "yoshida4", "gauss-radau15" or "auto"'
+            )
+        return self
