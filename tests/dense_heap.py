@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from carom.__main__ import main
-from carom.scene import placement
-from carom.scene.placement import Start
+from carom.scene.placement import initial_state
+from carom.scene.placement.start import Start
 from carom.scene.schema import Group
 
 SCENE = """
@@ -29,7 +29,7 @@ radius = 0.5
 region = {{ shape = "box", size = [{side}, {side}, {side}] }}
 """
 
-_PLACE_ONE = placement._group
+_PLACE_ONE = initial_state._group
 
 
 def lattice(count: int) -> np.ndarray:
@@ -55,6 +55,6 @@ if __name__ == "__main__":
     count, output = int(sys.argv[1]), Path(sys.argv[2])
     scene = output.with_suffix(".toml")
     scene.write_text(SCENE.format(count=count, side=1.8 * count ** (1 / 3) + 2.0), encoding="utf-8")
-    placement._group = placed  # type: ignore[assignment]
+    initial_state._group = placed  # type: ignore[assignment]
     sys.argv = ["carom", "run", str(scene), "-o", str(output)]
     main()

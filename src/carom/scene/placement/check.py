@@ -1,0 +1,76 @@
+"""Refusals of starts that cannot be simulated: overlaps, and numbers out of range."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.error import SceneError
+from carom.scene.half_space import HalfSpaces
+from carom.scene.names import body_called, body_key
+from carom.scene.neighbours import overlapping_pairs, squared_distance
+from carom.scene.placement.start import Start
+
+FloatArray = NDArray[np.float64]
+
+
+def refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") -> None:
+    """Refuse bodies smaller than the spacing of floating-point numbers at their positions; lengths in m."""
+    step = float(np.spacing(reach))
+    if step > radius:
+        raise SceneError(
+            f"{key}: {reach:.3g} m from the origin, positions are {step:.3g} m apart, and the radius is "
+            f"{radius:.3g} m; place it nearer to the origin or enlarge the radius{remedy}"
+        )
+
+
+def refuse_overflow(start: Start) -> None:
+    """Refuse bodies whose mass, moment of inertia or motion overflows or underflows."""
+    with np.errstate(over="ignore", divide="ignore"):
+        wrong = {
+            "mass": ~(np.isfinite(start.mass) & np.isfinite(1.0 / start.mass)),
+            "moment of inertia": ~(np.isfinite(start.inertia) & np.isfinite(1.0 / start.inertia)),
+            "velocity": ~np.isfinite(start.velocity).all(axis=1),
+            "angular velocity": ~np.isfinite(start.angular_velocity).all(axis=1),
+        }
+    for what, bodies in wrong.items():
+        if bodies.any():
+            worst = int(np.argmax(bodies))
+            called = body_called(worst, start.name[worst])
+            raise SceneError(f"the {what} of {called} is too large or too small a number; choose other units")
+
+
+def refuse_overlaps(start: Start, box: FloatArray | None) -> None:
+    """Refuse overlapping bodies; touching is allowed, up to the rounding of the positions."""
+    pairs = overlapping_pairs(start.position, start.radius, box)
+    if len(pairs) == 0:
+        return
+    i, j = pairs.T
+    reach = start.radius[i] + start.radius[j]
+    distance = np.sqrt(squared_distance(start.position[i], start.position[j], box))
+    rounding = _rounding(start, reach)
+    worst = int(np.argmax(reach - distance - rounding))
+    overlap = reach[worst] - distance[worst]
+    if overlap > rounding[worst]:
+        a, b = pairs[worst]
+        raise SceneError(
+            f"{body_key(a, start.name[a])} and {body_key(b, start.name[b])} overlap by {overlap:.6g} m at the start; "
+            "move them apart, or set contact.allow_overlap = true"
+        )
+
+
+def refuse_immersion(start: Start, solids: HalfSpaces) -> None:
+    """Refuse bodies that reach into a plane or a wall."""
+    depth = solids.depth(start.position, start.radius)
+    rounding = _rounding(start, start.radius)[:, None]
+    if len(solids) and np.max(depth - rounding) > 0.0:
+        body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
+        raise SceneError(
+            f"{body_key(int(body), start.name[body])} reaches {depth[body, plane]:.6g} m into {solids.name[plane]} "
+            "at the start; move it out, or set contact.allow_overlap = true"
+        )
+
+
+def _rounding(start: Start, length: FloatArray) -> FloatArray:
+    """Return the possible rounding errors of lengths, in m."""
+    return np.asarray(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()))

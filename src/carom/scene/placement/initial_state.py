@@ -1,0 +1,124 @@
+"""Initial states of the bodies: explicit ones as written, then groups at random without overlaps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.error import SceneError
+from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.names import body_key
+from carom.scene.placement.check import refuse_immersion, refuse_overflow, refuse_overlaps, refuse_unresolved
+from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
+from carom.scene.placement.random_placement import positions
+from carom.scene.placement.region import default_region, packing_fraction
+from carom.scene.placement.start import Start, join
+from carom.scene.schema import Body, Group, Scene
+
+FloatArray = NDArray[np.float64]
+
+FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
+
+
+def place(scene: Scene) -> Start:
+    """Place all bodies of a scene. The same scene gives the same start.
+
+    Raises
+    ------
+    SceneError
+        If explicit bodies overlap each other or a plane and the scene does not allow it, or a group does not fit.
+    """
+    box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
+    parts = [_explicit(scene.body)] if scene.body else []
+    if parts and scene.contact.enabled:
+        reach = np.abs(parts[0].position).max(axis=1)
+        worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
+        remedy, key = ", or set contact.enabled = false", body_key(worst, parts[0].name[worst])
+        refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), remedy)
+    solids = half_spaces(scene)
+    if parts and not scene.contact.allow_overlap and scene.contact.enabled:
+        refuse_overlaps(parts[0], box)
+        refuse_immersion(parts[0], solids)
+    streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
+    _refuse_full_box(scene)
+    for index, group in enumerate(scene.group):
+        parts.append(_group(index, group, parts, solids, box, np.random.default_rng(streams[index])))
+    start = join(parts)
+    refuse_overflow(start)
+    return start if box is None else replace(start, position=_inside(start.position, box))
+
+
+def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
+    """Return the images of positions inside a periodic box."""
+    turns = np.where(np.abs(position) > 0.5 * box, np.floor(position / box + 0.5), 0.0)
+    return np.asarray(position - box * turns)
+
+
+def _explicit(bodies: tuple[Body, ...]) -> Start:
+    radius = np.array([body.radius for body in bodies])
+    factor = np.array([body.inertia_factor for body in bodies])
+    mass = np.array([mass_of(body, np.array(body.radius)) for body in bodies])
+    return Start(
+        name=[body.name or f"body {index}" for index, body in enumerate(bodies)],
+        group=np.full(len(bodies), -1),
+        position=np.array([body.position for body in bodies]),
+        velocity=np.array([body.velocity for body in bodies]),
+        angular_velocity=np.array([body.angular_velocity for body in bodies]),
+        mass=mass,
+        radius=radius,
+        inertia=factor * mass * radius * radius,
+        fixed=np.array([body.fixed for body in bodies]),
+    )
+
+
+def _group(
+    index: int,
+    group: Group,
+    placed: list[Start],
+    solids: HalfSpaces,
+    box: FloatArray | None,
+    rng: np.random.Generator,
+) -> Start:
+    packing = packing_fraction(group)
+    if packing > FULLEST:
+        raise SceneError(
+            f"group.{index}.region is too small: {group.count} bodies would fill {packing:.3g} of it, and random "
+            f"placement jams at {FULLEST}; enlarge the region or lower count or radius"
+        )
+    n = group.count
+    radius = drawn_radii(group, rng)
+    region = group.region or default_region(index, radius)
+    room = region.radius if region.radius is not None else 0.5 * max(region.size or ())
+    refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()))
+    position = positions(index, region, radius, placed, solids, box, rng)
+    mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
+    rotation = np.array(group.bulk_rotation)
+    velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
+    velocity = velocity + np.cross(rotation, position - np.array(region.centre))
+    name = group.name or f"group {index}"
+    return Start(
+        name=[f"{name} {k}" for k in range(n)],
+        group=np.full(n, index),
+        position=position,
+        velocity=velocity,
+        angular_velocity=rotation + group.spin.dispersion * rng.standard_normal((n, 3)),
+        mass=mass,
+        radius=radius,
+        inertia=group.inertia_factor * mass * radius * radius,
+        fixed=np.zeros(n, dtype=bool),
+    )
+
+
+def _refuse_full_box(scene: Scene) -> None:
+    """Refuse groups that do not fit into a periodic box or between walls, however large their regions are."""
+    if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
+        return
+    filled = sum(mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
+    if filled > FULLEST:
+        raise SceneError(
+            f"domain.size: the groups would fill {filled:.3g} of the box, and random placement jams at "
+            f"{FULLEST}; enlarge the box or lower count or radius"
+        )

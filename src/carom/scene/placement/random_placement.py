@@ -1,0 +1,122 @@
+"""Spheres at random places without overlaps.
+
+Candidates are generated, 1.2 a body, and filtered: a broad phase by k-d trees, then the exact test. Candidates that
+collide are replaced by new ones until each body has one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.error import SceneError
+from carom.scene.half_space import HalfSpaces
+from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance, wrapped
+from carom.scene.placement.region import drawn_centres, refuse_too_large, volume
+from carom.scene.placement.start import Start
+from carom.scene.schema import Region
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+FloatArray = NDArray[np.float64]
+
+CANDIDATES_PER_BODY = 1.2
+MOST_ROUNDS = 400  # of generating and filtering, for one size class
+MOST_DRAWN = 50_000_000  # candidates, for one size class
+
+
+def positions(
+    index: int,
+    region: Region,
+    radius: FloatArray,
+    placed: list[Start],
+    solids: HalfSpaces,
+    box: FloatArray | None,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+    refuse_too_large(index, region, radius)
+    packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
+    position = np.empty((len(radius), 3))
+    obstacles = [(start.position, start.radius) for start in placed]
+    for members in reversed(size_classes(radius)):
+        trees = [
+            (cKDTree(wrapped(centres[same], box), boxsize=box), centres[same], radii[same])
+            for centres, radii in obstacles
+            for same in size_classes(radii)
+        ]
+        position[members] = _place_class(index, region, radius[members], trees, solids, box, rng, packing)
+        obstacles.append((position[members], radius[members]))
+    return position
+
+
+_Tree = tuple["cKDTree", FloatArray, FloatArray]
+
+
+def _place_class(
+    index: int,
+    region: Region,
+    radius: FloatArray,
+    trees: list[_Tree],
+    solids: HalfSpaces,
+    box: FloatArray | None,
+    rng: np.random.Generator,
+    packing: float,
+) -> FloatArray:
+    """Generate and filter one size class.
+
+    The pool keeps the order of arrival, and of two candidates that collide the newer one is removed. An accepted
+    candidate therefore stays, and no round loses one. Each round tops the pool up to 1.2 n. ``owner`` is the body whose
+    radius a candidate has; only the first accepted candidate of each body is kept.
+    """
+    n = len(radius)
+    pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
+    drawn = 0
+    for _ in range(MOST_ROUNDS):
+        if drawn > MOST_DRAWN:
+            break
+        drawn += math.ceil(CANDIDATES_PER_BODY * n) - len(owner)
+        fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
+        fresh = drawn_centres(region, radius[fresh_owner], rng)
+        clear = _clear_of(fresh, radius[fresh_owner], trees, solids, box)
+        pool = np.concatenate((pool, fresh[clear]))
+        owner = np.concatenate((owner, fresh_owner[clear]))
+        pairs = overlapping_pairs(pool, radius[owner], box) if len(pool) else np.empty((0, 2), dtype=np.int64)
+        clean = np.setdiff1d(np.arange(len(pool)), pairs[:, 1])
+        _, first = np.unique(owner[clean], return_index=True)
+        kept = clean[np.sort(first)]
+        pool, owner = pool[kept], owner[kept]
+        missing = np.setdiff1d(np.arange(n), owner)
+        if len(missing) == 0:
+            return pool[np.argsort(owner)]
+    in_the_way = np.flatnonzero(np.all(solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
+    if len(in_the_way):
+        names = " and ".join(solids.name[plane] for plane in in_the_way)
+        raise SceneError(f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it")
+    raise SceneError(
+        f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
+        f"placement (packing fraction {packing:.3g}); enlarge the region or lower count or radius"
+    )
+
+
+def _clear_of(
+    position: FloatArray, radius: FloatArray, trees: list[_Tree], solids: HalfSpaces, box: FloatArray | None
+) -> NDArray[np.bool_]:
+    """Tell which candidates touch no plane and none of the bodies placed before."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+    clear: NDArray[np.bool_] = np.all(solids.depth(position, radius) < 0.0, axis=1)
+    own = cKDTree(wrapped(position, box), boxsize=box)
+    for tree, centres, radii in trees:
+        reach = (radius.max() + radii.max()) * QUERY_MARGIN
+        near = own.sparse_distance_matrix(tree, reach, output_type="ndarray")
+        i, j = near["i"], near["j"]
+        hit = squared_distance(position[i], centres[j], box) <= (radius[i] + radii[j]) ** 2
+        clear[i[hit]] = False
+    return clear

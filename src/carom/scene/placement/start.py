@@ -1,0 +1,44 @@
+"""`Start`: the bodies at time 0, as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Start:
+    """The bodies at time 0, explicit ones first, then the groups in order; SI units."""
+
+    name: list[str]
+    group: NDArray[np.int64]  # (n,) index of the group, -1 for explicit bodies
+    position: FloatArray  # (n, 3)
+    velocity: FloatArray  # (n, 3)
+    angular_velocity: FloatArray  # (n, 3)
+    mass: FloatArray  # (n,)
+    radius: FloatArray  # (n,)
+    inertia: FloatArray  # (n,)
+    fixed: NDArray[np.bool_]  # (n,)
+
+
+def join(parts: list[Start]) -> Start:
+    """Return the bodies of all parts, in order."""
+
+    def stacked(key: str) -> NDArray[np.float64]:
+        return np.ascontiguousarray(np.concatenate([getattr(part, key) for part in parts]))
+
+    return Start(
+        name=[name for part in parts for name in part.name],
+        group=np.concatenate([part.group for part in parts]),
+        position=stacked("position"),
+        velocity=stacked("velocity"),
+        angular_velocity=stacked("angular_velocity"),
+        mass=stacked("mass"),
+        radius=stacked("radius"),
+        inertia=stacked("inertia"),
+        fixed=np.concatenate([part.fixed for part in parts]),
+    )
