@@ -14,6 +14,7 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.look_ahead import settled
 from carom.physics.schedule import at
 from carom.physics.space import Space
+from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -81,11 +82,39 @@ def test_an_orbit_of_eccentricity_09_closes_within_the_accuracy(accuracy: float)
     assert space.scene.promise is not None and space.scene.promise.horizon is None
 
 
-@pytest.mark.parametrize("accuracy", [1e-2, 1e-4])
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-6, 1e-10])
 def test_a_ball_bounces_within_the_accuracy(accuracy: float) -> None:
     space = run_to_the_end(ball(accuracy, restitution=0.8))
     # one body has no extent, so the size of its system is its distance from the origin, 2 m
     assert abs(space.state.position[0, 2] - 0.1 - height(2.4, 0.8)) / 2.0 < accuracy
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ([], "gauss-radau15: its steps end at impacts"),
+        (["gravity.uniform=[0, 0, 0]"], "leapfrog: exact without a pull"),
+        (["time.integrator=leapfrog"], 'time.integrator = "leapfrog"'),
+        (["drag.relaxation_time=1"], "leapfrog: the only integrator that supports drag"),
+    ],
+)
+def test_the_integrator_of_an_accuracy_is_explained(changes: list[str], expected: str) -> None:
+    scene = scene_from_text(ball(1e-2).toml, "a ball", changes)
+    assert require(scene).integrator.why.startswith(expected)
+
+
+def test_balls_that_come_to_rest_end_where_geometry_puts_them() -> None:
+    scene = scene_of(
+        [{"position": [1.0 * k, 0.0, 2.0 + 0.3 * k], "radius": 0.1} for k in range(2)],
+        time={"duration": 4.0, "accuracy": 1e-4},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        contact={"restitution": 0.5},
+        plane=[{}],
+    )
+    space = run_to_the_end(scene)
+    # rms distance of the bodies from their centre: 0.52 m
+    assert np.abs(space.state.position - [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1]]).max() / 0.52 < 1e-4
+    assert space.scene.promise is not None and space.scene.promise.horizon is None
 
 
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-10])

@@ -27,6 +27,7 @@ from carom.physics.schedule import at
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.error import SceneError
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.placement import Start, place
 from carom.scene.schema import Promise, Scene
@@ -84,7 +85,9 @@ class _Run:
 
         promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
         self.refinement = refinement
+        self.rests_from = math.inf  # s, when contacts came to rest that the integrator does not hold itself
         self._space = Space(_promised(scene, promise), threads, start)
+        self._chooses_steps = integrator(scene).controls_error
         self._times = times
         self._positions: list[FloatArray] = []  # (n, 3) m, at the times so far
 
@@ -100,6 +103,8 @@ class _Run:
             while len(self._positions) <= sample:
                 for _ in self._space.run(float(self._times[len(self._positions)]), schedule=at(())):
                     pass
+                if self._chooses_steps and not self._space.has_solution:
+                    self.rests_from = min(self.rests_from, self._space.time)
                 self._positions.append(self._space.state.position.copy())
         except PhysicsError:
             return None  # too long a step
@@ -110,7 +115,6 @@ class _LookAhead:
     def __init__(self, scene: Scene, accuracy: float, threads: int | None, start: Start) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
         self._box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
-        self._order = integrator(scene).order
         self._times = scene.time.duration * (np.arange(1, SAMPLES + 1) / SAMPLES)
         self._size = _size(start, self._box)
         self._rounding = ROUNDING * EPS * max(1.0, float(np.abs(start.position).max()) / self._size)
@@ -126,23 +130,26 @@ class _LookAhead:
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
             growth = self._growth(self._run(LONGEST))
             return self._promise(LONGEST, self._rounding * growth.factor, growth)
-        return self._settle_steps()
+        return self._settle_steps(integrator(self._scene).order)
 
     def _settle_radau(self) -> Scene:
-        growth = self._growth(self._run(RADAU_LEVELS[0][0]))
+        run = self._run(RADAU_LEVELS[0][0])
+        growth = self._growth(run)
         errors = {refinement: (level + self._rounding) * growth.factor for refinement, level in RADAU_LEVELS}
         enough = (refinement for refinement, error in errors.items() if SAFETY * error[-1] <= self._accuracy)
         chosen = next(enough, RADAU_LEVELS[-1][0])
+        if run.rests_from < _kept(self._times, errors[chosen], self._accuracy):
+            return self._settle_steps(INTEGRATORS["leapfrog"].order)
         return self._promise(chosen, errors[chosen], growth)
 
-    def _settle_steps(self) -> Scene:
+    def _settle_steps(self, order: int) -> Scene:
         refinement = LONGEST
         coarse, apart, idle = self._run(refinement), list[FloatArray](), 0
         while True:
             refinement *= 2.0
             fine = self._run(refinement)
             apart.append(self._apart(coarse, fine, 1.0))
-            chosen, kept, error = self._extrapolate(apart)
+            chosen, kept, error = self._extrapolate(apart, order)
             idle = idle + 1 if self._stays(apart, kept) else 0
             if kept >= self._times[-1] or idle == MOST_IDLE or fine.work > MOST_WORK:
                 break
@@ -155,13 +162,13 @@ class _LookAhead:
         k = min(int(np.searchsorted(self._times, kept, side="right")), SAMPLES - 1)
         return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 
-    def _extrapolate(self, apart: list[FloatArray]) -> tuple[int, float, FloatArray]:
+    def _extrapolate(self, apart: list[FloatArray], highest: int) -> tuple[int, float, FloatArray]:
         """Return how many times to halve the finer step, up to when the accuracy is kept then, in s, and the error.
 
         -1 takes the coarser step. The factor in front of h^p depends on where in its step an impact happens, so the
         largest of the last three distances counts, each as far as it should have fallen since.
         """
-        order = _observed(apart, self._order)
+        order = _observed(apart, highest)
         latest = apart[-1:-4:-1]
         distance = np.max([each / 2.0 ** (order * age) for age, each in enumerate(latest)], axis=0)
         surely = len(apart) >= TRIED and bool(latest[0].any())

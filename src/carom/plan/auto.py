@@ -31,6 +31,8 @@ SMOOTHING = 0.2  # weight of the new step in the average, where contacts come an
 LATE_CFL = 0.5  # fraction of its radius that a body may move in a step, if impacts are resolved at its end
 FREE_CFL = 1.0  # likewise, with times of impact and without forces: shorter steps only cost more (docs/trade.md)
 
+BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all anew at each impact (docs/trade.md)
+
 TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
 
@@ -88,9 +90,18 @@ def integrator(scene: Scene) -> Integrator:
 
 def _accurate(scene: Scene) -> str:
     """Name the integrator that reaches an accuracy at the lowest cost."""
-    if contacts.contact(scene).modelled or pulls.damping(scene) or not pulls.gravity(scene).modelled:
+    if contacts.contact(scene).modelled:
+        return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
+    if pulls.damping(scene) or not pulls.gravity(scene).modelled:
         return "leapfrog"
     return "yoshida4" if scene.gravity.method == "tree" or scene.count >= TREE_FROM else "gauss-radau15"
+
+
+def _bounces_on_curves(scene: Scene) -> bool:
+    """Tell whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
+    bent = contacts.load(scene) != "" and not pulls.damping(scene)
+    open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
+    return bent and open_space and scene.gravity.method != "tree" and scene.count <= BOUNCES_UP_TO
 
 
 def holding(scene: Scene) -> Scene:

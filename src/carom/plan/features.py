@@ -12,6 +12,7 @@ from typing import Any
 
 from carom.plan import contacts, pulls
 from carom.plan.auto import (
+    BOUNCES_UP_TO,
     PAIRS_UP_TO,
     TREE_FROM,
     auto_step,
@@ -234,9 +235,8 @@ def _integrator(scene: Scene) -> Part:
         name_of, share = heaviest(scene)
         turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
         return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
-    if scene.time.accuracy is not None and pulls.differing(scene):
-        why = "the accuracy, and contacts or drag" if chosen == "leapfrog" else "cheapest for the accuracy"
-        return Part(name, True, f"{chosen}: {why}")
+    if scene.time.accuracy is not None and (chosen != "leapfrog" or contacts.load(scene)):
+        return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
     if chosen == "gauss-radau15":
         why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
         return Part(name, True, f"{chosen}: {why}")
@@ -252,6 +252,21 @@ def _integrator(scene: Scene) -> Part:
     else:
         why = f"{scene.count} bodies, whose encounters the step does not resolve"
     return Part(name, True, f"leapfrog: {why}")
+
+
+def _why_accurate(scene: Scene, chosen: str) -> str:
+    """Say why an integrator is the cheapest for an accuracy."""
+    if chosen == "yoshida4":
+        return "the accuracy, and a tree, whose error gauss-radau15 cannot control"
+    if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
+        return "its steps end at impacts and err by rounding; contacts that come to rest are left to leapfrog"
+    if chosen == "gauss-radau15":
+        return "cheapest for the accuracy, and no contact is modelled"
+    if force := pulls.damping(scene):
+        return f"the only integrator that supports {force.name}"
+    if scene.count > BOUNCES_UP_TO:
+        return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"
+    return "gauss-radau15 knows no periodic box, tree or overlap at the start"
 
 
 def _accuracy(scene: Scene) -> Part:

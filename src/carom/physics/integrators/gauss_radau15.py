@@ -208,7 +208,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     rule, gravity = scene.time, scene.gravity
     pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
-    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / scene.refinement)
+    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / min(scene.refinement, 1.0))
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
     return GaussRadau15(bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps, solids)
