@@ -11,10 +11,11 @@ import pytest
 from carom.physics.batch_step import BatchStepper
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
-from carom.physics.pull_time import PullTime
+from carom.physics.pull_time import PullTime, step_of_largest
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper
-from carom.physics.time_step import BODIES_PER_BLOCK, MIN_SHARED_BLOCKS, Timestep
+from carom.physics.step_rule import BODIES_PER_BLOCK
+from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
 from examples import kinetic_energy_of, random_bodies
@@ -224,10 +225,15 @@ def test_of_many_bodies_the_step_is_never_longer_than_twice_that_of_an_isolated_
     bodies.velocity[:] = 0.0
     bodies.acceleration[:] = 0.0
     bodies.acceleration[:2] = [[1e6, 0.0, 0.0], [-1e6, 0.0, 0.0]]
-    pull = PullTime(Gravity(constant=1.0), 1.0, bodies)
-    assert pull.step(bodies, 1e6) == pytest.approx(1e-3**1.5, rel=1e-12)  # √(r³/G m): a pair at rest has √2 less
-    soft = PullTime(Gravity(constant=1.0, softening=0.1), 1.0, bodies)
-    assert soft.step(bodies, 0.1) == pytest.approx(max(0.1**-0.75, 1.0), rel=1e-12)
+    pull = PullTime.of(Gravity(constant=1.0), 1.0, bodies)
+    assert not pull.of_pairs
+    assert step_of_largest(1e6, pull.mean, pull.softening, pull.fraction) == pytest.approx(
+        1e-3**1.5, rel=1e-12
+    )  # √(r³/G m): a pair at rest has √2 less
+    soft = PullTime.of(Gravity(constant=1.0, softening=0.1), 1.0, bodies)
+    assert step_of_largest(0.1, soft.mean, soft.softening, soft.fraction) == pytest.approx(
+        max(0.1**-0.75, 1.0), rel=1e-12
+    )
 
 
 def test_points_that_fall_into_each_other_end_the_run_and_say_what_would_help() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from carom.experiment.run import run
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
+from carom.physics.forces.gravity.direct import FEW
 from carom.physics.parallel.jit import Compilations, cache_folder
 from carom.physics.parallel.thread_team import load_helpers, sharing_all
 from carom.scene.schema import Scene
@@ -39,6 +40,18 @@ SCENES: dict[str, dict[str, Any]] = {
         "gravity": {"constant": 1.0},
         "contact": {"enabled": False},
         "time": {"duration": 0.1, "max_dt": 0.02},
+    },
+    "points that kick and drift": {
+        "body": _PAIR,
+        "gravity": {"constant": 1.0},
+        "contact": {"enabled": False},
+        "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
+    },
+    "a crowd, in lanes": {
+        "group": [_CROWD[0] | {"count": FEW + 1}],
+        "gravity": {"constant": 1.0},
+        "contact": {"enabled": False},
+        "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
     },
     "a cloud, by the tree": {
         "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],

@@ -18,13 +18,13 @@ many others gets a shorter time by this than it needs. Softening ε bounds the t
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.jit import kernel, unowned
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 
@@ -33,38 +33,34 @@ FloatArray = NDArray[np.float64]
 SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
 
 
-class PullTime:
-    """Finds the step that gravity allows.
+class PullTime(NamedTuple):
+    """The constants of the step that gravity allows."""
 
-    Parameters
-    ----------
-    gravity
-        The scene's section.
-    fraction
-        η, the step over the shortest time scale.
-    bodies
-        The bodies of the run. Fixed ones pull others and are not pulled.
-    """
+    fraction: float  # η, the step over the shortest time scale
+    constant: float  # m³/(kg s²), G
+    softening: float  # m
+    mean: float  # m³/s², G times the mean mass
+    of_pairs: bool  # whether each pair is examined
 
-    def __init__(self, gravity: Gravity, fraction: float, bodies: Bodies) -> None:
-        self._fraction = fraction
-        self._constant, self._softening = gravity.constant, gravity.softening
-        self._mean = gravity.constant * float(np.mean(bodies.mass))  # m³/s², G m
-        self.of_pairs = len(bodies) <= PAIRS_UP_TO
-
-    def step(self, bodies: Bodies, largest: float) -> float:
-        """Return the longest step in seconds, given the largest acceleration of a body in m/s²."""
-        if self.of_pairs:
-            state = bodies.position, bodies.velocity, bodies.mass, bodies.ends.inverse_mass
-            return _step_of_pairs(*state, self._constant, self._softening, self._fraction)
-        if largest == 0.0:
-            return math.inf
-        alone = math.sqrt(math.sqrt(self._mean) / (largest * math.sqrt(largest)))
-        return self._fraction * max(alone, math.sqrt(self._softening / largest))
+    @classmethod
+    def of(cls, gravity: Gravity, fraction: float, bodies: Bodies) -> PullTime:
+        """Return those of a scene's section and its bodies. Fixed ones pull others and are not pulled."""
+        mean = gravity.constant * float(np.mean(bodies.mass))
+        return cls(fraction, gravity.constant, gravity.softening, mean, len(bodies) <= PAIRS_UP_TO)
 
 
 @kernel
-def _step_of_pairs(
+def step_of_largest(largest: float, mean: float, softening: float, fraction: float) -> float:
+    """Return the longest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
+    if largest == 0.0:
+        return np.inf
+    alone = np.sqrt(np.sqrt(mean) / (largest * np.sqrt(largest)))
+    step: float = fraction * max(alone, np.sqrt(softening / largest))
+    return step
+
+
+@unowned
+def step_of_pairs(
     x: FloatArray, v: FloatArray, m: FloatArray, inverse_mass: FloatArray, G: float, softening: float, fraction: float
 ) -> float:
     """Return h of the pair with the shortest τ; infinite if no pair pulls."""

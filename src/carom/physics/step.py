@@ -13,8 +13,10 @@ from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
+from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
+from carom.physics.schedule import quiet
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
@@ -47,6 +49,7 @@ class KickDriftStepper:
         self._ends_with_forces = integrator(world.scene).ends_with_forces
         self._damping = world.forces.damping
         self._exchanges: list[Exchange] = []  # with a medium, in this step
+        self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
 
     @property
     def checkpoint(self) -> None:
@@ -94,6 +97,30 @@ class KickDriftStepper:
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal, checked: bool) -> bool:
+        """Do a step, or many without contacts; return whether a frame is due."""
+        world, clock = self._world, self._world.clock
+        if self._flight and goal.most > 1:
+            steps, until = quiet(goal.schedule, clock.step, clock.time)
+            every = world.scene.record.check_every
+            most = int(min(goal.most, steps, every - clock.step % every))
+            if most > 1:
+                until = min(until, self._books.kept_until)
+                flight = self._flight.take(clock.time, goal.end, until, most)
+                if flight.steps:
+                    return self._land(flight, goal)
+        return self._advance_once(goal, checked)
+
+    def _land(self, flight: Flight, goal: Goal) -> bool:
+        """Book steps that were taken in one call; return whether a frame is due."""
+        world, clock = self._world, self._world.clock
+        clock.advance(*flight)
+        due = goal.is_reached(clock)
+        checked = due or clock.step % world.scene.record.check_every == 0
+        world.profile.mark("integrate")
+        self._finish(self._sum_forces(True, checked) if checked else {}, checked)
+        return due
+
+    def _advance_once(self, goal: Goal, checked: bool) -> bool:
         """Do a step; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(1, clock.time, *self._choose(goal.end))
@@ -105,10 +132,15 @@ class KickDriftStepper:
         if self._damping:
             books.book_exchanges(self._damping.kind.loss, self._exchanges)
             self._exchanges.clear()
-        books.finish_step(potentials, checked)
-        if books.pace and clock.step % world.scene.record.check_every == 0:
-            books.check_pace(*self.timestep.target(world.bodies, self.borne()))
+        self._finish(potentials, checked)
         return due
+
+    def _finish(self, potentials: Potentials, checked: bool) -> None:
+        """Book the last step, and check the energy and the pace if it is due."""
+        world, books = self._world, self._books
+        books.finish_step(potentials, checked)
+        if books.pace and world.clock.step % world.scene.record.check_every == 0:
+            books.check_pace(*self.timestep.target(world.bodies, self.borne()))
 
     @property
     def has_solution(self) -> bool:

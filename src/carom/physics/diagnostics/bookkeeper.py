@@ -43,6 +43,8 @@ class Bookkeeper:
         Compares velocities with impulses, where ``expect.contact_audit`` requests it.
     pace
         Warns of a run that slows down, where limits set its steps.
+    kept_until
+        s, after which the accuracy is no longer promised; infinite if nothing is promised or the run has logged it.
     """
 
     def __init__(self, world: World) -> None:
@@ -57,7 +59,7 @@ class Bookkeeper:
         self.impulse_audit = ImpulseAudit(bodies) if audited else None
         self.pace: PaceMonitor | None = None
         self._events: list[Event] = []
-        self._kept_until = np.inf if scene.promise is None else scene.promise.kept_until  # s
+        self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
             self._see_contacts(world.contact, Extremes())  # none: loads the kernels
 
@@ -87,8 +89,8 @@ class Bookkeeper:
         self.extremes = self._beginning(books.moments)
         self.activity.reopen(books.phase, books.activity)
         self._events = []
-        if checkpoint.time > self._kept_until:
-            self._kept_until = np.inf  # known already
+        if checkpoint.time > self.kept_until:
+            self.kept_until = np.inf  # known already
 
     def begin_step(self, checked: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
@@ -124,9 +126,9 @@ class Bookkeeper:
         if checked:
             self.take_stock(potentials, checked)
         clock = self._world.clock
-        if clock.time > self._kept_until:
+        if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
-            self._kept_until = np.inf
+            self.kept_until = np.inf
 
     def book_exchanges(self, entry: str, exchanges: Iterable[Exchange]) -> None:
         """Book energy and momentum exchanged with a medium, under an entry of the ledger."""

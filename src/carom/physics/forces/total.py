@@ -2,18 +2,32 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.forces.force import Damping, Potentials, accelerate, forces_of
-from carom.physics.forces.gravity import gravity_of
+from carom.physics.forces.gravity import Gravity, gravity_of
+from carom.physics.forces.uniform_field import UniformField
 from carom.physics.parallel.thread_team import Team
+from carom.plan.auto import gravity_method
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
+
+
+class FewForces(NamedTuple):
+    """The forces on few bodies: gravity of each pair, and a uniform field."""
+
+    attracts: bool  # whether bodies pull each other
+    constant: float  # m³/(kg s²), G
+    softening: float  # m
+    is_uniform: bool  # whether there is a field
+    uniform: FloatArray  # (3,) m/s²
 
 
 class TotalForce:
@@ -39,6 +53,15 @@ class TotalForce:
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
         self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
+
+    @property
+    def few(self) -> FewForces | None:
+        """The forces for a kernel that takes many steps of few bodies; None if there are others."""
+        kinds, scene = {type(force) for force in self._forces}, self._scene
+        if not kinds <= {Gravity, UniformField} or gravity_method(scene) == "tree":
+            return None
+        law = scene.gravity.constant, scene.gravity.softening
+        return FewForces(Gravity in kinds, *law, UniformField in kinds, self.uniform)
 
     def accelerate(self, potential: bool) -> Potentials:
         """Update the accelerations of the bodies; return the potential energies if requested."""

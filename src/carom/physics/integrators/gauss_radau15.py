@@ -37,7 +37,7 @@ from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first
 from carom.physics.integrators.radau_nodes import TERMS, WIDTH
 from carom.physics.integrators.radau_step import Motion, accelerate, attempt, move, shorten
 from carom.physics.parallel.jit import inner, long_kernel
-from carom.physics.time_step import END_TOLERANCE
+from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.features import Requirements
 from carom.scene.half_space import half_spaces
 from carom.scene.schema import Scene

@@ -16,12 +16,12 @@ MIN_BODIES_PER_TASK = 5000
 
 def kick(velocity: FloatArray, acceleration: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Kick: v += a dt, both (n, 3)."""
-    team.divide(len(velocity), MIN_BODIES_PER_TASK, _advance, velocity, acceleration, dt)
+    team.divide(len(velocity), MIN_BODIES_PER_TASK, advance, velocity, acceleration, dt)
 
 
 def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SOLO) -> None:
     """Drift: x += v dt, both (n, 3)."""
-    team.divide(len(position), MIN_BODIES_PER_TASK, _advance, position, velocity, dt)
+    team.divide(len(position), MIN_BODIES_PER_TASK, advance, position, velocity, dt)
 
 
 def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
@@ -30,7 +30,8 @@ def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
 
 
 @long_kernel
-def _advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> None:
+def advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> None:
+    """Add rate × dt to rows [lo, hi) of (n, 3) arrays."""
     for i in range(lo, hi):
         what[i, 0] += rate[i, 0] * dt
         what[i, 1] += rate[i, 1] * dt

@@ -44,7 +44,7 @@ from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitChec
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.kepler import LANE_ROWS, LANES, TURN, revolve_all
 from carom.physics.parallel.jit import long_kernel, unowned
-from carom.physics.time_step import END_TOLERANCE
+from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.features import Requirements
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene

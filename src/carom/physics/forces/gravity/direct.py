@@ -11,6 +11,9 @@ by lane, and so are the reactions on each source. The lanes of a source are summ
 block. The number of bodies thus fixes the order of every sum: the same bits on any SIMD width and any number of
 threads.
 
+Up to 32 bodies are one block, without lanes: `pull_few` takes each pair once and adds in the same order, with the same
+bits. Three bodies take 20 ns in place of 2 µs, 32 bodies 2.8 in place of 5 µs.
+
 Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
 and divisions a second): 3.0, 3.2 and 3.4 × 10⁹.
 
@@ -36,6 +39,7 @@ X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
+FEW = LANES  # bodies of one block
 PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder needs the other core
 SLABS = 16  # of equal work, each with sums of its own: the largest number of threads that can share a sum
 
@@ -45,6 +49,7 @@ class DirectGravity:
 
     def __init__(self, mass: FloatArray, constant: float, softening: float, team: Team = SOLO):
         n = len(mass)
+        self._is_few = n <= FEW
         blocks = -(-n // LANES)
         self._mass = mass
         self._constant = constant
@@ -68,14 +73,21 @@ class DirectGravity:
         potential
             Costs about a fifth more.
         """
-        n = len(position)
-        self._source[X : Z + 1, :n] = position.T
+        if self._is_few:
+            law = self._constant, self._softening_squared
+            pull_few(position, self._mass, *law, acceleration, self._potential)
+        else:
+            self._sum_lanes(position, acceleration, potential)
+        return potential_energy(self._mass, self._potential) if potential else None
+
+    def _sum_lanes(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> None:
+        """Write the accelerations, and the potentials if requested."""
+        self._source[X : Z + 1, : len(position)] = position.T
         into = self._potential if potential else None
         law = len(self._mass), self._source, self._softening_squared
         self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
         found = acceleration, self._potential, potential
         _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *found)
-        return potential_energy(self._mass, self._potential) if potential else None
 
 
 def _slabs(blocks: int, count: int) -> IntArray:
@@ -101,6 +113,39 @@ def inverse_cube(d2: float) -> float:
     """Return (d²)^{-3/2}; 0 for coincident bodies without softening."""
     cube: float = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
     return cube
+
+
+@kernel
+def pull_few(
+    x: FloatArray, m: FloatArray, G: float, eps2: float, acceleration: FloatArray, potential: FloatArray
+) -> None:
+    """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of the bodies of one block: at most `FEW`.
+
+    A body's terms are added in the order of their sources, and reactions in that of the rows: the order of the lanes.
+    """
+    n = len(m)
+    own = inverse_cube(eps2)
+    for i in range(n):
+        acceleration[i, 0] = acceleration[i, 1] = acceleration[i, 2] = potential[i] = 0.0
+    for i in range(n):
+        xi, yi, zi, mi = x[i, 0], x[i, 1], x[i, 2], m[i]
+        ax, ay, az, p = acceleration[i, 0], acceleration[i, 1], acceleration[i, 2], potential[i]
+        p += mi * own * eps2  # its own, with softening, in its place in the sum
+        for j in range(i + 1, n):
+            dx, dy, dz = x[j, 0] - xi, x[j, 1] - yi, x[j, 2] - zi
+            d2 = dx * dx + dy * dy + dz * dz + eps2
+            d3 = inverse_cube(d2)
+            f, g = m[j] * d3, mi * d3
+            ax += f * dx
+            ay += f * dy
+            az += f * dz
+            p += f * d2
+            acceleration[j, 0] -= g * dx
+            acceleration[j, 1] -= g * dy
+            acceleration[j, 2] -= g * dz
+            potential[j] += g * d2
+        acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] = G * ax, G * ay, G * az
+        potential[i] = -G * (p - mi * own * eps2)
 
 
 @long_kernel

@@ -1,0 +1,250 @@
+"""The rule of the adaptive step, in kernels: steps one at a time and many in one call choose by the same function.
+
+`carom.physics.time_step` has the equations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.diagnostics.momentum import centre_velocity
+from carom.physics.parallel.jit import kernel, long_kernel, unowned
+from carom.physics.pull_time import step_of_largest, step_of_pairs
+
+FloatArray = NDArray[np.float64]
+Records = NDArray[np.void]
+
+BODIES_PER_BLOCK = 1000  # about 10 µs
+BORNE = 0.5  # of its acceleration; a body counts as held if contacts bear at least this part
+END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
+
+CAP, VELOCITY, ACCELERATION, HELD, PULL, GROWTH, FIXED, END = range(8)
+LIMIT_NAMES = ("cap", "velocity", "acceleration", "held", "pull", "growth", "fixed", "end")
+
+RULE = np.dtype(
+    [
+        ("max_dt", np.float64),  # s
+        ("cfl", np.float64),  # 0 for no limit, like all below
+        ("by_fastest_body", np.bool_),  # whether that is the limit of the fastest body only
+        ("target_dx", np.float64),  # m
+        ("held_dx", np.float64),  # m, replaces it for bodies that lasting contacts hold
+        ("held_part", np.float64),  # of its own radius that such a body may move in a step
+        ("smoothing", np.float64),  # weight of the new step in the average
+        ("anchored", np.bool_),  # whether something is fixed: speeds are then relative to it
+        ("looks", np.bool_),  # whether a limit needs the largest values of all bodies
+        ("pull_fraction", np.float64),
+        ("pull_of_pairs", np.bool_),  # these as in `PullTime`
+        ("constant", np.float64),
+        ("softening", np.float64),
+        ("mean", np.float64),
+    ]
+)
+
+LIMITS = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "largest_acceleration",  # m/s²
+            "largest_free_acceleration",  # m/s², of bodies that contacts do not hold
+            "largest_borne",  # m/s², largest acceleration that contacts bear
+            "velocity_step",  # s, dt_v of every body; infinite at rest
+            "fastest_step",  # s, dt_v of the fastest body
+            "fastest_squared",  # m²/s², its speed
+            "held_time",  # s, shortest time in which a held body moves by its radius
+        )
+    ]
+)
+
+
+@unowned
+def chosen(
+    rule: Records,
+    previous: float,
+    remaining: float,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    radius: FloatArray,
+    mass: FloatArray,
+    inverse_mass: FloatArray,
+    borne: FloatArray,
+    field: FloatArray,
+    found: Records,
+    is_found: bool,
+) -> tuple[float, int, float]:
+    """Choose the next step; return it in s, the limit that set it, and the new average in s.
+
+    Parameters
+    ----------
+    rule
+        (1,) `RULE`.
+    previous
+        s, the average; 0 if there is none.
+    remaining
+        s, until the run ends.
+    borne
+        (n + p,) m/s², what contacts bear; empty if none do.
+    field
+        (3,) m/s², the acceleration that does not count.
+    found
+        (k,) `LIMITS`, a row for each block of bodies.
+    is_found
+        Whether ``found`` has been filled; otherwise it is, if need be.
+    """
+    dt, limit = _target(
+        rule, position, velocity, acceleration, radius, mass, inverse_mass, borne, field, found, is_found
+    )
+    if 0.0 < previous < dt:
+        smoothing = rule[0].smoothing
+        dt, limit = previous + smoothing * (dt - previous), limit if smoothing == 1.0 else GROWTH
+    average = dt
+    if ends_run(dt, remaining):
+        dt, limit = remaining, END
+    return dt, limit, average
+
+
+@kernel
+def choose(
+    rule: Records,
+    previous: float,
+    remaining: float,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    radius: FloatArray,
+    mass: FloatArray,
+    inverse_mass: FloatArray,
+    borne: FloatArray,
+    field: FloatArray,
+    found: Records,
+    is_found: bool,
+) -> tuple[float, int, float]:
+    """Choose the next step for a caller in Python; see `chosen`."""
+    return chosen(
+        *(rule, previous, remaining, position, velocity, acceleration, radius, mass, inverse_mass, borne),
+        *(field, found, is_found),
+    )
+
+
+@kernel
+def ends_run(dt: float, remaining: float) -> bool:
+    """Tell whether a step of dt is the last one, where so much time remains, both in s."""
+    return remaining <= dt * (1.0 + END_TOLERANCE)
+
+
+@unowned
+def _target(
+    rule: Records,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    radius: FloatArray,
+    mass: FloatArray,
+    inverse_mass: FloatArray,
+    borne: FloatArray,
+    field: FloatArray,
+    found: Records,
+    is_found: bool,
+) -> tuple[float, int]:
+    """Return the step that the limits allow, before smoothing, and the limit that set it."""
+    R = rule[0]
+    dt, limit = R.max_dt, CAP
+    a_max, a_free, b_max, every, fastest, turn = 0.0, 0.0, 0.0, np.inf, np.inf, np.inf
+    if R.looks:
+        if not is_found:
+            Vx, Vy, Vz = (0.0, 0.0, 0.0) if R.anchored else centre_velocity(velocity, mass)
+            cfl = R.cfl if R.cfl > 0.0 else 1.0
+            look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
+        a_max, a_free, b_max, every, fastest, turn = _strictest(found)
+    if R.cfl > 0.0:
+        dt_v = fastest if R.by_fastest_body else every
+        if dt_v < dt:
+            dt, limit = dt_v, VELOCITY
+    if R.target_dx > 0.0 and a_max > 0.0:
+        dt_a, why = _of_acceleration(R.target_dx, R.held_dx, R.held_part, a_max, a_free, b_max, turn)
+        if dt_a < dt:
+            dt, limit = dt_a, why
+    if R.pull_fraction > 0.0:
+        if R.pull_of_pairs:
+            dt_p = step_of_pairs(position, velocity, mass, inverse_mass, R.constant, R.softening, R.pull_fraction)
+        else:
+            dt_p = step_of_largest(a_max, R.mean, R.softening, R.pull_fraction)
+        if dt_p < dt:
+            dt, limit = dt_p, PULL
+    return dt, limit
+
+
+@kernel
+def _of_acceleration(
+    dx: float, held_dx: float, held_part: float, a_max: float, a_free: float, b_max: float, turn: float
+) -> tuple[float, int]:
+    """Return the step that the accelerations allow, and its limit."""
+    dt_a = np.sqrt(2.0 * dx / a_max)
+    if held_dx == 0.0 or a_free == a_max:
+        return dt_a, ACCELERATION
+    dt_free = np.sqrt(2.0 * dx / a_free) if a_free > 0.0 else np.inf
+    by_load = np.sqrt(2.0 * held_dx / max(a_max, b_max))
+    dt_held = max(dt_a, min(by_load, held_part * turn))
+    if dt_free < dt_held:
+        return dt_free, ACCELERATION
+    return dt_held, HELD
+
+
+@long_kernel
+def look(
+    lo: int,
+    hi: int,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    radius: FloatArray,
+    borne: FloatArray,
+    field: FloatArray,
+    cfl: float,
+    Vx: float,
+    Vy: float,
+    Vz: float,
+    found: Records,
+) -> None:
+    """Write the limits that the bodies of the blocks from lo to hi set."""
+    for block in range(lo, hi):
+        a_max, v2_max, fastest, every, a_free, turn, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
+        for i in range(block * BODIES_PER_BLOCK, min((block + 1) * BODIES_PER_BLOCK, len(radius))):
+            ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
+            a = np.sqrt(ax * ax + ay * ay + az * az)
+            a_max = max(a_max, a)
+            vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
+            ux, uy, uz = vx - Vx, vy - Vy, vz - Vz
+            u = np.sqrt(ux * ux + uy * uy + uz * uz)
+            if len(borne) > 0:
+                b_max = max(b_max, borne[i])
+            if len(borne) > 0 and borne[i] >= BORNE * a:
+                turn = min(turn, radius[i] / u) if u > 0.0 else turn
+            else:
+                a_free = max(a_free, a)
+            s = cfl * radius[i]
+            every = min(every, 2.0 * s / (u + np.sqrt(u * u + 2.0 * a * s)))
+            v2 = vx * vx + vy * vy + vz * vz
+            if v2 > v2_max:
+                v2_max, fastest = v2, s / np.sqrt(v2)
+        limits = found[block]
+        limits.largest_acceleration, limits.largest_free_acceleration, limits.largest_borne = a_max, a_free, b_max
+        limits.velocity_step, limits.held_time = every, turn
+        limits.fastest_step, limits.fastest_squared = fastest, v2_max
+
+
+@kernel
+def _strictest(found: Records) -> tuple[float, float, float, float, float, float]:
+    """Return the strictest limits of all blocks; one body sets each, so the division does not matter.
+
+    They are the first three of `LIMITS`, the step of every body and of the fastest, and the time of held bodies.
+    """
+    a_max, a_free, b_max, every, fastest, v2_max, turn = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
+    for block in range(len(found)):
+        limits = found[block]
+        a_max = max(a_max, limits.largest_acceleration)
+        a_free, b_max = max(a_free, limits.largest_free_acceleration), max(b_max, limits.largest_borne)
+        every, turn = min(every, limits.velocity_step), min(turn, limits.held_time)
+        if limits.fastest_squared > v2_max:
+            v2_max, fastest = limits.fastest_squared, limits.fastest_step
+    return a_max, a_free, b_max, every, fastest, turn
