@@ -36,7 +36,7 @@ def fit_into_address_space() -> None:
     os.environ.setdefault("MIMALLOC_ARENA_RESERVE", RESERVED)
     if limit < LEAST_ADDRESS_SPACE:
         sys.stderr.write(
-            f"carom: address space is limited to {limit / 1e9:.2g} GB, and its libraries need "
+            f"carom: address space is limited to {limit / 1e9:.3g} GB, and its libraries need "
             f"{LEAST_ADDRESS_SPACE / 1e9:.2g} GB or more; raise the limit (ulimit -v, in kB)\n"
         )
         sys.exit(2)

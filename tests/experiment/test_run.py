@@ -144,14 +144,14 @@ def test_a_state_that_stops_being_finite_leaves_a_readable_file_that_says_so(tmp
     assert recording.outcome.startswith("failed") and recording.frames == outcome.frames > 0
 
 
-def failing(error: Exception) -> Space:
-    """Return a space whose physics raises an error after 0.3 s of simulated time."""
+def failing(error: Exception, after: float = 0.3) -> Space:
+    """Return a space whose physics raises an error after a simulated time in s."""
     space = Space(cloud(time={"duration": 1.0}))
     frames = space.run
 
     def run_and_fail(**options: Any) -> Any:
         for frame in frames(**options):
-            if frame.time > 0.3:
+            if frame.time > after:
                 raise error
             yield frame
 
@@ -164,6 +164,15 @@ def test_a_run_that_is_out_of_memory_is_closed_and_says_so(tmp_path: Path) -> No
     assert outcome.status == "failed" and outcome.reason.startswith("out of memory at t = 0.3")
     recording = Recording.open(tmp_path / "x.rrd")
     assert recording.finished and recording.outcome.startswith("failed: out of memory") and recording.frames > 0
+
+
+def test_a_run_that_fails_before_its_first_frame_leaves_a_file_that_says_why(tmp_path: Path) -> None:
+    outcome = simulate(failing(MemoryError(), after=-1.0), tmp_path / "x.rrd")
+    recording = Recording.open(tmp_path / "x.rrd")
+    assert recording.frames == outcome.frames == 0 and recording.outcome.startswith("failed: out of memory at t = 0 s")
+    assert recording.info["bodies"] == cloud().count
+    with pytest.raises(RecordingError, match="holds no frame: failed: out of memory"):
+        resumable_run(recording)
 
 
 def test_a_defect_in_the_physics_is_raised_after_the_recording_is_closed(tmp_path: Path) -> None:

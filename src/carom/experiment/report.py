@@ -94,8 +94,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
     """Return the time in s that a report is about, and what happened then."""
-    if recording.frames == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     moments: dict[str, Any] = recording.summary()["moments"]
     last = float(recording.fingerprints()["time"][-1].as_py())
     if recording.outcome.startswith(("failed", "disk")):

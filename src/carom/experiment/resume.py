@@ -56,7 +56,8 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     """
     scene, path = recorded_scene(recording), recording.path
     cut = scene.time.duration
-    if recording.frames == 0 or recording.fingerprints()["step"][0].as_py() != 0:
+    recording.require_frames()
+    if recording.fingerprints()["step"][0].as_py() != 0:
         raise RecordingError(f"{path} does not begin at step 0: resume the recording that it was cut from")
     done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
     if end == done and not recording.closing:

@@ -258,7 +258,7 @@ class _Physics:
             case PhysicsError():
                 return "failed", str(self._error)
             case MemoryError():
-                return "failed", f"out of memory {at}"
+                return "failed", f"out of memory {at}; use fewer bodies, or raise the memory limit (`ulimit -v`)"
         raise self._error
 
     def _run(self) -> None:

@@ -31,8 +31,7 @@ class FrameAlignment:
 
     def __init__(self, a: Recording, b: Recording) -> None:
         for recording in (a, b):
-            if recording.frames == 0:
-                raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+            recording.require_frames()
         if a.shown != b.shown:
             raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
         self._a, self._b = _Frames(a), _Frames(b)

@@ -118,8 +118,7 @@ def _cut(recording: Recording, start: float, end: float) -> _Cut:
     prints = recording.fingerprints()
     times = prints["time"].to_numpy()
     inside = np.flatnonzero((times >= start) & (times <= end))
-    if len(times) == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     if len(inside) == 0:
         nearest = times[np.argmin(np.abs(times - min(max(start, times[0]), end)))]
         raise RecordingError(

@@ -61,8 +61,7 @@ def snapshots(
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
-    if len(times) == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     moment = float(times[0]) if everything else recording.moment(at)
     goal = min(moment - tolerance(moment), float(times[-1]))
     window = Window(recording, goal, watch=watch)

@@ -137,8 +137,7 @@ def count_at(recording: Recording, step: int) -> int:
 def _interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
     """Return the interval in which impacts are asked for, both ends included."""
     times = recording.fingerprints()["time"].to_numpy()
-    if len(times) == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     first, last = -np.inf if start is None else start, np.inf if end is None else end
     if first > last:
         raise RecordingError(f"from {first:g} to {last:g} s: the end lies before the beginning")

@@ -18,8 +18,7 @@ _RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, whic
 
 def moment(recording: Recording, at: float | None) -> float:
     """Return the simulated time (s) to look at; see `Recording.moment`."""
-    if recording.frames == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     times = _column(recording.fingerprints(), "time")
     if at is not None:
         between = np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)  # a step may have no frame

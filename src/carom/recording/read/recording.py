@@ -295,6 +295,11 @@ class Recording:
         """Number of frames."""
         return int(self._fingerprints.num_rows)
 
+    def require_frames(self) -> None:
+        """Raise a RecordingError that says how the run ended, if it ended before its first frame."""
+        if self.frames == 0:
+            raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
+
     @_named
     def fingerprints(self) -> pa.Table:
         """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""

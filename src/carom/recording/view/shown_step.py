@@ -62,8 +62,7 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
-    if len(times) == 0:
-        raise RecordingError(f"{recording.path} holds no frame: {recording.outcome}")
+    recording.require_frames()
     row = frame_of(recording, at)
     last = row if row is not None else max(0, int(np.searchsorted(times, at - tolerance(at))) - 1)
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin

@@ -35,6 +35,11 @@ class AddressReserve:
         if self._limit is not None:
             self._keep(self._least)
 
+    @property
+    def limited(self) -> bool:
+        """Whether addresses are limited, and the system tells how many are in use."""
+        return self._limit is not None
+
     def require(self, batch: Sequence[Frame], path: Path) -> None:
         """Keep what closing the file needs. RecordingError if that and encoding a batch do not fit."""
         if self._limit is None:

@@ -81,6 +81,9 @@ class Recorder:
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
         self._closed = False
+        self._start: FloatArray | None = None  # (n, 3) m, of the centres
+        self._start_known = threading.Event()  # or the recorder is closed
+        self._begun = threading.Event()  # what is static is in the file, or never will be
         self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
         self._thread.start()
 
@@ -94,13 +97,26 @@ class Recorder:
         """How many impacts are recorded so far; None if none are to be."""
         return self._encoder.impacts if self._encoder else None
 
+    def begin(self, position: FloatArray) -> None:
+        """Write what is static, for centres (n, 3) in m at the start; `put` does so if nobody has.
+
+        A run that fails before its first frame then leaves a readable file, too.
+        """
+        self._start = position.copy()
+        self._start_known.set()
+        if self._addresses.limited:  # contacts may leave too few addresses to encode it
+            self._begun.wait()
+
     def store_for(self, bodies: Bodies) -> FrameStore:
-        """Return memory for the arrays of frames; a frame's arrays are reused once this recorder is done with it."""
+        """Begin, and return memory for frames; a frame's arrays are reused once this recorder is done with it."""
+        self.begin(bodies.position)
         self._store = FrameStore(self._slots, bodies)
         return self._store
 
     def put(self, frame: Frame) -> None:
         """Hand over a frame; wait while the queue is full. Raises the error that stopped the recorder, if any."""
+        if self._start is None:
+            self.begin(frame.position)
         self._queue.put(frame)
 
     def finish(self, outcome: str, summary: Mapping[str, Scalar] | None = None, events: tuple[Event, ...] = ()) -> None:
@@ -128,6 +144,7 @@ class Recorder:
 
     def _stop(self) -> None:
         """End the thread after it has written the queue."""
+        self._start_known.set()
         self._queue.close()
         self._thread.join()
 
@@ -145,13 +162,19 @@ class Recorder:
             )
         except Exception as error:  # the physics thread must learn of any failure
             self._fail(RecordingError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
+        finally:
+            self._begun.set()
 
     def _record(self) -> None:
+        self._start_known.wait()
+        if self._start is None:
+            return
+        encoder = self._begin(self._start)
+        self._begun.set()
         while batch := self._queue.take():
-            self._write(batch)
+            self._write(batch, encoder)
 
-    def _write(self, batch: list[Frame]) -> None:
-        encoder = self._encoder or self._begin(batch[0])
+    def _write(self, batch: list[Frame], encoder: BatchEncoder) -> None:
         self._addresses.require(batch, self.path)
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
@@ -168,10 +191,10 @@ class Recorder:
         self.frames += len(batch)  # even if the flush finds the disk full: the reserve had room for them
         self._stream.flush()
 
-    def _begin(self, first: Frame) -> BatchEncoder:
+    def _begin(self, position: FloatArray) -> BatchEncoder:
         """Send everything static, and before the first frame of a resumed run the frames that it continues."""
         self._addresses.release()
-        continued, position = self._continued, first.position
+        continued = self._continued
         if continued is not None:
             position, origin = continued.first_position(), continued.origin
             self._encoder = BatchEncoder(
