@@ -162,7 +162,7 @@ WHOLE: Sections = {
     "gravity": {"constant": 1e-3, "uniform": [0.0, 0.0, -9.81]},
     "time": {"max_dt": 0.02},
 }
-DIRECT = {"forces.gravity.direct._total"}
+DIRECT = {"forces.gravity.direct.pull_few"}
 TURNING = {"rotation.turn", "contact.pipeline._turn"}
 MEETING = {
     "contact.geometry.update_geometry",
@@ -171,7 +171,7 @@ MEETING = {
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
-FIELD, STEP = {"forces.uniform_field.add"}, {"time_step._limits"}
+FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.choose"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
 OPTIONAL = ("contact.continuous.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
@@ -182,7 +182,7 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
     ("without friction", {"contact": SMOOTH}, TURNING),
     ("without gravity and field", {"gravity": {"constant": 0.0}}, DIRECT | FIELD | RESTING),
     ("without pushes", {"contact": {"stabilisation": "none"}}, PUSHING),
-    ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING | STEP),
+    ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING),
     ("at a fixed step", {"time": {"fixed_dt": 0.02}}, STEP),
 ]
 
