@@ -21,6 +21,7 @@ from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
 from carom.scene.command import command
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
 
@@ -66,9 +67,9 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")
     if end != cut:
-        interval = frame_interval(scene)
-        every = '"step"' if interval == 0.0 else repr(interval)
-        scene = recorded_scene(recording, [f"time.duration={end!r}", f"record.every={every}"])
+        interval, units = frame_interval(scene), scene.unit_system
+        every = '"step"' if interval == 0.0 else units.literal(interval, TIME)
+        scene = recorded_scene(recording, [f"time.duration={units.literal(end, TIME)}", f"record.every={every}"])
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:

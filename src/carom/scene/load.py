@@ -18,6 +18,7 @@ from pydantic import BaseModel, ValidationError
 
 from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.command import command
+from carom.scene.conversion import Wrong, converted
 from carom.scene.error import SceneError
 from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
@@ -249,11 +250,12 @@ def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: C
         document["expect"]["duration"] = duration
 
 
-def _duration(document: Any) -> float | None:
-    """Return the duration as written; None if it is not a number."""
+def _duration(document: Any) -> float | str | None:
+    """Return the duration as written; None if it is neither a number nor a text."""
     time = document.get("time", {})
-    duration = time.get("duration", Time().duration) if isinstance(time, dict) else None
-    return duration if isinstance(duration, int | float) else None
+    default = f"{Time().duration!r} s" if isinstance(document.get("units"), dict) else Time().duration
+    duration = time.get("duration", default) if isinstance(time, dict) else None
+    return duration if isinstance(duration, int | float | str) else None
 
 
 def _parse_value(text: str) -> Any:
@@ -265,12 +267,17 @@ def _parse_value(text: str) -> Any:
 
 
 def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
+    numbers, units, wrong = converted(data)
+    if wrong:
+        messages = [_not_a_quantity(each, places) for each in wrong[:MOST_MESSAGES]]
+        more = len(wrong) - MOST_MESSAGES
+        raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages))
     try:
-        scene = Scene.model_validate(data)
+        scene = Scene.model_validate(numbers)
     except ValidationError as error:
         first_of_each_key = {_written_path(detail, data): detail for detail in reversed(error.errors())}
         explained = itertools.islice(reversed(first_of_each_key.items()), MOST_MESSAGES)
-        messages = [_explain(detail, path, places) for path, detail in explained]
+        messages = [_explain(detail, path, places, data) for path, detail in explained]
         more = len(first_of_each_key) - MOST_MESSAGES
         raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages)) from None
     if len(text) > longest_text(scene.count):
@@ -278,13 +285,20 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
             f"{places.file or 'the scene'}: {len(text)} characters are too many for a scene of {scene.count} bodies; "
             f"at most {longest_text(scene.count)}"
         )
-    scene._toml = text
+    scene._toml, scene._unit_system = text, units
     return scene
 
 
-def _explain(detail: Any, path: KeyPath, places: _Places) -> str:
+def _not_a_quantity(wrong: Wrong, places: _Places) -> str:
     """Return one line with the place, the key, what is wrong and what would be right."""
-    place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), detail["input"]
+    key = ".".join(str(part)[:80] for part in wrong.path)
+    given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
+    return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
+
+
+def _explain(detail: Any, path: KeyPath, places: _Places, data: Any) -> str:
+    """Return one line with the place, the key, what is wrong and what would be right."""
+    place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
     if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):
@@ -312,6 +326,16 @@ def _written_path(detail: Any, data: Any) -> KeyPath:
         else:
             return path[:depth]
     return path
+
+
+def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
+    """Return the value at a path before its conversion, if there was one."""
+    found, given = data, detail["input"]
+    if not isinstance(given, int | float):
+        return given
+    for key in path:
+        found = found[key]  # `_written_path` has followed it
+    return found if isinstance(found, str | int | float) else given
 
 
 def _wrong(detail: Any) -> str:

@@ -16,7 +16,8 @@ Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
 MOST_RUNS = 1_000_000
 _TOO_MANY = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_RANGE = re.compile(rf"\s*({_NUMBER})\s*:\s*({_NUMBER})\s*:\s*(\d+)\s*(log)?\s*")
+_UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"
+_RANGE = re.compile(rf"\s*({_NUMBER})\s*({_UNIT})?\s*:\s*({_NUMBER})\s*({_UNIT})?\s*:\s*(\d+)\s*(log)?\s*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
 _DIGITS = 12  # of a value in a range: 0.3 and not 0.30000000000000004
 
@@ -27,7 +28,8 @@ def values_of(text: str) -> Values:
     Parameters
     ----------
     text
-        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included.
+        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included,
+        and may have a unit: ``1 km:5 km:5``.
 
     Raises
     ------
@@ -48,7 +50,7 @@ def texts_of(text: str) -> list[str]:
         Saying what would be right.
     """
     if matched := _RANGE.fullmatch(text):
-        return [repr(value) for value in _range(text, *matched.groups())]
+        return [value if isinstance(value, str) else repr(value) for value in _range(text, *matched.groups())]
     return _parts(text)
 
 
@@ -129,7 +131,16 @@ def _parts(text: str) -> list[str]:
     return parts
 
 
-def _range(text: str, first: str, last: str, count: str, log: str | None) -> Values:
+def _range(
+    text: str, first: str, unit: str | None, last: str, other: str | None, count: str, log: str | None
+) -> Values:
+    if unit != other:
+        raise ValueError(f'"{text}": expected one unit at both ends, such as 1 km:5 km:5')
+    values = _numbers(text, first, last, count, log)
+    return tuple(f"{value} {unit}" for value in values) if unit else values
+
+
+def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> Values:
     if len(count.lstrip("0")) > len(str(MOST_RUNS)) or int(count) > MOST_RUNS:
         raise ValueError(_TOO_MANY)
     low, high, steps = float(first), float(last), int(count) - 1

@@ -28,6 +28,7 @@ from carom.plan.auto import cfl, gravity_method, integrator, pull_fraction, targ
 from carom.plan.features import require
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH, TIME
 
 FloatArray = NDArray[np.float64]
 
@@ -100,18 +101,20 @@ def make_reference(
 
 def refined(scene: Scene, factor: float) -> list[str]:
     """Return the overrides that divide the steps of a scene by a factor, whatever limits them."""
-    rule = scene.time
-    if integrator(scene).controls_error and rule.fixed_dt is None:
-        return [f"time.max_dt={rule.max_dt / factor!r}"]
+    rule, units = scene.time, scene.unit_system
     if rule.fixed_dt is not None:
-        return [f"time.fixed_dt={rule.fixed_dt / factor!r}"]
-    limits = {
-        "cfl": (cfl(scene), factor),
-        "target_dx": (target_dx(scene), factor**2),
-        "pull_fraction": (pull_fraction(scene), factor),
-    }
-    finer = [f"time.{key}={limit / by!r}" for key, (limit, by) in limits.items() if limit is not None]
-    return [f"time.max_dt={rule.max_dt / factor!r}", *finer]
+        return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
+    shortest = f"time.max_dt={units.literal(rule.max_dt / factor, TIME)}"
+    if integrator(scene).controls_error:
+        return [shortest]
+    finer = [shortest]
+    if (fraction := cfl(scene)) is not None:
+        finer.append(f"time.cfl={fraction / factor!r}")
+    if (distance := target_dx(scene)) is not None:
+        finer.append(f"time.target_dx={units.literal(distance / factor**2, LENGTH)}")
+    if (fraction := pull_fraction(scene)) is not None:
+        finer.append(f"time.pull_fraction={fraction / factor!r}")
+    return finer
 
 
 def fineness(scene: Scene, setting: Scene) -> float:

@@ -18,6 +18,7 @@ from carom.scene.schema.record import Record
 from carom.scene.schema.scene import Scene
 from carom.scene.schema.sweep import Sweep
 from carom.scene.schema.time import Time
+from carom.scene.schema.units import Units
 
 __all__ = [
     "LARGEST",
@@ -39,5 +40,6 @@ __all__ = [
     "Spin",
     "Sweep",
     "Time",
+    "Units",
     "Velocity",
 ]

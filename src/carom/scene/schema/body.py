@@ -8,16 +8,17 @@ from pydantic import Field, model_validator
 
 from carom.scene.schema.matter import Matter
 from carom.scene.schema.quantity import ORIGIN, Positive, Vector
+from carom.scene.units.dimension import ANGULAR_VELOCITY, LENGTH, VELOCITY
 
 
 class Body(Matter):
     """[[body]]: one body."""
 
     name: str = Field("", description="shown in the recording and in warnings")
-    position: Vector = Field(ORIGIN, description="m, [x, y, z] of the centre")
-    velocity: Vector = Field(ORIGIN, description="m/s, [x, y, z]")
-    angular_velocity: Vector = Field(ORIGIN, description="rad/s, [x, y, z]")
-    radius: Positive = Field(1.0, description="m; more than 0")
+    position: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of the centre")
+    velocity: Annotated[Vector, VELOCITY] = Field(ORIGIN, description="m/s, [x, y, z]")
+    angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] = Field(ORIGIN, description="rad/s, [x, y, z]")
+    radius: Annotated[Positive, LENGTH] = Field(1.0, description="m; more than 0")
     fixed: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: the body neither moves nor turns, whatever acts on it"
     )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from carom.scene.schema.quantity import Positive, Section
+from carom.scene.units.dimension import LENGTH
 
 
 class Domain(Section):
@@ -15,7 +16,7 @@ class Domain(Section):
     boundary: Literal["open", "periodic", "walls"] = Field(
         "open", description="open space, a periodic box, or a box with walls"
     )
-    size: tuple[Positive, Positive, Positive] | None = Field(
+    size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
         None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
     )
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from carom.scene.schema.quantity import Count, NonNegative, Positive, Section
+from carom.scene.units.dimension import TIME
 
 ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a run of the promised duration
 
@@ -34,7 +35,7 @@ class Expect(Section):
         None,
         description="largest change of a speed or of the ledger in a step that impulses and forces do not explain",
     )
-    duration: Positive | None = Field(
+    duration: Annotated[Positive, TIME] | None = Field(
         None,
         description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",
     )

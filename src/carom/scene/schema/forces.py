@@ -7,12 +7,13 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from carom.scene.schema.quantity import LARGEST, ORIGIN, NonNegative, Positive, Section, Vector
+from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, LENGTH, TIME, VELOCITY
 
 
 class Gravity(Section):
     """[gravity]: the gravity of the bodies on each other, and a uniform field."""
 
-    constant: NonNegative = Field(
+    constant: Annotated[NonNegative, GRAVITATIONAL_CONSTANT] = Field(
         6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 is no gravity; not negative"
     )
     method: Literal["auto", "direct", "tree", "none"] = Field(
@@ -21,22 +22,24 @@ class Gravity(Section):
     opening_angle: Positive = Field(
         0.5,
         le=1,
-        description="rad, tree only: boxes with a smaller angular radius pull as a whole; more than 0, at most 1",
+        description="tree only: boxes with a smaller angular radius in radians pull as a whole; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
         True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
     )
-    softening: NonNegative = Field(0.0, description="m, Plummer softening length; not negative")
-    uniform: Vector = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
+    softening: Annotated[NonNegative, LENGTH] = Field(0.0, description="m, Plummer softening length; not negative")
+    uniform: Annotated[Vector, ACCELERATION] = Field(ORIGIN, description="m/s², a uniform field [x, y, z]")
 
 
 class Drag(Section):
     """[drag]: Stokes' drag in a medium, a = -(v - u)/τ."""
 
-    relaxation_time: Positive = Field(
+    relaxation_time: Annotated[Positive, TIME] = Field(
         description="s, τ, in which the velocity relative to the medium falls to 1/e; more than 0"
     )
-    medium_velocity: Vector = Field(ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium")
+    medium_velocity: Annotated[Vector, VELOCITY] = Field(
+        ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium"
+    )
 
     @model_validator(mode="after")
     def _the_push_of_the_medium_is_a_number(self) -> Self:

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from carom.scene.schema.matter import Matter
 from carom.scene.schema.quantity import ORIGIN, Count, NonNegative, Positive, Real, Section, Vector
+from carom.scene.units.dimension import ANGULAR_VELOCITY, LENGTH, VELOCITY
 
 STEEPEST = 300  # decades that a power of radii may span
 
@@ -23,8 +24,8 @@ def _constant_as_range(value: Any) -> Any:
 class RadiusRange(Section):
     """Radii of a group: one number, or a range with its distribution."""
 
-    min: Positive = Field(description="m, smallest radius; more than 0")
-    max: Positive = Field(description="m, largest radius; more than 0")
+    min: Annotated[Positive, LENGTH] = Field(description="m, smallest radius; more than 0")
+    max: Annotated[Positive, LENGTH] = Field(description="m, largest radius; more than 0")
     distribution: Literal["uniform", "log-uniform", "power-law"] = Field("uniform", description="of the radii")
     exponent: Real = Field(-3.5, description="of the power law, dN/dr ∝ r^exponent")
 
@@ -43,9 +44,11 @@ class Region(Section):
     """Where the bodies of a group are placed; every sphere lies entirely inside."""
 
     shape: Literal["ball", "box"] = Field("ball", description="shape of the region")
-    radius: Positive | None = Field(None, description="m, of a ball; more than 0")
-    size: tuple[Positive, Positive, Positive] | None = Field(None, description="m, [x, y, z] of a box")
-    centre: Vector = Field(ORIGIN, description="m, [x, y, z]")
+    radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of a ball; more than 0")
+    size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
+        None, description="m, [x, y, z] of a box"
+    )
+    centre: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z]")
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -59,14 +62,18 @@ class Region(Section):
 class Velocity(Section):
     """Velocities of a group: Maxwellian about a mean."""
 
-    mean: Vector = Field(ORIGIN, description="m/s, [x, y, z]")
-    dispersion: NonNegative = Field(0.0, description="m/s, standard deviation of each component; not negative")
+    mean: Annotated[Vector, VELOCITY] = Field(ORIGIN, description="m/s, [x, y, z]")
+    dispersion: Annotated[NonNegative, VELOCITY] = Field(
+        0.0, description="m/s, standard deviation of each component; not negative"
+    )
 
 
 class Spin(Section):
     """Spins of a group: Maxwellian about its bulk rotation."""
 
-    dispersion: NonNegative = Field(0.0, description="rad/s, standard deviation of each component; not negative")
+    dispersion: Annotated[NonNegative, ANGULAR_VELOCITY] = Field(
+        0.0, description="rad/s, standard deviation of each component; not negative"
+    )
 
 
 class Group(Matter):
@@ -74,7 +81,7 @@ class Group(Matter):
 
     name: str = Field("", description="shown in the recording")
     count: Count = Field(100, description="number of bodies; 1 or more")
-    radius: Annotated[RadiusRange, BeforeValidator(_constant_as_range)] = Field(
+    radius: Annotated[RadiusRange, LENGTH, BeforeValidator(_constant_as_range)] = Field(
         RadiusRange(min=1.0, max=1.0), description="m, one number or { min, max, distribution }"
     )
     region: Region | None = Field(
@@ -82,6 +89,6 @@ class Group(Matter):
     )
     velocity: Velocity = Field(Velocity(), description="{ mean, dispersion } in m/s")
     spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
-    bulk_rotation: Vector = Field(
+    bulk_rotation: Annotated[Vector, ANGULAR_VELOCITY] = Field(
         ORIGIN, description="rad/s, [x, y, z], rigid rotation of the whole group about its centre"
     )

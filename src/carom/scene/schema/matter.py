@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from carom.scene.schema.quantity import Positive, Section
+from carom.scene.units.dimension import DENSITY, MASS
 
 
 class Matter(Section):
     """Matter of a sphere: a density or a mass, not both."""
 
-    density: Positive | None = Field(None, description="kg/m³, 1000 unless mass is given; more than 0")
-    mass: Positive | None = Field(None, description="kg, of each body, in place of a density; more than 0")
+    density: Annotated[Positive, DENSITY] | None = Field(
+        None, description="kg/m³, 1000 unless mass is given; more than 0"
+    )
+    mass: Annotated[Positive, MASS] | None = Field(
+        None, description="kg, of each body, in place of a density; more than 0"
+    )
     inertia_factor: Positive = Field(
         0.4, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
     )

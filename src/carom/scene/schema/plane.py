@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
 from carom.scene.schema.contact import Contact, Material
 from carom.scene.schema.quantity import ORIGIN, AnyReal, Friction, Section, Vector
+from carom.scene.units.dimension import LENGTH
 
 
 class Plane(Section):
     """[[plane]]: a static half-space; the normal points out of the solid."""
 
     name: str = Field("", description="shown in warnings")
-    point: Vector = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
+    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
     normal: tuple[AnyReal, AnyReal, AnyReal] = Field(
         (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid; any length but 0"
     )

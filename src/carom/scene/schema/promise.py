@@ -7,6 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from carom.scene.schema.quantity import NonNegative, Positive, Real, Section
+from carom.scene.units.dimension import RATE, TIME
 
 
 class Promise(Section):
@@ -15,11 +16,13 @@ class Promise(Section):
     refinement: Positive = Field(
         description="longest useful steps over those of the run; for gauss-radau15, its usual ones; more than 0"
     )
-    until: Positive = Field(description="s, the part of the run that was looked ahead; more than 0")
-    horizon: NonNegative | None = Field(
+    until: Annotated[Positive, TIME] = Field(description="s, the part of the run that was looked ahead; more than 0")
+    horizon: Annotated[NonNegative, TIME] | None = Field(
         None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
     )
-    lyapunov: Real = Field(description="1/s, largest Lyapunov exponent, over the time that was looked ahead")
+    lyapunov: Annotated[Real, RATE] = Field(
+        description="1/s, largest Lyapunov exponent, over the time that was looked ahead"
+    )
     error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
         description="expected error of positions over the size of the system, at equally spaced times up to `until`"
     )

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, Field, model_validator
 
 from carom.scene.schema.quantity import Count, Positive, Section
+from carom.scene.units.dimension import TIME
 
 
 class Record(Section):
     """[record]: how often frames are recorded and the energy is checked. It never changes the physics."""
 
-    every: Literal["auto", "step"] | Positive = Field(
+    every: Literal["auto", "step"] | Annotated[Positive, TIME] = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
     )
     colour_by: Literal["auto", "group", "speed", "graph", "island"] = Field(

@@ -20,6 +20,8 @@ from carom.scene.schema.quantity import Section
 from carom.scene.schema.record import Record
 from carom.scene.schema.sweep import Sweep
 from carom.scene.schema.time import Time
+from carom.scene.schema.units import Units
+from carom.scene.units.system import SI, UnitSystem
 
 
 class Scene(Section):
@@ -37,6 +39,11 @@ class Scene(Section):
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
         0, description="seed of the random start; 0 or more, below 2**63"
     )
+    units: str | Units | None = Field(
+        None,
+        description="the units of plain numbers, a section; or those that the scene is simulated in, a text such as "
+        '"au, day, solar mass"; SI by default',
+    )
     time: Time = Field(Time(), description="the duration, and how the step is chosen")
     gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
     drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
@@ -52,11 +59,17 @@ class Scene(Section):
     promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
 
     _toml: str = PrivateAttr("")
+    _unit_system: UnitSystem = PrivateAttr(SI)
 
     @property
     def toml(self) -> str:
         """The scene as TOML: the text it was loaded from with overrides applied, or one written from its values."""
         return self._toml
+
+    @property
+    def unit_system(self) -> UnitSystem:
+        """The units that the scene is written, simulated and printed in."""
+        return self._unit_system
 
     @property
     def refinement(self) -> float:

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from carom.scene.integrators import AUTO, INTEGRATORS, described
 from carom.scene.schema.quantity import Positive, Section
+from carom.scene.units.dimension import LENGTH, TIME
 
 if TYPE_CHECKING:
     IntegratorName = str
@@ -29,9 +30,9 @@ _UNCONTROLLED = ("euler", "leapfrog-dkd", "wisdom-holman")  # integrators that n
 class Time(Section):
     """[time]: the duration, and how the step is chosen."""
 
-    duration: Positive = Field(10.0, description="s, simulated time; more than 0")
-    max_dt: Positive = Field(1.0, description="s, largest step; more than 0")
-    target_dx: Positive | Literal["auto"] = Field(
+    duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
+    max_dt: Annotated[Positive, TIME] = Field(1.0, description="s, largest step; more than 0")
+    target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
         "auto",
         description="m, largest distance that an acceleration may move a body from rest in a step; "
         '"auto" is a fraction of the smallest radius, smaller for fewer bodies, and no limit where nothing can touch',
@@ -57,7 +58,9 @@ class Time(Section):
     velocity_limit: Literal["every-body", "fastest-body"] = Field(
         "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
     )
-    fixed_dt: Positive | None = Field(None, description="s, constant step in place of the adaptive one")
+    fixed_dt: Annotated[Positive, TIME] | None = Field(
+        None, description="s, constant step in place of the adaptive one"
+    )
     accuracy: Annotated[Positive, Field(le=1e-2)] | None = Field(
         None,
         description="relative error to keep, in place of a step: of positions over the size of the system, and of "

@@ -1,0 +1,177 @@
+"""Quantities of a scene: texts such as "3 km", and numbers in the units of [units], as numbers of the simulation."""
+
+from __future__ import annotations
+
+import operator
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Literal
+
+from pydantic import BaseModel
+
+from carom.scene.lines import KeyPath
+from carom.scene.nearest import suggestion
+from carom.scene.schema import Gravity, Scene
+from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.unit import UnitError, unit_of
+
+_NUMBERS = {float, int}
+_WRITTEN_BY_CAROM = "promise"  # a section in the units of the simulation
+
+
+@dataclass
+class Wrong:
+    """A text that is not a quantity, where one should stand."""
+
+    path: KeyPath
+    given: str | None  # None: nothing was given
+    message: str
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What may stand at a key: a quantity of a dimension, one of some words, or a section."""
+
+    dimension: Dimension | None
+    words: frozenset[str] = frozenset()
+    below: Mapping[str, _Place] = field(default_factory=dict)
+
+
+def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
+    """Return the units that a scene gives under ``units``; adds what is wrong with them."""
+    if isinstance(units, str):
+        try:
+            return UnitSystem.of_text(units)
+        except UnitError as error:
+            wrong.append(Wrong(("units",), units, str(error)))
+        return SI
+    if not isinstance(units, Mapping):
+        if units is not None:
+            wrong.append(Wrong(("units",), str(units), "must be a section with keys, or a text with units"))
+        return SI
+    given = {key: text for key, text in units.items() if _names_a_unit(key, text, wrong)}
+    return UnitSystem.of_table(given)
+
+
+def _names_a_unit(key: Any, text: Any, wrong: list[Wrong]) -> bool:
+    """Tell whether an entry of [units] is right; adds what is wrong with it."""
+    if key not in NAMED:
+        near = suggestion(str(key), NAMED)
+        wrong.append(Wrong(("units", key), None, f"is not a dimension; {near}"))
+        return False
+    dimension = NAMED[key]
+    try:
+        if not isinstance(text, str):
+            raise UnitError("must be text in quotes")
+        unit_of(text, dimension)
+    except UnitError as error:
+        wrong.append(Wrong(("units", key), str(text), f'{error}; expected a unit such as "{dimension.unit}"'))
+        return False
+    return True
+
+
+def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, list[Wrong]]:
+    """Convert the quantities of a scene as it was read; what needs no conversion is shared with it.
+
+    Returns
+    -------
+    data, units, wrong
+        The same keys with numbers of the simulation, its units, and the texts that are no quantities.
+    """
+    wrong: list[Wrong] = []
+    units = unit_system(data.get("units"), wrong)
+    found = {key: _walked(value, place(key), units, (key,), wrong) for key, value in data.items()}
+    if units.own:
+        found = _with_gravity(found, units, wrong)
+    return found, units, wrong
+
+
+def _with_gravity(data: dict[str, Any], units: UnitSystem, wrong: list[Wrong]) -> dict[str, Any]:
+    """Let the default of the gravitational constant follow the units."""
+    gravity = data.get("gravity", {})
+    if not isinstance(gravity, Mapping) or "constant" in gravity or gravity.get("method") == "none":
+        return data
+    if units.dimensionless:
+        missing = 'is missing; a scene with units = "dimensionless" has to state it (0 is no gravity)'
+        wrong.append(Wrong(("gravity", "constant"), None, missing))
+        return data
+    constant = units.of_si(Gravity().constant, GRAVITATIONAL_CONSTANT)
+    return {**data, "gravity": {**gravity, "constant": constant}}
+
+
+def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wrong: list[Wrong]) -> Any:
+    """Convert what stands at a place, and all below it; what needs no conversion is returned as it is."""
+    kind = type(value)
+    if at is None or kind is bool or (kind in _NUMBERS and not units.converts):
+        return value
+    if isinstance(value, Mapping):
+        changed = {}
+        for key, inner in value.items():
+            if (below := at.below.get(key)) and not (type(inner) in _NUMBERS and not units.converts):
+                found = _walked(inner, below, units, (*path, key), wrong)
+                if found is not inner:
+                    changed[key] = found
+        return {**value, **changed} if changed else value
+    if isinstance(value, list | tuple):
+        if not units.converts and _NUMBERS.issuperset(map(type, value)):
+            return value
+        entries = [_walked(inner, at, units, (*path, k), wrong) for k, inner in enumerate(value)]
+        return entries if any(map(operator.is_not, entries, value)) else value
+    if at.dimension is None:
+        return value
+    if isinstance(value, int | float):
+        return units.converted(value, at.dimension)
+    if isinstance(value, str) and value not in at.words and not (at.words and value[:1].isalpha()):
+        try:
+            return units.number(value, at.dimension)
+        except UnitError as error:
+            wrong.append(Wrong(path, value, str(error)))
+    return value
+
+
+@cache
+def place(key: str) -> _Place | None:
+    """Return what may stand at a key of a scene, at any depth below it; None if no quantity may."""
+    if key == _WRITTEN_BY_CAROM:
+        return None
+    return _places(Scene).get(key)
+
+
+def _places(model: type[BaseModel]) -> dict[str, _Place]:
+    found = {key: _place(info.annotation, dimension_in(info.metadata)) for key, info in model.model_fields.items()}
+    return {key: at for key, at in found.items() if at.dimension or at.below}
+
+
+def _place(annotation: Any, dimension: Dimension | None) -> _Place:
+    words: set[str] = set()
+    below: dict[str, _Place] = {}
+    for part in _parts(annotation):
+        if typing.get_origin(part) is Literal:
+            words.update(word for word in typing.get_args(part) if isinstance(word, str))
+        elif isinstance(part, Dimension):
+            dimension = part
+        elif isinstance(part, type) and issubclass(part, BaseModel):
+            below |= _places(part)
+    return _Place(dimension, frozenset(words), below)
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Return the types and the metadata that an annotation is made of."""
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        yield from _parts(annotation.__origin__)
+        yield from annotation.__metadata__
+    elif origin in (typing.Union, types.UnionType, tuple):
+        for part in typing.get_args(annotation):
+            yield from _parts(part)
+    else:
+        yield annotation
+
+
+def dimension_in(metadata: list[Any]) -> Dimension | None:
+    """Return the dimension among the metadata of a field; None if it is not a quantity."""
+    return next((entry for entry in metadata if isinstance(entry, Dimension)), None)

@@ -1,0 +1,60 @@
+"""The dimensions of the quantities in a scene and in what carom prints, each with its SI unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+BASE = ("length", "time", "mass", "angle")
+
+Exponents = tuple[int, int, int, int]  # of the dimensions in `BASE`
+
+
+@dataclass(frozen=True, slots=True)
+class Dimension:
+    """A dimension, such as that of an energy."""
+
+    name: str
+    unit: str  # of SI, as it is printed and as a text may have it
+    exponents: Exponents
+    example: str  # a quantity, as a person writes it
+    plain: str = ""  # the key of [units] that names a unit of it; empty: it follows from the others
+
+    @property
+    def called(self) -> str:
+        """The name with its article."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
+
+
+LENGTH = Dimension("length", "m", (1, 0, 0, 0), "3 km", "length")
+TIME = Dimension("time", "s", (0, 1, 0, 0), "12 h", "time")
+MASS = Dimension("mass", "kg", (0, 0, 1, 0), "5 t", "mass")
+ANGLE = Dimension("angle", "rad", (0, 0, 0, 1), "30 deg", "angle")
+VELOCITY = Dimension("velocity", "m/s", (1, -1, 0, 0), "2 km/s", "velocity")
+ACCELERATION = Dimension("acceleration", "m/s²", (1, -2, 0, 0), "9.81 m/s^2", "acceleration")
+ANGULAR_VELOCITY = Dimension("angular velocity", "rad/s", (0, -1, 0, 1), "10 deg/s", "angular_velocity")
+DENSITY = Dimension("density", "kg/m³", (-3, 0, 1, 0), "5 g/cm^3", "density")
+GRAVITATIONAL_CONSTANT = Dimension(
+    "gravitational constant", "m³ kg⁻¹ s⁻²", (3, -2, -1, 0), "4.3e-3 pc (km/s)^2 / solar mass"
+)
+RATE = Dimension("rate", "1/s", (0, -1, 0, 0), "50 Hz")
+IMPULSE = Dimension("impulse", "N s", (1, -1, 1, 0), "3 N s")
+ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
+
+DIMENSIONS: Sequence[Dimension] = (
+    LENGTH,
+    TIME,
+    MASS,
+    ANGLE,
+    VELOCITY,
+    ACCELERATION,
+    ANGULAR_VELOCITY,
+    DENSITY,
+    GRAVITATIONAL_CONSTANT,
+    RATE,
+    IMPULSE,
+    ENERGY,
+)
+NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by key of [units]
+OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
+OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}

@@ -1,0 +1,44 @@
+"""Quantities as texts: "3 km" and the number that it is."""
+
+from __future__ import annotations
+
+import re
+from fractions import Fraction
+
+from carom.scene.units.dimension import Dimension
+from carom.scene.units.unit import LONGEST, UnitError, unit_of
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
+
+
+def quantity(text: str, dimension: Dimension) -> Fraction:
+    """Read a quantity of a dimension; returns it in SI, exactly.
+
+    Raises
+    ------
+    UnitError
+        If the text is not a number with a unit of that dimension. The message says what would be right.
+    """
+    found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+    if not found:
+        raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
+    if not found[2].strip():
+        raise UnitError(
+            f"a text needs a unit{_such_as(dimension)}; for {dimension.unit} write the number without quotes"
+        )
+    try:
+        return Fraction(found[1]) * unit_of(found[2], dimension).size
+    except UnitError as error:
+        raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
+
+
+def nearest_float(value: Fraction) -> float:
+    """Return the nearest double; infinity beyond the largest, which a scene refuses like any other infinity."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def _such_as(dimension: Dimension) -> str:
+    return f', such as "{dimension.example}"'

@@ -1,0 +1,184 @@
+"""The units of a scene: those of its plain numbers, those that it is simulated in, and those that carom prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import cached_property
+
+from carom.scene.units.dimension import BASE, LENGTH, MASS, NAMED, OF_UNIT, TIME, Dimension
+from carom.scene.units.quantity_text import nearest_float, quantity
+from carom.scene.units.unit import UnitError, unit, unit_of
+
+OWN = (LENGTH, TIME, MASS)  # what ``units = "au, day, solar mass"`` names
+WITHOUT = "dimensionless"  # ``units`` of a scene whose numbers have none
+
+_IN_PRINT = ("mass", "length", "angle", "time")  # order of the base units in a product
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """Units by the key of [units] that names them; SI where none is given.
+
+    A scene is simulated and recorded in SI, and plain numbers are converted to it; or, with `own`, in its own units,
+    and plain numbers stay as they are.
+    """
+
+    given: Mapping[str, str] = field(default_factory=dict)
+    own: bool = False
+
+    @classmethod
+    def of_text(cls, text: str) -> UnitSystem:
+        """Read ``units = "au, day, solar mass"``.
+
+        Raises
+        ------
+        UnitError
+            If these are not a length, a time and a mass, in any order.
+        """
+        if text.strip() == WITHOUT:
+            return cls({dimension.plain: "" for dimension in OWN}, own=True)
+        given: dict[str, str] = {}
+        for part in text.split(","):
+            try:
+                found = unit(part).dimension
+            except UnitError as error:
+                raise UnitError(f"{error}{_SUCH_AS}") from None
+            if found not in OWN or found.plain in given:
+                raise UnitError(f'"{part.strip()}" {_not_wanted(found, given)}{_SUCH_AS}')
+            given[found.plain] = part.strip()
+        for dimension in OWN:
+            if dimension.plain not in given:
+                raise UnitError(f"{dimension.called} is missing{_SUCH_AS}")
+        return cls(given, own=True)
+
+    @classmethod
+    def of_table(cls, given: Mapping[str, str]) -> UnitSystem:
+        """Read [units], whose units are known to be of the right dimensions."""
+        return cls({key: text.strip() for key, text in given.items()})
+
+    @property
+    def is_si(self) -> bool:
+        """Whether numbers are read, kept and printed in SI."""
+        return not self.given
+
+    @property
+    def converts(self) -> bool:
+        """Whether plain numbers are converted to SI."""
+        return bool(self.given) and not self.own
+
+    @property
+    def dimensionless(self) -> bool:
+        """Whether the numbers have no units."""
+        return self.own and not self.given[LENGTH.plain]
+
+    def number(self, text: str, dimension: Dimension) -> float:
+        """Read a quantity such as "3 km" as a number of the simulation.
+
+        Raises
+        ------
+        UnitError
+            If it is none of that dimension.
+        """
+        if self.dimensionless:
+            raise UnitError(f'units = "{WITHOUT}": expected a plain number')
+        value = quantity(text, dimension)
+        return nearest_float(value / self._size(dimension) if self.own else value)
+
+    def converted(self, number: float, dimension: Dimension) -> float:
+        """Convert a plain number of the scene, or of an option, to the units of the simulation."""
+        if not self.converts or self._size(dimension) == 1:
+            return number
+        try:
+            return nearest_float(Fraction(float.__repr__(float(number))) * self._size(dimension))
+        except (ValueError, OverflowError):  # not finite: for the schema to refuse
+            return number
+
+    def literal(self, number: float, dimension: Dimension) -> str:
+        """Write a number of the simulation as a TOML value of the scene."""
+        plain = float.__repr__(float(number))
+        return f'"{plain} {dimension.unit}"' if self.converts else plain
+
+    def of_si(self, number: float, dimension: Dimension) -> float:
+        """Return a number in SI in the units of the simulation."""
+        return nearest_float(Fraction(repr(number)) / self._size(dimension)) if self.own else number
+
+    def factor(self, dimension: Dimension) -> float:
+        """Return the units of the simulation in one unit of the scene's plain numbers; 1 in SI."""
+        return nearest_float(self._size(dimension)) if self.converts else 1.0
+
+    def shown(self, number: float, dimension: Dimension) -> float:
+        """Return a number of the simulation in the unit that it is printed in."""
+        factor = self.factor(dimension)
+        return number if factor == 1.0 else number / factor
+
+    def text(self, number: float, dimension: Dimension, form: str = ".6g") -> str:
+        """Write a number of the simulation with its unit, such as "3 km"."""
+        return f"{self.shown(number, dimension):{form}} {self.unit(dimension)}".rstrip()
+
+    def unit(self, dimension: Dimension) -> str:
+        """Name the unit that numbers of a dimension are printed in; empty if they have none."""
+        if self.is_si:
+            return dimension.unit
+        return self._names(dimension)
+
+    def recorded_unit(self, si: str) -> str:
+        """Name the unit of a recorded series, by its unit in SI; "1" for none."""
+        if not self.own or si not in OF_UNIT:
+            return si
+        return self._names(OF_UNIT[si]) or "1"
+
+    def _names(self, dimension: Dimension) -> str:
+        if dimension.plain in self.given:
+            return self.given[dimension.plain]
+        powers = dict(zip(BASE, dimension.exponents, strict=True))
+        if not any(powers[name] for name in BASE if name in self.given):
+            return dimension.unit
+        return composed([(self.given.get(name, NAMED[name].unit), powers[name]) for name in _IN_PRINT])
+
+    def _size(self, dimension: Dimension) -> Fraction:
+        """Return the SI units in one unit of the scene, exactly."""
+        if dimension not in self._sizes:
+            self._sizes[dimension] = self._sized(dimension)
+        return self._sizes[dimension]
+
+    @cached_property
+    def _sizes(self) -> dict[Dimension, Fraction]:
+        return {}
+
+    def _sized(self, dimension: Dimension) -> Fraction:
+        if self.dimensionless:
+            return Fraction(1)
+        if dimension.plain in self.given:
+            return unit_of(self.given[dimension.plain], dimension).size
+        size = Fraction(1)
+        for name, power in zip(BASE, dimension.exponents, strict=True):
+            if power and name in self.given:
+                size *= unit_of(self.given[name], NAMED[name]).size ** power
+        return size
+
+
+def composed(powers: Sequence[tuple[str, int]]) -> str:
+    """Write a product of powers of units, such as "solar mass au²/day²"; units without a name are left out."""
+    product = " ".join(_power(name, power) for name, power in powers if name and power > 0)
+    below = [_power(name, -power) for name, power in powers if name and power < 0]
+    divisor = f"({' '.join(below)})" if len(below) > 1 else "".join(below)
+    return f"{product or '1'}/{divisor}" if divisor else product
+
+
+def _power(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}{str(power).translate(_RAISED)}"
+
+
+_SUCH_AS = f'; expected a length, a time and a mass, such as "au, day, solar mass", or "{WITHOUT}"'
+
+
+def _not_wanted(found: Dimension | None, given: Mapping[str, str]) -> str:
+    if found in OWN:
+        return f"is a second {found.name}" if found.plain in given else ""
+    return f"is {found.called}" if found else "is neither a length, a time nor a mass"
+
+
+SI = UnitSystem()

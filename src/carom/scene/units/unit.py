@@ -1,0 +1,140 @@
+"""Units by their names: how much of SI they are, and of which dimension. The one place that imports pint.
+
+The definitions are carom's own and exact (`definitions.txt`), so a conversion is a product of fractions that is rounded
+once: the same bits with every version of pint, on every machine. pint takes a quarter of a second to import, so it is
+imported when the first unit is read.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carom.scene.units.dimension import BASE, OF_EXPONENTS, Dimension, Exponents
+
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+LONGEST = 80  # characters of a text
+DEFINITIONS = Path(__file__).with_name("definitions.txt")
+
+_SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_NAME = r"(?:[^\W\d]+|°)"
+_POWER = r"(?:\s*(?:\^|\*\*)\s*|(?<=[^\W\d°)]))[+-]?\d(?!\d)"  # one digit, so that none of these powers takes long
+_POWERS = re.compile(rf"({_NAME}|\)){_POWER.replace('[+-]', '([+-]').replace('(?!', ')(?!')}")
+_ONE = rf"{_NAME}(?:{_POWER})?"
+_TIMES = r"(?:\s*[*/·]\s*|\s+)"
+_GROUP = rf"(?:{_ONE}|\(\s*{_ONE}(?:{_TIMES}{_ONE})*\s*\)(?:{_POWER})?)"
+_UNIT = re.compile(rf"{_GROUP}(?:{_TIMES}{_GROUP})*")  # products and powers of names
+_WORDS = re.compile(r"([^\W\d]+) (?=([^\W\d]+))")
+_PREFIXED = ("k", "M", "G", "m", "c", "µ", "n", "kilo", "mega", "giga", "milli", "centi", "micro")
+_TAKE_PREFIXES = ("m", "metre", "meter", "g", "gram", "s", "second", "pc", "parsec", "yr", "year", "J", "joule", "N")
+
+
+class UnitError(ValueError):
+    """A text names no unit, or one of another dimension."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit: its size in SI, exactly, and its dimension."""
+
+    size: Fraction  # SI units in one of it
+    exponents: Exponents
+
+    @property
+    def dimension(self) -> Dimension | None:
+        """Its dimension, if quantities of a scene have it."""
+        return OF_EXPONENTS.get(self.exponents)
+
+
+@cache
+def unit(text: str) -> Unit:
+    """Read a unit such as "km", "g/cm^3", "m s⁻²" or "solar mass".
+
+    Raises
+    ------
+    UnitError
+        If it is none; the message names the nearest one.
+    """
+    written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
+    if not _UNIT.fullmatch(written):
+        raise UnitError(f'"{text[:LONGEST]}" is not a unit')
+    from pint import errors  # noqa: PLC0415 - slow to import, and most scenes need none
+
+    known: Any = registry()
+    try:
+        size, base = known.get_root_units(_POWERS.sub(r"\1**\2", written).replace("·", "*"))
+        dimensions = known.get_dimensionality(base)
+    except errors.UndefinedUnitError as error:
+        names = error.unit_names
+        raise UnitError(_unknown(names if isinstance(names, str) else next(iter(names)))) from None
+    except Exception:  # of a parser that is not ours: a text is data, and must never end with a traceback
+        raise UnitError(f'"{text}" is not a unit') from None
+    exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
+    return Unit(
+        Fraction(size) / Fraction(1000) ** exponents[2], (exponents[0], exponents[1], exponents[2], exponents[3])
+    )
+
+
+def unit_of(text: str, dimension: Dimension) -> Unit:
+    """Read a unit of a dimension.
+
+    Raises
+    ------
+    UnitError
+        If it is none, or one of another dimension.
+    """
+    found = unit(text)
+    if found.exponents != dimension.exponents:
+        what = f"{found.dimension.called}, not" if found.dimension else "not"
+        raise UnitError(f'"{text.strip()}" is {what} {dimension.called}')
+    return found
+
+
+@cache
+def registry() -> UnitRegistry[Any]:
+    """Return the units that carom knows."""
+    from pint import UnitRegistry  # noqa: PLC0415 - slow to import, and most scenes need none
+
+    found: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
+    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            found.define(line)
+    return found
+
+
+def names() -> Iterator[str]:
+    """Return the names of all units, in the order of their definitions."""
+    for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
+        first, *others = (part.strip() for part in line.split("="))
+        if line and not line.startswith("#") and not first.endswith("-"):
+            yield from (first, *(other for other in others[1:] if other != "_"))
+
+
+def _joined(text: str) -> str:
+    """Join words that are one name, such as "solar mass", by an underscore."""
+    known = set(names())
+    return _WORDS.sub(lambda found: f"{found[1]}{'_' if f'{found[1]}_{found[2]}' in known else ' '}", text)
+
+
+def _unknown(name: str) -> str:
+    """Say that there is no such unit, and name the nearest."""
+    known = {*names(), *(f"{prefix}{base}" for prefix, base in product(_PREFIXED, _TAKE_PREFIXES))}
+    known |= {f"{word}s" for word in known if len(word) > 3}
+    by_lower = {word.lower(): word for word in sorted(known, reverse=True)}
+    near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
+    hint = f' (did you mean "{_spaced(by_lower[near[0]])}"?)' if near else ""
+    return f'there is no unit "{name}"{hint}'
+
+
+def _spaced(name: str) -> str:
+    """Return a name of several words as people write it; symbols, which have capitals, stay as they are."""
+    return name.replace("_", " ") if name.islower() else name
