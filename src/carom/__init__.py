@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from carom import errors
 
 if TYPE_CHECKING:
+    from carom import record as record
     from carom.experiment.run import run as run
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["Recording", "Scene", "Space", "__version__", "errors", "run"]
+__all__ = ["Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
 
 _HOMES = {
     "Recording": "carom.recording.read.recording",
@@ -36,6 +37,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name on its first use: a person who asks for help does not wait for compilers and viewers."""
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("carom")
+    if name == "record":
+        return importlib.import_module("carom.record")
     if name not in _HOMES:
         raise AttributeError(f"module 'carom' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

@@ -60,6 +60,8 @@ def _overview(summary: dict[str, Any]) -> Table:
     angular = summary["angular_momentum"]["max_error"]
     table = _grid()
     table.add_row("scene", f"{summary['scene']['title']}, {summary['bodies']} bodies")
+    if summary["scene"].get("engine"):
+        table.add_row("engine", f"{summary['scene']['engine']}, of which carom saw the states only")
     clip = summary.get("clip")
     if clip:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
@@ -89,6 +91,12 @@ def _overview(summary: dict[str, Any]) -> Table:
             kept = "not judged, the run ended elsewhere"
         bound = verdict.get("bound", "at most")  # recordings of before there was another bound
         table.add_row("promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}")
+    for law, broken in summary.get("laws", {}).items():
+        table.add_row(
+            "law broken",
+            f"{law.replace('-', ' ')}, first at step {broken['step']}, t = {broken['time']:.6g} s; "
+            f"in {broken['frames']} frames",
+        )
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
     return table
 
@@ -115,6 +123,8 @@ def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
         yield f"{moment.text}, at step {moment.step}, t = {moment.time:.6g} s"
         yield "    " + command("view", file, "--at", f"{moment.time:.9g}")
         yield "    " + command("clip", file, "--around", f"{moment.time:.9g}", "--window", f"{window:.3g}")
+        if summary["scene"].get("engine"):
+            continue
         yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 
 

@@ -113,8 +113,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
 
 
 def _warnings(recording: Recording) -> list[tuple[float, str]]:
-    """Return times and texts of the energy warnings."""
-    return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith("energy")]
+    """Return times and texts of the energy warnings, and of the laws that another engine broke."""
+    return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith(("energy", "law-"))]
 
 
 def _cut(recording: Recording, moment: float, path: Path) -> None:
@@ -130,6 +130,8 @@ def _cut(recording: Recording, moment: float, path: Path) -> None:
 
 
 def _replay(recording: Recording) -> str:
+    if recording.engine:
+        return f"Recorded from {recording.engine}; it cannot be replayed."
     try:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
@@ -167,7 +169,7 @@ def _summary(
         "## Look at it",
         "",
         "```sh",
-        f"{command('replay', name)}    # are the bits the same on your machine?",
+        *([] if clip.engine else [f"{command('replay', name)}    # are the bits the same on your machine?"]),
         f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{moment:.9g}')}",
         "```",
         "",
@@ -190,7 +192,7 @@ def _warned(recording: Recording) -> list[str]:
     if not warnings:
         return []
     shown = [f"t = {time:.9g} s: {text}" for time, text in warnings[:MOST_WARNINGS]]
-    return [f"## Energy warnings ({len(warnings)})", "", "```text", *shown, "```", ""]
+    return [f"## Warnings ({len(warnings)})", "", "```text", *shown, "```", ""]
 
 
 def _plain(properties: Any) -> dict[str, Any]:

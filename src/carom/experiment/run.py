@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.experiment.closing import closing_of
 from carom.experiment.contact_counts import EACH, ONCE_A_STEP
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import claimed_output
-from carom.physics.diagnostics.extremes import Extreme, Extremes
+from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.space import Space
@@ -340,28 +341,9 @@ def _summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[
     summary: dict[str, Scalar] = {
         "steps": space.step,
         "sim_time": space.time,
-        "contacts.total": extremes.total_contacts,
-        "contacts.impacts": extremes.impacts,
         "contacts.impacts_counted": _impacts_counted(space),
     }
-    if extremes.momentum_error is not None:
-        summary["momentum.max_error"] = extremes.momentum_error.value
-    if extremes.angular_momentum_error is not None:
-        summary["angular_momentum.max_error"] = extremes.angular_momentum_error.value
-    if extremes.energy_error is not None:
-        summary["energy.max_error"] = extremes.energy_error.value
-    summary["energy.reference"] = extremes.energy_scale  # J; the viewer loads no recording with "energy.scale" here
-    summary["energy.contact_gain"] = extremes.contact_gain.value
-    if extremes.overlap is not None:
-        summary["contacts.max_overlap"] = extremes.overlap.value
-    for name in ("energy_error", "impact", "overlap", "contacts"):
-        moment: Extreme | None = getattr(extremes, name)
-        if moment is not None:
-            key = f"moments.{name}"
-            summary |= {f"{key}.value": moment.value, f"{key}.step": moment.step, f"{key}.time": moment.time}
-            summary[f"{key}.bodies"] = ",".join(map(str, moment.bodies))
-            summary[f"{key}.planes"] = ",".join(map(str, moment.planes))
-            summary[f"{key}.between"] = moment.between
+    summary |= closing_of(extremes)
     summary |= {f"accuracy.{name}": value for name, value in kept_accuracy(space.scene).items()}
     for part, seconds in space.profile.seconds().items():
         summary[f"profile.{part}"] = seconds

@@ -64,6 +64,9 @@ def snapshots(
     recording.require_frames()
     moment = float(times[0]) if everything else recording.moment(at)
     goal = min(moment - tolerance(moment), float(times[-1]))
+    if recording.engine:
+        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
+        return
     window = Window(recording, goal, watch=watch)
     mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
@@ -76,3 +79,15 @@ def snapshots(
         yield Snapshot(frame.checkpoint, mass, radius)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
+
+
+def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
+    """Yield the exact states of some frames, which cannot be run again."""
+    mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
+    kept = recording.checkpoint_times
+    if missing := [int(step) for step in steps if step not in kept]:
+        raise RecordingError(
+            f"{recording.path} has no exact state at step {missing[0]}, and cannot be run again: record with exact=True"
+        )
+    for step in steps.tolist():
+        yield Snapshot(recording.checkpoint(step), mass, radius)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 def names_of(recording: Recording) -> Names:
     """Return the names of all bodies, planes and walls; planes have none if this version cannot read the scene."""
+    if recording.engine:
+        return Names(recording.bodies.name, str(recording.info.get("plane_names", "")).split("\n"))
     try:
         planes = half_spaces(recorded_scene(recording)).name
     except (RecordingError, SceneError):

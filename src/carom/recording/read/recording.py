@@ -149,6 +149,12 @@ class Recording:
 
     @property
     @_named
+    def engine(self) -> str:
+        """Name and version of the other engine that it was recorded from; empty for carom's own runs."""
+        return str(self.info.get("engine", ""))
+
+    @property
+    @_named
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
         return bool(self.info.get("records_contacts", False))

@@ -25,8 +25,12 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     SceneError
         If this version cannot read it.
     RecordingError
-        If it has another number of bodies than the recording.
+        If it was recorded from another engine, or the scene has another number of bodies than the recording.
     """
+    if recording.engine:
+        raise RecordingError(
+            f"{recording.path} was recorded from {recording.engine}: carom has its states, and cannot run it again"
+        )
     text, bodies = recording.scene_toml, len(recording.bodies.mass)
     if len(text) > longest_text(bodies):
         raise RecordingError(

@@ -28,7 +28,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     frames = recording.fingerprints()
     clip, momenta = _clip(recording), recording.momentum()
     found: dict[str, Any] = {
-        "scene": {"title": recording.title},
+        "scene": {"title": recording.title, **({"engine": recording.engine} if recording.engine else {})},
         "bodies": int(recording.info["bodies"]),
         "frames": recording.frames,
         "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,
@@ -44,6 +44,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "profile": {} if clip else _below(recording.closing, "profile"),
         "accuracy": _below(recording.closing, "accuracy"),
         "versions": recording.versions,
+        **_of_engine(recording),
         "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
     }
     if clip:
@@ -53,6 +54,13 @@ def summary(recording: Recording) -> dict[str, Any]:
     for section in ("energy", "momentum", "angular_momentum", "contacts"):
         found[section] |= _below(recording.closing, section)
     return found
+
+
+def _of_engine(recording: Recording) -> dict[str, Any]:
+    """Return the laws that another engine's run broke, each with its first frame; nothing for carom's own runs."""
+    if not recording.engine:
+        return {}
+    return {"laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text"))}
 
 
 def _clip(recording: Recording) -> dict[str, Any]:

@@ -73,6 +73,8 @@ class Header:
     colour_by: str = "auto"  # record.colour_by
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
+    engine: str = ""  # name and version of the other engine that it was recorded from; empty for carom's own runs
+    exact: bool = False  # whether every frame has a checkpoint
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""

@@ -50,6 +50,7 @@ DT_LIMITS = {
     "cap": SKY,
     "growth": YELLOW,
     "fixed": BLUE,
+    "engine": BLUE,
     "end": GREEN,
 }
 

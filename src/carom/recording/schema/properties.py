@@ -67,6 +67,8 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
     "carom": {
         "title": _text,
         "colour_by": _text,
+        "engine": _text,
+        "plane_names": _text,
         "bodies": _count,
         "time_scale": _positive,
         "origin": _vector,
@@ -92,6 +94,9 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         **dict.fromkeys(("moments.*.bodies", "moments.*.planes"), _numbers),
         "moments.*.between": _text,
         "expect.*.bound": _text,
+        **dict.fromkeys(("laws.*.step", "laws.*.frames"), _whole),
+        "laws.*.time": _number,
+        "laws.*.text": _text,
         **dict.fromkeys(("expect.*.limit", "expect.*.measured"), _number),
         **dict.fromkeys(("expect.*.met", "expect.*.judged"), _flag),
     },

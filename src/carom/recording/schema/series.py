@@ -83,6 +83,7 @@ class Series:
     part: str | None = None  # the part of the model (`carom explain`) without which it is not recorded; None: always
     past: Past = Past.NONE
     width: float = THIN
+    inside: bool = False  # whether only the engine that computes the step knows it, so other engines' runs lack it
     flat_is_dull: bool = False  # its plot is left out if it is constant; every series' is if it is 0 throughout
 
 
@@ -160,9 +161,10 @@ SERIES = (
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
            _impact_rate, "impacts since the frame before over the time between", "contact", Past.INTERVAL),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
-           _colours, "colours of the contacts in the step", "contact", Past.STEP),
+           _colours, "colours of the contacts in the step", "contact", Past.STEP, inside=True),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
-           lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP),
+           lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP,
+           inside=True),
     Series("step/overlap", "m", "deepest overlap", PURPLE, None,
            lambda s: s.overlap, "deepest overlap of a contact", "contact", Past.STEP),
     Series("step/relative_overlap", "1", "deepest overlap / smaller radius", PURPLE, _OVERLAP,
@@ -173,10 +175,12 @@ SERIES = (
 
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
-    return (series for series in SERIES if series.part is None or header.models(series.part))
+    seen = (series for series in SERIES if not (series.inside and header.engine))
+    return (series for series in seen if series.part is None or header.models(series.part))
 
 
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
     """Tell whether a recording with these properties has a series, given by the first and the last part of its path."""
     rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.rpartition("/")[2] == name]
+    rows = [row for row in rows if not (row.inside and properties.get("engine"))]
     return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)

@@ -47,6 +47,7 @@ def header_of_recording(recording: Recording) -> Header:
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
         planes=nowhere if paths.PLANES in static else None,
+        engine=recording.engine,
     )
 
 

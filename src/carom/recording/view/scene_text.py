@@ -26,9 +26,9 @@ def _run(header: Header) -> str:
         f"| bodies | {header.bodies} |",
         f"| radii | {radius.min():.4g} to {radius.max():.4g} m |",
         f"| total mass | {header.mass.sum():.6g} kg |",
-        f"| duration asked for | {header.duration:g} s |",
-        f"| seed | {header.seed} |",
     ]
+    if not header.engine:
+        lines += [f"| duration asked for | {header.duration:g} s |", f"| seed | {header.seed} |"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])
 
 
@@ -59,7 +59,9 @@ def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtyp
 
 def _legend(header: Header) -> str:
     lines = ["## Colours", f"- Bodies: {_body_colours(header)}."]
-    if header.collides:
+    if header.collides and header.engine:
+        lines.append("- Lines join the centres of touching bodies.")
+    elif header.collides:
         stages = ", ".join(f"{k} {name}" for k, name in enumerate(palette.STAGE_NAMES))
         lines.append(
             f"- Lines join the centres of touching bodies. Their colour is the stage in which the contact is resolved: "

@@ -71,7 +71,7 @@ class Recorder:
         self._store: FrameStore | None = None
         # a slot is reused once its frame has left the queue, the batch being written, and `_last`
         self._slots = max(room, batch) + batch + 2
-        self._plan = CheckpointPlan()
+        self._plan = CheckpointPlan(every_frame=header.exact)
         self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
         self._references: dict[str, float] = {}  # as last sent

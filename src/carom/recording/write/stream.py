@@ -153,6 +153,10 @@ class Stream:
             "time_scale": clock.scale,
             "origin": origin,
         }
+        if header.engine:
+            identity["engine"] = header.engine
+            if header.planes is not None:
+                identity["plane_names"] = "\n".join(header.planes.name)
         if header.promises:
             identity["promises"] = True
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}

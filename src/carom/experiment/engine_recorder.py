@@ -1,0 +1,329 @@
+"""`Recorder`: records another engine's run, frame by frame, while a user's own loop steps it."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import uuid
+import warnings
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from carom.experiment.closing import closing_of
+from carom.experiment.contact_counts import ONCE_A_STEP
+from carom.experiment.environment import environment
+from carom.experiment.output import claimed_output, refuse_output
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Scalar
+from carom.recording.source.audit import Fault, Tolerances
+from carom.recording.source.observer import Observer, header_of_source, not_finite
+from carom.recording.source.source import Model, Setup, Source, State, array_of, setup_of
+from carom.recording.write.recorder import Recorder as FrameRecorder
+
+WAITING_BYTES = 32_000_000  # of states that wait for the writer
+MOST_WAITING = 256
+COMPLETED = "completed"
+
+_ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
+
+
+class Recorder:
+    """Records the states that a source shows; use it as a context, and call `frame` after every step.
+
+    Encoding, the audit and the disk are another thread's work; `frame` copies the state. It waits while that thread is
+    behind: no frame is dropped. A state that is not finite ends the recording with the frame before it. A fault is
+    a line in the recording's log, and an entry in `faults`.
+
+    Parameters
+    ----------
+    source
+        The other engine's run, such as ``carom.record.mujoco(model, data)``.
+    path
+        The ``.rrd`` to write.
+    last
+        Keep only so many frames, in memory. They are written when a state is not finite, when an exception leaves the
+        context, and by `write`; otherwise no file is written.
+    every
+        Record each so many calls of `frame`.
+    title
+        Of the recording; by default the name of the engine.
+    duration
+        s, the time that the run will reach, where that is more than 292 years.
+    exact
+        Whether every frame has the exact state in float64, which cannot be computed again. Without, about one frame in
+        ten has it, and the others have positions in float32.
+    tolerances
+        How much may be wrong before the audit reports it.
+    force
+        Whether to replace a file that exists.
+
+    Raises
+    ------
+    RecordingError
+        If the path cannot be written, or the source shows something that is not a run of bodies.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        path: str | Path,
+        *,
+        last: int | None = None,
+        every: int = 1,
+        title: str | None = None,
+        duration: float = 0.0,
+        exact: bool = True,
+        tolerances: Tolerances | None = None,
+        force: bool = False,
+    ) -> None:
+        if last is not None and last < 1:
+            raise RecordingError(f"last = {last}: keep at least one frame")
+        if every < 1:
+            raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
+        self.path = Path(path)
+        refuse_output(self.path, force)
+        self._source, self._every, self._exact, self._force = source, every, exact, force
+        self._title, self._duration = title, duration
+        self._tolerances = tolerances or Tolerances()
+        self._calls = 0
+        self._time = -np.inf
+        self._ended = ""  # why no more frames are taken
+        self._setup: Setup | None = None
+        self._ring: deque[tuple[int, State]] | None = None if last is None else deque(maxlen=last)
+        self._sink: _Writer | None = None
+        self._written = 0
+        self.faults: list[Fault] = []
+
+    @property
+    def frames(self) -> int:
+        """How many frames were recorded, or are in memory."""
+        return self._sink.taken if self._sink else len(self._ring or ())
+
+    def frame(self) -> bool:
+        """Record the present state; return whether the recording goes on.
+
+        Raises
+        ------
+        RecordingError
+            If the file can no longer be written, or the time has gone back.
+        """
+        call, self._calls = self._calls, self._calls + 1
+        if self._ended or call % self._every:
+            return not self._ended
+        state = self._source.state()
+        setup = self._setup or self._begin(state)
+        fault = None if _is_finite(state) else not_finite(setup, call, state)
+        if fault is not None:
+            self._end(fault)
+            return False
+        if not state.time >= self._time:
+            raise RecordingError(
+                f"{setup.engine}: the time went back from {self._time:g} to {state.time:g} s; begin another recording"
+            )
+        self._time = state.time
+        if self._ring is not None:
+            self._ring.append((call, _copy(state)))
+        elif self._sink is not None:
+            self._sink.put(call, state)
+        return True
+
+    def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
+        """Write the frames in memory; later frames go on filling it.
+
+        Raises
+        ------
+        RecordingError
+            If frames are not kept in memory, there is none yet, or the file cannot be written.
+        """
+        if self._ring is None:
+            raise RecordingError(f"{self.path} is written while the run goes on; give last=N to keep frames in memory")
+        if not self._ring:
+            raise RecordingError(f"{self.path}: there is no frame in memory yet")
+        target = self._next_path() if path is None else Path(path)
+        self._dump(target, outcome, ())
+        return Recording.open(target)
+
+    def finish(self, outcome: str = COMPLETED) -> None:
+        """Close the recording. Leaving the context does it, too."""
+        sink, self._sink = self._sink, None
+        if sink is not None:
+            self._ended = self._ended or outcome
+            self.faults = sink.finish(outcome, ())
+
+    def __enter__(self) -> Self:
+        self.frame()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        outcome = COMPLETED if error is None else f"failed: {type(error).__name__}: {error}"
+        if error is None:
+            self.finish()
+            return
+        with contextlib.suppress(RecordingError):  # the exception that leaves the context says more
+            if self._ring and not self._ended:
+                self._dump(self._next_path(), outcome, ())
+            self.finish(outcome)
+
+    def _begin(self, first: State) -> Setup:
+        """Check what the source shows, before anything is allocated or written."""
+        model: Model = self._source.model
+        setup = setup_of(model, first)
+        n = len(setup)
+        array_of(setup.engine, "velocity", first.velocity, (n, 3))
+        for name, width in (("orientation", 4), ("angular_velocity", 3)):
+            if getattr(first, name) is not None:
+                array_of(setup.engine, name, getattr(first, name), (n, width))
+        if self._ring is None:
+            self._sink = self._writer(self.path, setup, first, self._force)
+        self._setup = setup
+        return setup
+
+    def _writer(self, path: Path, setup: Setup, first: State, force: bool) -> _Writer:
+        observer = Observer(setup, first, self._tolerances)
+        stamped: dict[str, Scalar] = {**environment(1), "engine": setup.engine}
+        header = header_of_source(
+            setup,
+            title=self._title or setup.engine,
+            run_id=str(uuid.uuid4()),
+            duration=self._duration,
+            exact=self._exact,
+            properties=stamped,
+        )
+        return _Writer(path, observer, header, force)
+
+    def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
+        """Write the frames in memory into a file of their own."""
+        assert self._ring and self._setup, "there are frames"
+        writer = self._writer(path, self._setup, self._ring[0][1], self._force)
+        for step, state in self._ring:
+            writer.put(step, state)
+        self.faults = writer.finish(outcome, faults)
+        self._written += 1
+
+    def _next_path(self) -> Path:
+        """Return the path, or with a number if it was written before."""
+        if not self._written:
+            return self.path
+        return self.path.with_stem(f"{self.path.stem}-{self._written + 1}")
+
+    def _end(self, fault: Fault) -> None:
+        """End the recording with the last finite state, since nothing after it means anything."""
+        self._ended = f"failed: {fault.text}"
+        if self._ring:
+            self._dump(self._next_path(), self._ended, (fault,))
+        elif self._sink is not None:
+            sink, self._sink = self._sink, None
+            self.faults = sink.finish(self._ended, (fault,))
+        else:
+            self.faults = [fault]
+        warnings.warn(f"carom: {fault.text} The recording {self.path} ends before it.", RuntimeWarning, stacklevel=3)
+
+
+class _Writer:
+    """The thread that makes frames of states and gives them to the recorder of frames."""
+
+    def __init__(self, path: Path, observer: Observer, header: Any, force: bool) -> None:
+        self.taken = 0
+        self.faults: list[Fault] = []
+        self._observer = observer
+        self._stack = contextlib.ExitStack()
+        self._stack.enter_context(claimed_output(path, force))
+        self._recorder = FrameRecorder(path, header)
+        self._store = self._recorder.store_for(observer.bodies)
+        waiting = max(2, min(MOST_WAITING, WAITING_BYTES // (104 * header.bodies)))
+        self._queue: queue.Queue[tuple[int, State] | None] = queue.Queue(waiting)
+        self._spare: queue.SimpleQueue[State] = queue.SimpleQueue()  # states whose arrays can be used again
+        self._error: Exception | None = None
+        self._last = (0, 0.0)
+        self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
+        self._thread.start()
+
+    def put(self, step: int, state: State) -> None:
+        """Copy a state; wait while the thread is behind."""
+        self._raise()
+        try:
+            spare: State | None = self._spare.get_nowait()
+        except queue.Empty:
+            spare = None
+        self._queue.put((step, _copy(state, spare)))
+        self.taken += 1
+
+    def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
+        """Write what is left, close the file, and return the first fault of each law."""
+        self._queue.put(None)
+        self._thread.join()
+        audit = self._observer.audit
+        try:
+            self._raise()
+            for fault in faults:
+                audit.note(fault)
+            extremes = self._observer.extremes.named(self._observer.names)
+            counts: dict[str, Scalar] = {f"laws.{law}.frames": count for law, count in audit.counts.items()}
+            for law, first in audit.first.items():
+                counts |= {
+                    f"laws.{law}.step": first.step,
+                    f"laws.{law}.time": first.time,
+                    f"laws.{law}.text": first.text,
+                }
+            steps, time = self._last
+            totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
+            events = (*(fault.event for fault in faults), *self._observer.extremes.highlights(self._observer.names))
+            self._recorder.finish(outcome, totals | closing_of(extremes) | counts, events)
+        finally:
+            self._stack.close()
+        return sorted(audit.first.values(), key=lambda fault: fault.step)
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        while (item := self._queue.get()) is not None:
+            if self._error is not None:
+                continue  # so that `put` does not wait for ever
+            step, state = item
+            try:
+                self._recorder.put(self._observer.frame(step, state, self._store))
+                self._last = (step, state.time)
+            except Exception as error:
+                self._error = error
+            self._spare.put(state)
+
+
+def _is_finite(state: State) -> bool:
+    """Tell whether a state can be computed with; an overflow of a square says no, and is looked at closely."""
+    total = state.time
+    for name in _ARRAYS:
+        values = getattr(state, name)
+        if values is not None:
+            flat = np.ravel(values)
+            with np.errstate(over="ignore", invalid="ignore"):
+                total = total + float(flat @ flat)
+    return bool(np.isfinite(total))
+
+
+def _copy(state: State, into: State | None = None) -> State:
+    """Copy a state, into the arrays of another if there is one."""
+    if into is None:
+        into = State(state.time, *(None if v is None else np.array(v, dtype=np.float64) for v in _values(state)))
+    else:
+        into = replace(into, time=state.time)
+        for name, value in zip(_ARRAYS, _values(state), strict=True):
+            if value is not None:
+                getattr(into, name)[:] = value
+    into.contacts = None if state.contacts is None else np.array(state.contacts, dtype=np.int64)
+    return into
+
+
+def _values(state: State) -> list[Any]:
+    return [getattr(state, name) for name in _ARRAYS]

@@ -1,0 +1,36 @@
+"""Record runs of other engines.
+
+import carom
+with carom.record.Recorder(carom.record.mujoco(model, data), "run.rrd") as recorder:
+    while data.time < 10.0:
+        mujoco.mj_step(model, data)
+        recorder.frame()
+
+Any object with a `Model` and a method ``state`` that returns a `State` is a `Source`. See docs/other-engines.md.
+"""
+
+from __future__ import annotations
+
+from carom.experiment.engine_recorder import Recorder
+from carom.recording.source.adapters.box3d import box3d
+from carom.recording.source.adapters.mujoco import mujoco
+from carom.recording.source.adapters.newton import newton
+from carom.recording.source.adapters.pybullet import pybullet
+from carom.recording.source.adapters.rebound import rebound
+from carom.recording.source.audit import Fault, Tolerances
+from carom.recording.source.source import Model, Plane, Source, State
+
+__all__ = [
+    "Fault",
+    "Model",
+    "Plane",
+    "Recorder",
+    "Source",
+    "State",
+    "Tolerances",
+    "box3d",
+    "mujoco",
+    "newton",
+    "pybullet",
+    "rebound",
+]

@@ -1,0 +1,1 @@
+"""Sources for engines that people use. Each imports its engine when it is first used."""

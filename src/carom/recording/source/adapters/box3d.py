@@ -1,0 +1,85 @@
+"""Box3D through the package robox3d. Free spheres are judged; what has another shape is only drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carom.recording.errors import RecordingError
+from carom.recording.source.adapters.package import engine_package, named_version
+from carom.recording.source.source import Model, Plane, State
+
+PACKAGE = "robox3d"
+MOST_SHAPES = 64  # of a body that are looked at
+
+
+class Box3D:
+    """The bodies of a world. Box3D computes in single precision.
+
+    Dynamic bodies of one sphere are judged, if no joint is attached to anything. Others are drawn as spheres of their
+    own size, and static ones as spheres that never move.
+
+    Parameters
+    ----------
+    world
+        A ``robox3d.World``, with its bodies and shapes.
+    planes
+        The planes that its static shapes make, such as the top of a large box; Box3D itself has none.
+    """
+
+    def __init__(self, world: Any, planes: tuple[Plane, ...] = ()) -> None:
+        package = engine_package(PACKAGE)
+        self._world, self._backend = world, engine_package(f"{PACKAGE}._ffi", PACKAGE)
+        lib, bodies = self._backend.lib, list(world.bodies)
+        sized = [_sphere_of(self._backend, body) for body in bodies]
+        dynamic = np.array([lib.b3Body_GetType(body.id) == lib.b3_dynamicBody for body in bodies], dtype=bool)
+        shown = [k for k, size in enumerate(sized) if dynamic[k] or (size is not None and not size[1])]
+        if not dynamic.any():
+            raise RecordingError("box3d: the world has no dynamic body")
+        chosen, moves = [bodies[k] for k in shown], dynamic[shown]
+        self._group = package.BodyGroup(chosen)
+        self._poses, self._rates = (np.empty((len(chosen), width), np.float32) for width in (7, 6))
+        jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
+        known = [sized[k] for k in shown]
+        mass = np.array([body.mass for body in chosen])
+        self.model = Model(
+            engine=named_version("box3d", PACKAGE).replace("box3d", f"box3d ({PACKAGE}") + ")",
+            mass=np.where(moves, mass, 1.0),
+            radius=[_drawn(body) if size is None else size[0] for body, size in zip(chosen, known, strict=True)],
+            names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
+            fixed=~moves,
+            judged=[size is not None and not size[1] and not jointed for size in known],
+            gravity=world.gravity,
+            planes=planes,
+            time_step=world.last_dt,
+        )
+
+    def state(self) -> State:
+        """Return the present state."""
+        poses, rates = self._group.poses(self._poses), self._group.velocities(self._rates)
+        return State(self._world.time, poses[:, :3], rates[:, :3], poses[:, 3:], rates[:, 3:])
+
+
+def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3D:
+    """Return the source of a ``robox3d.World``; see `Box3D`."""
+    return Box3D(world, planes)
+
+
+def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
+    """Return the radius of a body's sphere in m, and whether it has more than that; None if it has no sphere."""
+    ffi, lib = backend.ffi, backend.lib
+    shapes = ffi.new("b3ShapeId[]", MOST_SHAPES)
+    count = lib.b3Body_GetShapes(body.id, shapes, MOST_SHAPES)
+    spheres = [
+        lib.b3Shape_GetSphere(shapes[k]) for k in range(count) if lib.b3Shape_GetType(shapes[k]) == lib.b3_sphereShape
+    ]
+    if not spheres:
+        return None
+    centre = spheres[0].center
+    return float(spheres[0].radius), count > 1 or any((centre.x, centre.y, centre.z))
+
+
+def _drawn(body: Any) -> float:
+    """Return the radius of a sphere of water with the mass of a body, in m: something to draw."""
+    return float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0))

@@ -1,0 +1,118 @@
+"""PyBullet: the bodies of a physics server. Spheres are judged; what has joints or another shape is only drawn."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carom.recording.errors import RecordingError
+from carom.recording.source.adapters.package import engine_package, named_version
+from carom.recording.source.source import SPHERE, Model, Plane, State
+
+BASE = -1  # the number of a body's first link
+
+
+class PyBullet:
+    """The bodies of a physics server.
+
+    PyBullet tells neither the time nor the field: give both, as they were set.
+
+    Parameters
+    ----------
+    time_step
+        s, as given to ``setTimeStep``. The time is counted by the calls of `state` after the first.
+    gravity
+        (3,) m/s², as given to ``setGravity``.
+    client
+        The number of the physics client.
+    steps_per_frame
+        How many steps are taken between two frames.
+    """
+
+    def __init__(
+        self,
+        time_step: float = 1.0 / 240.0,
+        gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        client: int = 0,
+        steps_per_frame: int = 1,
+    ) -> None:
+        package = engine_package("pybullet")
+        self._package, self._client, self._frames = package, client, -1
+        self._stride = time_step * steps_per_frame
+        everything = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
+        shapes = {body: package.getCollisionShapeData(body, BASE, client) for body in everything}
+        planes = [b for b in everything if len(shapes[b]) == 1 and shapes[b][0][2] == package.GEOM_PLANE]
+        self._bodies = [b for b in everything if b not in planes]
+        if not self._bodies:
+            raise RecordingError("pybullet: the physics server has no body besides planes")
+        dynamics = [package.getDynamicsInfo(b, BASE, client) for b in self._bodies]
+        mass = np.array([found[0] for found in dynamics])
+        spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self._bodies])
+        radius = np.array(
+            [
+                shapes[b][0][3][0] if round_ else _reach(package, b, client)
+                for b, round_ in zip(self._bodies, spheres, strict=True)
+            ]
+        )
+        self.model = Model(
+            engine=named_version("pybullet"),
+            mass=np.where(mass > 0.0, mass, 1.0),
+            radius=radius,
+            inertia=np.where(
+                mass > 0.0,
+                [np.mean(found[2]) for found in dynamics],
+                SPHERE * np.where(mass > 0, mass, 1.0) * radius**2,
+            ),
+            names=[_name(package, b, k, client) for k, b in enumerate(self._bodies)],
+            fixed=mass == 0.0,
+            judged=spheres,
+            gravity=gravity,
+            planes=[_plane(package, b, shapes[b][0], k, client) for k, b in enumerate(planes)],
+            time_step=time_step,
+        )
+
+    def state(self) -> State:
+        """Return the present state. Each call but the first is one frame later."""
+        self._frames += 1
+        read, speed, client = self._package.getBasePositionAndOrientation, self._package.getBaseVelocity, self._client
+        places = [read(body, client) for body in self._bodies]
+        rates = [speed(body, client) for body in self._bodies]
+        position, turn = zip(*places, strict=True)
+        velocity, spin = zip(*rates, strict=True)
+        return State(
+            self._frames * self._stride, np.array(position), np.array(velocity), np.array(turn), np.array(spin)
+        )
+
+
+def pybullet(
+    time_step: float = 1.0 / 240.0,
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    client: int = 0,
+    steps_per_frame: int = 1,
+) -> PyBullet:
+    """Return the source of a physics server; see `PyBullet`."""
+    return PyBullet(time_step, gravity, client, steps_per_frame)
+
+
+def _is_sphere(package: Any, body: int, shapes: Any, client: int) -> bool:
+    """Tell whether a body is one sphere about its centre of mass, without joints."""
+    one = len(shapes) == 1 and shapes[0][2] == package.GEOM_SPHERE and not any(shapes[0][5])
+    return bool(one and package.getNumJoints(body, client) == 0)
+
+
+def _reach(package: Any, body: int, client: int) -> float:
+    low, high = package.getAABB(body, BASE, client)
+    return float(0.5 * np.linalg.norm(np.subtract(high, low)))
+
+
+def _plane(package: Any, body: int, shape: Any, number: int, client: int) -> Plane:
+    place, turn = package.getBasePositionAndOrientation(body, client)
+    normal = np.array(package.getMatrixFromQuaternion(turn)).reshape(3, 3) @ np.array(shape[3])
+    x, y, z = (float(v) for v in normal / np.linalg.norm(normal))
+    return Plane((x, y, z), float(normal @ np.array(place) / np.linalg.norm(normal)), f"plane {number}")
+
+
+def _name(package: Any, body: int, number: int, client: int) -> str:
+    base, name = (text.decode(errors="replace") for text in package.getBodyInfo(body, client))
+    return name or (base if base not in ("", "baseLink") else f"body {number}")

@@ -1,0 +1,388 @@
+"""The audit of another engine's run: which laws it breaks, and when, judged from its states alone.
+
+Between two states, the bodies are divided into clusters that cannot have touched each other. In a cluster that met
+neither a plane nor anything fixed,
+
+    Σ m Δv = Σ m g Δt        momentum
+    Δ Σ (m (x - X) × (v - V) + I ω) = 0        angular momentum about the centre of mass X
+
+hold whatever the engine's contacts do, and the energy may fall in contacts only and rise never. A soft contact gives
+back energy that it took: a rise counts once it is more than the contact has taken. Bodies that pull each other are one
+cluster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from carom.physics.event import Event
+from carom.recording.source.proximity import Moment, Near
+from carom.recording.source.source import Setup
+from carom.scene.names import Names, bodies_called
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+UNCHANGED = 0.01  # of the closing speed; a contact that changes it less did nothing
+TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it through each other did not collide
+SHALLOW = 1e-3  # of the smaller radius; a contact this deep must have been found
+STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
+AT_LEAST = 1e-2  # of a typical body's momentum or energy: what changes by less is noise
+MOST_NAMED = 8  # bodies in a sentence
+TOLD = 3  # events of one law
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How much may be wrong before a law counts as broken."""
+
+    energy: float = 1e-3  # of the energy scale, between two frames
+    drift: float = 1e-2  # of the energy scale, since the start
+    momentum: float = 1e-3  # of Σ m |v|
+    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|)
+    overlap: float = 0.05  # of the smaller radius
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A broken law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
+
+    law: str
+    step: int
+    time: float  # s
+    amount: float  # in units of the law's scale
+    text: str  # a sentence
+    bodies: tuple[int, ...] = ()  # from n on planes
+
+    @property
+    def event(self) -> Event:
+        """The fault as a line of the log."""
+        return Event(self.step, self.time, "WARN", self.text, f"law-{self.law}")
+
+
+@dataclass(slots=True)
+class Finding:
+    """What the audit of one frame found."""
+
+    faults: list[Fault] = field(default_factory=list)
+    taken: float = 0.0  # J, by contacts; negative where they gave some back
+    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
+    impacts: int = 0  # how many did
+    hardest: float = 0.0  # J
+    hardest_pair: tuple[int, int] = (0, 0)
+
+
+@dataclass(slots=True)
+class _Clusters:
+    label: IntArray  # (n,)
+    count: int
+    touched: NDArray[np.bool_]  # (count,) whether anything in it may have touched
+    judged: NDArray[np.bool_]  # (count,) whether it holds no body whose laws are unknown
+    free: NDArray[np.bool_]  # (count,) whether it also met nothing fixed
+
+    def sum(self, values: FloatArray) -> FloatArray:
+        """Add up values of bodies, (n,) or (n, 3), by cluster."""
+        if values.ndim == 1:
+            return np.asarray(np.bincount(self.label, values, self.count), dtype=np.float64)
+        return np.stack([np.bincount(self.label, column, self.count) for column in values.T], axis=1)
+
+
+class Audit:
+    """Judges moments one after the other.
+
+    Parameters
+    ----------
+    setup
+        Of the run.
+    tolerances
+        How much may be wrong.
+    names
+        Of the bodies and planes.
+    """
+
+    def __init__(self, setup: Setup, tolerances: Tolerances, names: Names) -> None:
+        self._setup = setup
+        self._tolerances = tolerances
+        self._names = names
+        self._owed = np.zeros(len(setup))  # J, that contacts took from each body since it last was free
+        self._typical = 0.0  # m/s
+        self._scale = 0.0  # J, the largest kinetic energy so far
+        self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
+        self._told: dict[str, int] = {}
+        self.counts: dict[str, int] = {}  # frames that broke each law
+        self.first: dict[str, Fault] = {}
+
+    def see(
+        self, step: int, before: Moment, now: Moment, near: Near, potentials: tuple[float, float] | None
+    ) -> Finding:
+        """Judge a moment.
+
+        Parameters
+        ----------
+        step
+            Its number.
+        before, now
+            The moment of the frame before, and this.
+        near
+            The ends that may have touched in between.
+        potentials
+            J, of the bodies' own gravity at both; None without any.
+        """
+        found = Finding()
+        relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
+        self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
+        clusters = self._clusters(near, whole=potentials is not None)
+        place = step, now.time
+        faults = [
+            *self._momenta(place, before, now, clusters),
+            *self._energy(place, before, now, clusters, potentials, found),
+            *self._contacts(place, now.time - before.time, near, found),
+        ]
+        found.faults = [fault for fault in faults if self._tell(fault)]
+        return found
+
+    def drifted(self, step: int, time: float, error: float, relative: float) -> Fault | None:
+        """Judge the energy that no contact explains, summed since the start, in J and relative to the energy scale."""
+        if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:
+            return None
+        way = "risen" if error > 0.0 else "fallen"
+        text = f"Energy has {way} by {abs(relative):.2%} of its scale since the start, and no contact explains it."
+        fault = Fault("energy", step, time, abs(relative), text)
+        return fault if self._tell(fault) else None
+
+    def note(self, fault: Fault) -> None:
+        """Count a fault that was found elsewhere."""
+        self._tell(fault)
+
+    def _tell(self, fault: Fault) -> bool:
+        """Count a fault; return whether it is one of the first of its law."""
+        self.first.setdefault(fault.law, fault)
+        self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
+        return self.counts[fault.law] <= TOLD
+
+    def _clusters(self, near: Near, *, whole: bool) -> _Clusters:
+        """Divide the bodies into clusters that cannot have touched each other; into one if they pull each other."""
+        setup, n = self._setup, len(self._setup)
+        anchored = np.zeros(n, bool)
+        i, j = near.pairs.T
+        plane = j >= n
+        anchored[i[plane]] = True
+        i, j = i[~plane], j[~plane]
+        loose = ~(setup.fixed[i] | setup.fixed[j])
+        anchored[i[setup.fixed[j]]] = True
+        anchored[j[setup.fixed[i]]] = True
+        touched = np.zeros(n, bool)
+        touched[near.pairs[near.pairs < n]] = True
+        if whole:
+            label, count = np.zeros(n, dtype=np.int64), 1
+            anchored |= setup.fixed.any()
+        elif loose.any():
+            links = coo_array((np.ones(int(loose.sum()), np.int8), (i[loose], j[loose])), shape=(n, n))
+            count, found = connected_components(links, directed=False)
+            label = found.astype(np.int64)
+        else:
+            label, count = np.arange(n), n
+        strange = np.bincount(label, ~setup.judged, count) > 0
+        held = np.bincount(label, anchored | setup.fixed, count) > 0
+        return _Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)
+
+    def _momenta(self, place: tuple[int, float], before: Moment, now: Moment, clusters: _Clusters) -> Iterator[Fault]:
+        """Compare the momenta of every free cluster."""
+        m, dt = self._setup.mass, now.time - before.time
+        mass = clusters.sum(m)
+        bulk = m @ before.velocity / m.sum()
+        v0, v1 = before.velocity - bulk, now.velocity - bulk
+        p0, p1 = clusters.sum(m[:, None] * v0), clusters.sum(m[:, None] * v1)
+        speed = np.maximum(_lengths(v0), _lengths(v1))
+        change = _lengths(p1 - p0 - mass[:, None] * self._setup.gravity * dt)
+        scale = clusters.sum(m * speed) + AT_LEAST * mass * self._typical
+        yield from self._worst("momentum", place, clusters, change, scale, self._tolerances.momentum)
+        if self._setup.box[0] > 0.0:
+            return
+        (l0, s0), (l1, s1) = (self._spin(moment, clusters, mass) for moment in (before, now))
+        size = clusters.sum(m * self._setup.radius)
+        scale = np.maximum(s0, s1) + AT_LEAST * size * self._typical
+        tolerance = self._tolerances.angular_momentum
+        yield from self._worst("angular-momentum", place, clusters, _lengths(l1 - l0), scale, tolerance)
+
+    def _spin(self, moment: Moment, clusters: _Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return each cluster's angular momentum about its centre of mass, and Σ (m |x| |v| + I |ω|)."""
+        m = self._setup.mass
+        x = moment.position - m @ moment.position / m.sum()
+        x = x - (clusters.sum(m[:, None] * x) / mass[:, None])[clusters.label]
+        v = moment.velocity - (clusters.sum(m[:, None] * moment.velocity) / mass[:, None])[clusters.label]
+        each, size = m[:, None] * np.cross(x, v), m * _lengths(x) * _lengths(v)
+        if len(moment.spin):
+            each = each + self._setup.inertia[:, None] * moment.spin
+            size = size + self._setup.inertia * _lengths(moment.spin)
+        return clusters.sum(each), clusters.sum(size)
+
+    def _worst(
+        self,
+        law: str,
+        place: tuple[int, float],
+        clusters: _Clusters,
+        change: FloatArray,
+        scale: FloatArray,
+        most: float,
+    ) -> Iterator[Fault]:
+        """Report the free cluster whose momentum changed most, if it is too much."""
+        share = np.where(clusters.free & (scale > 0.0), change / np.where(scale > 0.0, scale, 1.0), 0.0)
+        worst = int(np.argmax(share))
+        if share[worst] <= most:
+            return
+        who = np.flatnonzero(clusters.label == worst)
+        called, what = self._called(who), law.replace("-", " ").capitalize()
+        meanwhile = (
+            "in a contact among themselves" if len(who) > 1 and clusters.touched[worst] else "while nothing touched"
+        )
+        if len(who) > 1 and not clusters.touched[worst]:
+            meanwhile = "while they pulled each other"
+        text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
+        yield Fault(law, *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
+
+    def _energy(
+        self,
+        place: tuple[int, float],
+        before: Moment,
+        now: Moment,
+        clusters: _Clusters,
+        potentials: tuple[float, float] | None,
+        found: Finding,
+    ) -> Iterator[Fault]:
+        """Compare the energy of every cluster whose laws are known; book what contacts took."""
+        setup, g = self._setup, self._setup.gravity
+        dt, strength = now.time - before.time, float(np.sqrt(g @ g))
+        kinetic = [self._kinetic(moment) for moment in (before, now)]
+        lifted = -setup.mass * ((now.position - before.position) @ g)
+        lifted[setup.fixed] = 0.0
+        change = clusters.sum(kinetic[1] - kinetic[0] + lifted)
+        own = clusters.sum(np.maximum(*kinetic) + np.abs(lifted))
+        if potentials is not None:
+            change = change + (potentials[1] - potentials[0])
+            own = own + abs(potentials[1])
+        total = float(kinetic[1].sum())
+        self._scale = max(self._scale, total)
+        mass = clusters.sum(setup.mass)
+        floor = AT_LEAST * mass * (self._typical**2 + strength * clusters.sum(setup.mass * setup.radius) / mass)
+        scale = own + floor
+        rounding = mass * strength * strength * dt * dt  # the energy error of a first-order step in a uniform field
+        self._allowed += float(rounding.sum())
+        owed = clusters.sum(self._owed)
+        back = np.where(clusters.touched, np.clip(change, 0.0, owed), 0.0)
+        taken = np.where(clusters.touched, np.maximum(-change, 0.0), 0.0)
+        found.taken = float((taken - back)[clusters.judged].sum())
+        self._book(clusters, taken, back, owed)
+        wrong = np.where(clusters.touched, np.maximum(change, 0.0) - back, change)
+        excess = np.where(clusters.judged, np.abs(wrong) - rounding, 0.0)
+        share = np.where(scale > 0.0, excess / np.where(scale > 0.0, scale, 1.0), 0.0)
+        worst = int(np.argmax(share))
+        if share[worst] <= self._tolerances.energy:
+            return
+        who = np.flatnonzero(clusters.label == worst)
+        came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
+        text = f"Energy {came}: {abs(wrong[worst]):.3g} J, {share[worst]:.2%} of that of {self._called(who)}."
+        yield Fault("energy", *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
+
+    def _book(self, clusters: _Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
+        """Divide what contacts took among the bodies of each cluster; one that touches nothing is owed nothing."""
+        label = clusters.label
+        members = np.bincount(label, minlength=clusters.count)
+        left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
+        self._owed = np.where(clusters.touched[label], self._owed * left[label] + (taken / members)[label], 0.0)
+
+    def _kinetic(self, moment: Moment) -> FloatArray:
+        """Return the kinetic energy of every body, (n,) J."""
+        energy = 0.5 * self._setup.mass * np.einsum("ij,ij->i", moment.velocity, moment.velocity)
+        if len(moment.spin):
+            energy = energy + 0.5 * self._setup.inertia * np.einsum("ij,ij->i", moment.spin, moment.spin)
+        return np.asarray(energy, dtype=np.float64)
+
+    def _contacts(self, place: tuple[int, float], dt: float, near: Near, found: Finding) -> Iterator[Fault]:
+        """Find overlaps, impacts, and impacts that were missed."""
+        if len(near) == 0:
+            return
+        n, setup = len(self._setup), self._setup
+        judged = np.append(setup.judged, np.ones(len(setup.planes), bool))
+        known = judged[near.pairs].all(axis=1)
+        depth = np.where(known, -near.gap_now / near.small, 0.0)
+        deepest = int(np.argmax(depth))
+        if depth[deepest] > self._tolerances.overlap:
+            text = f"{self._pair(near, deepest)} overlap by {depth[deepest]:.1%} of the smaller radius."
+            yield Fault("overlap", *place, float(depth[deepest]), text, tuple(near.pairs[deepest].tolist()))
+        still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
+        at = _touch(near)
+        plane = near.pairs[:, 1] >= n
+        normal = np.where(plane[:, None], near.normal, at)
+        # a plane does not fall: what the field adds to the speed towards it is no impulse
+        push = np.where(plane, normal @ setup.gravity * dt, 0.0)
+        closing = -np.einsum("ij,ij->i", near.relative_before, normal)
+        after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
+        overlapped = near.gap_before < -SHALLOW * near.small
+        ignored = overlapped & (closing > still) & (after > (1.0 - UNCHANGED) * closing)
+        inside = np.einsum("ij,ij->i", near.now, normal) < 0.0
+        passed = np.where(plane, inside, (near.gap_now >= -SHALLOW * near.small) | inside)
+        through = _deep(near) & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
+        missed = np.flatnonzero(known & (ignored | through))
+        if len(missed):
+            worst = int(missed[np.argmax(closing[missed])])
+            how = "passed through each other" if through[worst] else "touch, and nothing pushes them apart"
+            text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {closing[worst]:.3g} m/s."
+            yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
+        met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
+        met &= near.gap_before <= closing * dt  # or it is another body that turned them
+        self._impacts(near, np.where(met & (closing > still), closing, 0.0), found)
+
+    def _impacts(self, near: Near, closing: FloatArray, found: Finding) -> None:
+        """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
+        inverse = np.append(np.where(self._setup.fixed, 0.0, 1.0 / self._setup.mass), np.zeros(len(self._setup.planes)))
+        weight = inverse[near.pairs].sum(axis=1)
+        struck = np.where(weight > 0.0, 0.5 * closing**2 / np.where(weight > 0.0, weight, 1.0), 0.0)
+        found.struck, found.impacts = float(struck.sum()), int(np.count_nonzero(struck))
+        hardest = int(np.argmax(struck))
+        found.hardest, found.hardest_pair = (
+            float(struck[hardest]),
+            (int(near.pairs[hardest, 0]), int(near.pairs[hardest, 1])),
+        )
+
+    def _pair(self, near: Near, row: int) -> str:
+        text = self._names.pair(near.pairs[row].tolist())
+        return text[0].upper() + text[1:]
+
+    def _called(self, who: IntArray) -> str:
+        if len(who) == len(self._setup) and len(who) > 2:
+            return "all bodies together"
+        return bodies_called(who.tolist(), self._names.bodies)
+
+
+def _touch(near: Near) -> FloatArray:
+    """Return the directions from i to j in which the pairs first touched on straight paths, or were nearest."""
+    path = near.now - near.before
+    a, b = np.einsum("ij,ij->i", path, path), np.einsum("ij,ij->i", near.before, path)
+    c = np.einsum("ij,ij->i", near.before, near.before) - near.reach**2
+    root = b * b - a * c
+    moving = a > 0.0
+    first = np.where(
+        root > 0.0, (-b - np.sqrt(np.maximum(root, 0.0))) / np.where(moving, a, 1.0), -b / np.where(moving, a, 1.0)
+    )
+    at = near.before + np.where(moving, np.clip(first, 0.0, 1.0), 0.0)[:, None] * path
+    length = _lengths(at)
+    return np.asarray(np.where(length[:, None] > 0.0, at / np.where(length > 0.0, length, 1.0)[:, None], near.normal))
+
+
+def _deep(near: Near) -> NDArray[np.bool_]:
+    """Tell of each pair whether its straight path led more than a twentieth of the reach into the other."""
+    path = near.now - near.before
+    a = np.einsum("ij,ij->i", path, path)
+    s = np.clip(-np.einsum("ij,ij->i", near.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
+    return np.asarray(_lengths(near.before + s[:, None] * path) < 0.95 * near.reach)
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))

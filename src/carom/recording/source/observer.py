@@ -1,0 +1,268 @@
+"""`Observer`: makes the frames of a recording out of the states that another engine shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.checkpoint import Books
+from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.statistics import ContactStatistics
+from carom.physics.diagnostics.activity import Activity
+from carom.physics.diagnostics.energy import EnergyAccount
+from carom.physics.diagnostics.energy_monitor import MonitorState
+from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.diagnostics.fingerprint import fingerprint
+from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.momentum import MomentumAccount
+from carom.physics.event import Event
+from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.frame import Frame, FrameStore, copies
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.source.audit import Audit, Fault, Finding, Tolerances
+from carom.recording.source.proximity import Moment, Proximity
+from carom.recording.source.source import LARGEST, Setup, State
+from carom.scene.forces import GRAVITY, UNIFORM_FIELD
+from carom.scene.names import Names
+from carom.scene.placement import Start
+
+FloatArray = NDArray[np.float64]
+
+DT_LIMIT = "engine"  # what set dt, in the recording
+
+
+class Observer:
+    """Turns states into frames, with energies, momenta, contacts and the faults that the audit finds.
+
+    Parameters
+    ----------
+    setup
+        What does not change.
+    first
+        The first state.
+    tolerances
+        Of the audit.
+    """
+
+    def __init__(self, setup: Setup, first: State, tolerances: Tolerances) -> None:
+        self.setup = setup
+        self.extremes = Extremes()
+        self.names = Names(setup.names, setup.planes.name)
+        self.bodies = Bodies.at_start(_start(setup, first), spins=setup.spins, orients=setup.turns)
+        anchored = bool(setup.fixed.any()) or len(setup.planes) > 0
+        self._energies = EnergyAccount(self.bodies, setup.gravity, anchored)
+        self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
+        self._gravity = DirectGravity(setup.mass, setup.constant, setup.softening) if setup.constant else None
+        self._proximity = Proximity(setup)
+        self.audit = Audit(setup, tolerances, self.names)
+        self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
+        self._ledger = Ledger()
+        self._pull: float | None = None  # J, at the last frame
+        self._before: Moment | None = None
+        self._began = first.time
+
+    def frame(self, step: int, state: State, store: FrameStore | None = None) -> Frame:
+        """Return the frame of a state; states come in the order of time, and are finite."""
+        self._take(state)
+        now, before = self._moment(state), self._before
+        dt = 0.0 if before is None else now.time - before.time
+        potentials, pull = self._potentials()
+        seen, contacts = self._judge(step, before or now, now, state.contacts, pull)
+        self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken)
+        energy = self._energies.balance(self.bodies, potentials, self._ledger)
+        momentum = self._momenta.balance(self.bodies, now.time - self._began)
+        faults = seen.faults
+        error = energy.integration_error
+        drift = self.audit.drifted(step, now.time, error, energy.relative(error))
+        faults = faults if drift is None else [*faults, drift]
+        statistics = self._statistics(contacts, seen)
+        events = [*self._first_contact(step, now.time, contacts), *(fault.event for fault in faults)]
+        self.extremes.see_contacts(step, now.time, statistics)
+        self.extremes.see_energy(step, now.time, energy)
+        self.extremes.see_momentum(step, now.time, momentum)
+        if before is not None:
+            self._activity.see(len(contacts), seen.struck)
+            self._activity.judge(energy)
+        self._before, self._pull = now, pull
+        slot = None if store is None else store.keep(self.bodies)
+        arrays = copies(self.bodies) if store is None or slot is None else store.kept(slot)
+        position, velocity, acceleration, orientation, angular_velocity, _, _ = arrays
+        return Frame(
+            step=step,
+            time=now.time,
+            dt=dt,
+            dt_limit=DT_LIMIT if before is not None else "start",
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            orientation=orientation if self.setup.turns else None,
+            angular_velocity=angular_velocity if self.setup.spins else None,
+            torque=None,
+            angular_acceleration=None,
+            contacts=contacts,
+            energy=energy,
+            momentum=momentum.linear,
+            angular_momentum=momentum.angular,
+            sweeps=0,
+            phase=self._activity.phase,
+            events=tuple(events),
+            fingerprint=fingerprint(self.bodies, now.time),
+            previous_dt=dt,
+            memory=None,
+            books=self._books(),
+            momentum_error=momentum.linear_error,
+            angular_momentum_error=momentum.angular_error,
+            slot=slot,
+        )
+
+    def _take(self, state: State) -> None:
+        """Copy a state into the bodies."""
+        self.bodies.position[:] = state.position
+        self.bodies.velocity[:] = state.velocity
+        if self.setup.turns:
+            self.bodies.orientation[:] = state.orientation
+        if self.setup.spins:
+            self.bodies.angular_velocity[:] = state.angular_velocity
+
+    def _moment(self, state: State) -> Moment:
+        bodies = self.bodies
+        return Moment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
+
+    def _potentials(self) -> tuple[dict[str, float], float | None]:
+        """Return the potential energies by their names, and that of the bodies' own gravity, in J."""
+        found: dict[str, float] = {}
+        bodies, pull = self.bodies, None
+        if self._gravity is not None:
+            pull = self._gravity.accelerate(bodies.position, bodies.acceleration, potential=True)
+            found[GRAVITY.potential] = pull or 0.0
+        if self.setup.gravity.any():
+            moving = np.where(self.setup.fixed, 0.0, self.setup.mass)
+            found[UNIFORM_FIELD.potential] = -float(moving @ (bodies.position @ self.setup.gravity))
+        return found, pull
+
+    def _judge(
+        self, step: int, before: Moment, now: Moment, known: Any, pull: float | None
+    ) -> tuple[Finding, CollisionGraph]:
+        near = self._proximity.between(before, now)
+        given = None if known is None else np.asarray(known, dtype=np.int64).reshape(-1, 2)
+        contacts = self._proximity.graph(near, given)
+        potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
+        if before is now:
+            return Finding(), contacts
+        return self.audit.see(step, before, now, near, potentials), contacts
+
+    def _statistics(self, contacts: CollisionGraph, seen: Finding) -> ContactStatistics:
+        deepest, pair = 0.0, (0, 0)
+        if len(contacts):
+            radius = np.append(self.setup.radius, np.full(len(self.setup.planes), np.inf))
+            depth = contacts.overlaps / radius[contacts.pairs].min(axis=1)
+            worst = int(np.argmax(depth))
+            deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
+        return ContactStatistics(
+            work=np.zeros((0, 3)),
+            contacts=len(contacts),
+            impacts=seen.impacts,
+            struck=seen.struck,
+            hardest=seen.hardest,
+            hardest_pair=seen.hardest_pair,
+            deepest=deepest,
+            deepest_pair=pair,
+        )
+
+    def _first_contact(self, step: int, time: float, contacts: CollisionGraph) -> list[Event]:
+        if self.extremes.total_contacts or len(contacts) == 0:
+            return []
+        text = f"First contact: {self.names.pair(contacts.pairs[contacts.first].tolist())}."
+        return [Event(step, time, "INFO", text, "first-contact")]
+
+    def _books(self) -> Books:
+        assert self._energies.baseline is not None, "the first frame sets it"
+        return Books(
+            energy=self._energies.baseline,
+            momentum=self._momenta.baseline,
+            watch=MonitorState(),
+            moments=self.extremes.copy(),
+            activity=self._activity.impact_energy,
+            phase=self._activity.phase,
+            limits=(),
+        )
+
+
+def header_of_source(
+    setup: Setup,
+    *,
+    title: str,
+    run_id: str,
+    duration: float,
+    exact: bool,
+    properties: dict[str, Scalar],
+) -> Header:
+    """Return the header of a recording of another engine.
+
+    Parameters
+    ----------
+    exact
+        Whether every frame has the exact state.
+    """
+    forces = {GRAVITY.name: setup.constant != 0.0, UNIFORM_FIELD.name: bool(setup.gravity.any())}
+    return Header(
+        title=title,
+        description=f"Recorded from {setup.engine}. carom saw its states only, and cannot run it again.",
+        scene_toml=f"# Recorded from {setup.engine}: there is no scene of carom.\n",
+        seed=0,
+        run_id=run_id,
+        names=setup.names,
+        group=np.zeros(len(setup), dtype=np.int64),
+        mass=setup.mass,
+        radius=setup.radius,
+        inertia=setup.inertia,
+        spins=setup.spins,
+        has_orientation=setup.turns,
+        has_torque=False,
+        has_friction=False,
+        forces=frozenset(name for name, there in forces.items() if there),
+        collides=setup.collides,
+        stabilises=False,
+        body_colouring=False,
+        duration=duration,
+        shortest_dt_hint=setup.time_step,
+        box=setup.box if setup.box[0] > 0.0 else None,
+        planes=setup.planes if len(setup.planes) else None,
+        properties=properties,
+        engine=setup.engine,
+        exact=exact,
+    )
+
+
+def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
+    """Name the first body whose state is not finite, or too large to compute with; None if all are."""
+    for name in ("position", "velocity", "orientation", "angular_velocity"):
+        values = getattr(state, name)
+        if values is None:
+            continue
+        array = np.asarray(values, dtype=np.float64)
+        wrong = ~(np.abs(array) <= LARGEST)
+        if wrong.any():
+            body, axis = (int(k) for k in np.argwhere(wrong)[0])
+            called = Names(setup.names, []).of(body)
+            text = f"{name.replace('_', ' ').capitalize()} of {called} is {array[body, axis]:g} in component {axis}."
+            return Fault("not-finite", step, state.time, float("inf"), text, (body,))
+    return None
+
+
+def _start(setup: Setup, first: State) -> Start:
+    n = len(setup)
+    return Start(
+        name=setup.names,
+        group=np.zeros(n, dtype=np.int64),
+        position=np.array(first.position, dtype=np.float64),
+        velocity=np.array(first.velocity, dtype=np.float64),
+        angular_velocity=np.array(first.angular_velocity, dtype=np.float64) if setup.spins else np.zeros((n, 3)),
+        mass=setup.mass,
+        radius=setup.radius,
+        inertia=setup.inertia,
+        fixed=setup.fixed,
+    )

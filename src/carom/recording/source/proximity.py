@@ -1,0 +1,149 @@
+"""Pairs of bodies that may have touched between two states, and those that touch now."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.recording.source.source import Setup
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
+TOUCH = 1e-3  # of the smaller radius; a gap up to this counts as touching
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A state whose arrays are complete."""
+
+    time: float  # s
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    spin: FloatArray  # (n, 3) rad/s; (0, 3) where unknown
+
+
+@dataclass(frozen=True, slots=True)
+class Near:
+    """Ends that may have touched since the moment before: bodies, and planes from n on."""
+
+    pairs: IntArray  # (k, 2)
+    reach: FloatArray  # (k,) m, r_i + r_j
+    small: FloatArray  # (k,) m, the smaller radius
+    before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane
+    now: FloatArray  # (k, 3) m
+    gap_before: FloatArray  # (k,) m, between the surfaces; negative where they overlap
+    gap_now: FloatArray  # (k,) m
+    normal: FloatArray  # (k, 3) unit vectors from i to j, now
+    relative_before: FloatArray  # (k, 3) m/s, velocity of j relative to i
+    relative_now: FloatArray  # (k, 3) m/s
+
+    def chosen(self, which: NDArray[np.bool_]) -> Near:
+        """Return some of the pairs."""
+        return Near(*(column[which] for column in _columns(self)))
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+
+class Proximity:
+    """Finds ends near each other."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._grid = HierarchicalGrid(setup.radius, setup.box) if setup.collides and len(setup) > 1 else None
+
+    def between(self, before: Moment, now: Moment) -> Near:
+        """Return the ends that may have touched between two moments, or are about to."""
+        setup, dt = self._setup, now.time - before.time
+        moved = now.position - before.position
+        drift = np.median(moved, axis=0)
+        speed = np.maximum(_lengths(now.velocity - np.median(now.velocity, axis=0)) * dt, _lengths(moved - drift))
+        parts = [self._bodies(before, now, speed)] if self._grid else []
+        parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []
+        if not parts:
+            numbers, vectors = np.empty(0), np.empty((0, 3))
+            return Near(np.empty((0, 2), np.int64), *[numbers] * 2, *[vectors] * 2, *[numbers] * 2, *[vectors] * 3)
+        return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
+
+    def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
+        """Return the contacts of a moment: those that the engine names, else all pairs near enough."""
+        if known is not None:
+            near = self._named(near, known)
+        if known is None:
+            near = near.chosen(near.gap_now <= TOUCH * near.small)
+        if len(near) == 0:
+            return empty_graph()
+        order = np.lexsort((near.pairs[:, 1], near.pairs[:, 0]))
+        colours = np.zeros(len(near), dtype=np.int64)
+        return CollisionGraph(near.pairs[order], near.normal[order], -near.gap_now[order], colours)
+
+    def _named(self, near: Near, known: IntArray) -> Near:
+        """Choose the pairs that the engine names, of those that are near."""
+        total = len(self._setup) + len(self._setup.planes)
+        keys = near.pairs[:, 0] * total + near.pairs[:, 1]
+        ordered = np.sort(known, axis=1)
+        return near.chosen(np.isin(keys, ordered[:, 0] * total + ordered[:, 1]))
+
+    def _bodies(self, before: Moment, now: Moment, travel: FloatArray) -> Near:
+        assert self._grid is not None
+        radius = self._setup.radius
+        pairs = self._grid.pairs(now.position, 1.0 + MARGIN, 4.0 * float(travel.max()))
+        i, j = pairs.T
+        apart = self._image(now.position[j] - now.position[i])
+        reach = radius[i] + radius[j]
+        gap = _lengths(apart) - reach
+        small = np.minimum(radius[i], radius[j])
+        close = gap <= MARGIN * small + 2.0 * (travel[i] + travel[j])
+        i, j, apart, reach = i[close], j[close], apart[close], reach[close]
+        earlier, distance = self._image(before.position[j] - before.position[i]), _lengths(apart)
+        return Near(
+            pairs=pairs[close],
+            reach=reach,
+            small=small[close],
+            before=earlier,
+            now=apart,
+            gap_before=_lengths(earlier) - reach,
+            gap_now=distance - reach,
+            normal=apart / np.where(distance > 0.0, distance, 1.0)[:, None],
+            relative_before=before.velocity[j] - before.velocity[i],
+            relative_now=now.velocity[j] - now.velocity[i],
+        )
+
+    def _plane(self, plane: int, before: Moment, now: Moment, travel: FloatArray) -> Near:
+        setup = self._setup
+        normal, offset = setup.planes.normal[plane], setup.planes.offset[plane]
+        height = now.position @ normal - offset
+        close = np.flatnonzero(height - setup.radius <= MARGIN * setup.radius + 2.0 * travel)
+        earlier, height, radius = before.position[close] @ normal - offset, height[close], setup.radius[close]
+        return Near(
+            pairs=np.stack((close, np.full(len(close), len(setup) + plane)), axis=1),
+            reach=radius,
+            small=radius,
+            before=-earlier[:, None] * normal,
+            now=-height[:, None] * normal,
+            gap_before=earlier - radius,
+            gap_now=height - radius,
+            normal=np.tile(-normal, (len(close), 1)),
+            relative_before=-before.velocity[close],
+            relative_now=-now.velocity[close],
+        )
+
+    def _image(self, apart: FloatArray) -> FloatArray:
+        """Return differences of positions to the nearest image."""
+        box = self._setup.box
+        return apart - box * np.round(apart / box) if box[0] > 0.0 else apart
+
+
+def _columns(near: Near) -> tuple[Any, ...]:
+    return tuple(getattr(near, field.name) for field in fields(Near))
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))

@@ -1,0 +1,215 @@
+"""`Source`: what another engine shows of its run. Everything is in SI units, or in any other consistent ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+from carom.scene.half_space import HalfSpaces
+from carom.scene.schema import Material
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
+MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
+DRAWN_RADIUS = 0.01  # of the bodies' extent, in place of a point mass's 0
+SPHERE = 0.4  # moment of inertia / (m r²)
+
+
+class Plane(NamedTuple):
+    """A static half-space; bodies are where ``normal · x > offset``."""
+
+    normal: tuple[float, float, float]
+    offset: float = 0.0  # m, along the normal of length 1
+    name: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """What does not change in a run.
+
+    Parameters
+    ----------
+    engine
+        Name and version, such as ``mujoco 4.0.0``.
+    mass, radius
+        (n,) kg and m. A mass of 0 is a test particle, a radius of 0 a point; nothing touches a point.
+    inertia
+        (n,) kg m², by default those of solid spheres.
+    names
+        (n,) of the bodies.
+    fixed
+        (n,) whether a body never moves; by default none.
+    judged
+        (n,) whether a body is a free sphere, so that the audit knows what its laws are; by default all. Others are
+        drawn as spheres, and what they touch is not judged.
+    gravity
+        (3,) m/s², a uniform field.
+    constant, softening
+        m³ kg⁻¹ s⁻² and m, of the bodies' own gravity.
+    planes
+        Static half-spaces.
+    box
+        (3,) m, the size of a periodic box.
+    collides
+        Whether bodies touch each other and the planes.
+    time_step
+        s, the shortest step to expect; 0 if unknown.
+    """
+
+    engine: str
+    mass: Any
+    radius: Any
+    inertia: Any = None
+    names: Sequence[str] | None = None
+    fixed: Any = None
+    judged: Any = None
+    gravity: Sequence[float] = (0.0, 0.0, 0.0)
+    constant: float = 0.0
+    softening: float = 0.0
+    planes: Sequence[Plane] = field(default_factory=tuple)
+    box: Any = None
+    collides: bool = True
+    time_step: float = 0.0
+
+
+@dataclass(slots=True)
+class State:
+    """What one moment of a run looks like. Arrays may be views of the engine's own memory: they are copied."""
+
+    time: float  # s
+    position: Any  # (n, 3) m
+    velocity: Any  # (n, 3) m/s
+    orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
+    angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; likewise
+    contacts: Any = None  # (m, 2) indices of touching bodies, n + k for plane k; None: found by their distances
+
+
+class Source(Protocol):
+    """A run of another engine."""
+
+    @property
+    def model(self) -> Model:
+        """What does not change."""
+
+    def state(self) -> State:
+        """Return the present state."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A model whose arrays are complete and checked."""
+
+    engine: str
+    mass: FloatArray  # (n,) kg, positive
+    radius: FloatArray  # (n,) m, positive
+    inertia: FloatArray  # (n,) kg m², positive
+    names: list[str]
+    fixed: NDArray[np.bool_]  # (n,)
+    judged: NDArray[np.bool_]  # (n,)
+    gravity: FloatArray  # (3,) m/s²
+    constant: float
+    softening: float
+    planes: HalfSpaces
+    box: FloatArray  # (3,) m, zeros in open space
+    collides: bool
+    time_step: float
+    spins: bool
+    turns: bool  # whether orientations are known
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+
+def setup_of(model: Model, first: State) -> Setup:
+    """Check a model and its first state, and fill in what it leaves out.
+
+    Raises
+    ------
+    RecordingError
+        Naming the array and the body.
+    """
+    engine = model.engine
+    mass = _column(engine, "mass", model.mass)
+    n = len(mass)
+    if n == 0:
+        raise RecordingError(f"{engine} shows no body: add bodies before the recorder is made")
+    radius = _column(engine, "radius", model.radius, n)
+    position = array_of(engine, "position", first.position, (n, 3))
+    collides = model.collides and bool((radius > 0.0).all())
+    if mass.max() == 0.0:
+        raise RecordingError(f"{engine}: all masses are 0, so that no energy or momentum can be computed")
+    extent = float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
+    drawn = np.where(radius > 0.0, radius, DRAWN_RADIUS * extent)
+    heavy = np.where(mass > 0.0, mass, MASSLESS * mass.max())
+    inertia = SPHERE * heavy * drawn**2 if model.inertia is None else _column(engine, "inertia", model.inertia, n)
+    inertia = np.where(inertia > 0.0, inertia, SPHERE * heavy * drawn**2)
+    names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
+    if len(names) != n:
+        raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
+    return Setup(
+        engine=engine,
+        mass=heavy,
+        radius=drawn,
+        inertia=np.maximum(inertia, np.finfo(np.float64).tiny),
+        names=names,
+        fixed=_flags(engine, "fixed", model.fixed, n, False),
+        judged=_flags(engine, "judged", model.judged, n, True),
+        gravity=array_of(engine, "gravity", model.gravity, (3,)),
+        constant=float(model.constant),
+        softening=float(model.softening),
+        planes=_planes(engine, model.planes),
+        box=np.zeros(3) if model.box is None else array_of(engine, "box", model.box, (3,)),
+        collides=collides and (n > 1 or len(model.planes) > 0),
+        time_step=float(model.time_step),
+        spins=first.angular_velocity is not None,
+        turns=first.orientation is not None,
+    )
+
+
+def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+    """Return an array of a shape, finite, as float64; RecordingError names the first wrong number."""
+    array = np.array(values, dtype=np.float64)
+    if array.shape != shape:
+        raise RecordingError(f"{engine}: {name} has the shape {array.shape} in place of {shape}")
+    if not np.isfinite(array).all():
+        row = np.argwhere(~np.isfinite(array))[0]
+        raise RecordingError(
+            f"{engine}: {name}[{', '.join(map(str, row))}] is {array[tuple(row)]}, which is not finite"
+        )
+    return array
+
+
+def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
+    """Return numbers of all bodies that are not negative."""
+    array = np.atleast_1d(np.array(values, dtype=np.float64))
+    array = array_of(engine, name, array, (len(array) if n is None else n,))
+    if len(array) and array.min() < 0.0:
+        raise RecordingError(f"{engine}: {name}[{int(array.argmin())}] is {array.min():g}; it cannot be negative")
+    return array
+
+
+def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> NDArray[np.bool_]:
+    flags = np.full(n, default) if values is None else np.array(values, dtype=bool)
+    if flags.shape != (n,):
+        raise RecordingError(f"{engine}: {name} has the shape {flags.shape} in place of ({n},)")
+    return flags
+
+
+def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
+    normal = np.array([plane.normal for plane in planes], dtype=np.float64).reshape(-1, 3)
+    length = np.linalg.norm(normal, axis=1)
+    if not np.all(length > 0.0):
+        raise RecordingError(f"{engine}: the normal of a plane has length 0")
+    return HalfSpaces(
+        name=[plane.name or f"plane {k}" for k, plane in enumerate(planes)],
+        normal=normal / length[:, None],
+        offset=np.array([plane.offset for plane in planes], dtype=np.float64),
+        material=np.zeros((len(planes), len(Material._fields))),
+    )

@@ -1,0 +1,270 @@
+"""Runs of other engines are recorded, and what is wrong in them is named in the frame where it happens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom.recording.read.recording import Recording
+from carom.recording.source.adapters.package import engine_package
+from command import carom as command
+
+FAULT = 100  # the step in which each fault is planted
+STEPS = 130
+DT = 0.002  # s; bodies overlap by 2 % of a radius before they bounce
+G = np.array([0.0, 0.0, -9.81])
+
+
+class Toy:
+    """A correct engine of three spheres, two of which meet head on at step 100; a fault can be planted in a step."""
+
+    def __init__(self, fault: Callable[[Toy], None] | None = None) -> None:
+        self.model = carom.record.Model(
+            engine="toy 1.0", mass=[1.0, 2.0, 1.0], radius=[0.1, 0.1, 0.1], gravity=(0.0, 0.0, -9.81)
+        )
+        self.position = np.array([[-0.3, 0.02, 0.0], [0.3, 0.0, 0.0], [5.0, 0.0, 0.0]])
+        self.velocity = np.array([[1.0, 0.0, 3.0], [-1.0, 0.0, 3.0], [0.0, 1.0, 3.0]])
+        self.spin = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+        self.steps, self._fault, self.collides = 0, fault, True
+
+    @property
+    def time(self) -> float:
+        return self.steps * DT
+
+    def step(self) -> None:
+        self.steps += 1
+        self.position += self.velocity * DT + 0.5 * G * DT * DT
+        self.velocity += G * DT
+        if self.steps >= FAULT and self._fault:
+            self._fault(self)
+        if self.collides:
+            self.bounce(1.0)
+
+    def bounce(self, restitution: float) -> bool:
+        apart = self.position[1] - self.position[0]
+        normal = apart / np.linalg.norm(apart)
+        closing = float((self.velocity[0] - self.velocity[1]) @ normal)
+        touch = bool(np.linalg.norm(apart) <= 0.2 and closing > 0.0)
+        if touch:
+            self.push((1.0 + restitution) * closing / 1.5 * normal)
+        return touch
+
+    def push(self, impulse: np.ndarray, other: np.ndarray | None = None) -> None:
+        self.velocity[0] -= impulse
+        self.velocity[1] += (impulse if other is None else other) / 2.0
+
+    def state(self) -> carom.record.State:
+        return carom.record.State(self.time, self.position, self.velocity, angular_velocity=self.spin)
+
+
+def recorded(toy: Toy, path: Path, steps: int = STEPS) -> list[carom.record.Fault]:
+    with carom.record.Recorder(toy, path) as recorder:
+        for _ in range(steps):
+            toy.step()
+            recorder.frame()
+    return recorder.faults
+
+
+def energy_from_nothing(toy: Toy) -> None:
+    toy.collides = not toy.bounce(2.0)
+
+
+def missed_impact(toy: Toy) -> None:
+    toy.collides = False
+
+
+def force_off_centre(toy: Toy) -> None:
+    """Equal and opposite impulses that do not act along one line."""
+    if toy.steps == FAULT:
+        toy.push(np.array([0.0, 0.5, 0.0]))
+
+
+def lost_momentum(toy: Toy) -> None:
+    apart = toy.position[1] - toy.position[0]
+    if toy.collides and np.linalg.norm(apart) <= 0.2:
+        toy.push(np.array([1.0, 0.0, 0.0]), np.array([0.5, 0.0, 0.0]))
+        toy.collides = False
+
+
+def not_a_number(toy: Toy) -> None:
+    toy.velocity[2, 1] = np.nan
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("toy") / "toy.rrd"
+    assert recorded(Toy(), path) == []
+    return path
+
+
+@pytest.mark.parametrize(
+    ("fault", "law", "bodies"),
+    [
+        (energy_from_nothing, "energy", (0, 1)),
+        (missed_impact, "missed-impact", (0, 1)),
+        (force_off_centre, "angular-momentum", (0, 1)),
+        (lost_momentum, "momentum", (0, 1)),
+        (not_a_number, "not-finite", (2,)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:carom")
+def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
+    fault: Callable[[Toy], None], law: str, bodies: tuple[int, ...], tmp_path: Path
+) -> None:
+    faults = recorded(Toy(fault), tmp_path / "run.rrd")
+    first = next(found for found in faults if found.law == law)
+    assert FAULT <= first.step <= FAULT + 2 and first.bodies == bodies
+    # the first law that is broken is the one that the fault breaks, or breaks in the same frame
+    assert first.step - min(found.step for found in faults) <= 1
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert (first.step, f"law-{law}") in [(event.step, event.kind) for event in recording.warnings()]
+    assert recording.summary()["laws"][law]["step"] == first.step
+
+
+def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:
+    recording = Recording.open(healthy)
+    assert recording.engine == "toy 1.0" and recording.outcome == "completed" and recording.frames == STEPS + 1
+    summary = recording.summary()
+    assert summary["laws"] == {} and summary["warnings"] == []
+    assert summary["energy"]["max_error"] < 1e-12  # a few roundings
+    assert summary["contacts"]["impacts"] == 1 and summary["moments"]["impact"]["bodies"] == [0, 1]
+    path = recording.trajectory(2)
+    assert all(path["exact"].to_pylist())
+    assert path["vz"][-1].as_py() == pytest.approx(3.0 - 9.81 * STEPS * DT, rel=1e-12)  # 130 sums
+
+
+def test_what_needs_a_second_run_says_that_another_engine_cannot_be_run(healthy: Path, tmp_path: Path) -> None:
+    for words in (("replay",), ("resume",), ("contacts",), ("contacts", "--impacts")):
+        done = command(*words, str(healthy), cwd=tmp_path)
+        assert done.returncode == 2 and "was recorded from toy 1.0" in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+def test_clips_and_exports_need_no_second_run(healthy: Path, tmp_path: Path) -> None:
+    assert (
+        command("clip", str(healthy), "--from", "0.1", "--to", "0.14", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
+    )
+    clip = Recording.open(tmp_path / "clip.rrd")
+    assert clip.engine == "toy 1.0" and clip.frames == 21
+    assert command("export", "clip.rrd", "--at", "0.12", "-o", "one.npz", cwd=tmp_path).returncode == 0
+    with np.load(tmp_path / "one.npz", allow_pickle=False) as arrays:
+        assert arrays["velocity"][0, 2, 2] == pytest.approx(3.0 - 9.81 * 0.12, rel=1e-12)  # sixty sums
+    done = command("diff", str(healthy), "clip.rrd", cwd=tmp_path)
+    assert done.returncode == 0 and "Same bits in all 21 frames" in done.stdout
+    told = command("inspect", str(healthy), cwd=tmp_path).stdout
+    assert "toy 1.0, of which carom saw the states only" in told and "carom replay" not in told
+
+
+def test_the_last_frames_are_written_when_an_exception_leaves_the_context(tmp_path: Path) -> None:
+    toy, path = Toy(), tmp_path / "last.rrd"
+    with pytest.raises(ZeroDivisionError), carom.record.Recorder(toy, path, last=5) as recorder:
+        for _ in range(STEPS):
+            toy.step()
+            recorder.frame()
+        raise ZeroDivisionError("in the user's loop")
+    recording = Recording.open(path)
+    assert recording.fingerprints()["step"].to_pylist() == list(range(STEPS - 4, STEPS + 1))
+    assert recording.outcome == "failed: ZeroDivisionError: in the user's loop"
+
+
+def test_the_last_frames_are_written_on_demand_and_not_at_all_by_a_run_that_ends_well(tmp_path: Path) -> None:
+    toy, path = Toy(), tmp_path / "last.rrd"
+    with carom.record.Recorder(toy, path, last=5) as recorder:
+        for step in range(STEPS):
+            toy.step()
+            recorder.frame()
+            if step == 9:
+                assert recorder.write(tmp_path / "asked.rrd").frames == 5
+    assert not path.exists()
+
+
+def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "last.rrd"
+    toy = Toy(not_a_number)
+    with (
+        pytest.warns(RuntimeWarning, match="Velocity of body 2 is nan in component 1"),
+        carom.record.Recorder(toy, path, last=5) as recorder,
+    ):
+        for _ in range(STEPS):
+            toy.step()
+            if not recorder.frame():
+                break
+    assert toy.steps == FAULT
+    assert Recording.open(path).fingerprints()["step"].to_pylist() == list(range(FAULT - 5, FAULT))
+    assert Recording.open(path).outcome.startswith("failed: Velocity of body 2")
+
+
+def test_what_is_no_run_of_bodies_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    changes: list[tuple[dict[str, Any], str]] = [
+        ({"mass": [1.0, -2.0, 1.0]}, r"mass\[1\] is -2; it cannot be negative"),
+        ({"radius": [0.1, 0.1]}, r"radius has the shape \(2,\) in place of \(3,\)"),
+        ({"names": ["a"]}, "names has 1 entries for 3 bodies"),
+    ]
+    for change, message in changes:
+        toy = Toy()
+        toy.model = replace(toy.model, **change)
+        with pytest.raises(carom.errors.RecordingError, match=message), carom.record.Recorder(toy, path):
+            pass
+        assert not path.exists()
+    path.touch()
+    with pytest.raises(carom.errors.RecordingError, match="exists"):
+        carom.record.Recorder(Toy(), path)
+
+
+def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+    toy = Toy()
+    with (
+        pytest.raises(carom.errors.RecordingError, match="the time went back"),
+        carom.record.Recorder(toy, tmp_path / "run.rrd") as recorder,
+    ):
+        toy.step()
+        recorder.frame()
+        toy.steps = 0
+        recorder.frame()
+
+
+def test_rebound_is_recorded_with_its_gravity(tmp_path: Path) -> None:
+    rebound = pytest.importorskip("rebound")
+    simulation = rebound.Simulation()
+    simulation.add(m=1.0, r=0.1)
+    simulation.add(m=1e-3, a=1.0, e=0.1, r=0.01)
+    with carom.record.Recorder(carom.record.rebound(simulation), tmp_path / "run.rrd") as recorder:
+        while simulation.t < 6.0:
+            simulation.steps(1)
+            recorder.frame()
+    assert recorder.faults == []
+    summary = Recording.open(tmp_path / "run.rrd").summary()
+    assert summary["scene"]["engine"].startswith("rebound ")
+    assert summary["energy"]["initial"] == pytest.approx(simulation.energy(), rel=1e-12)  # of an orbit, by IAS15
+    assert summary["energy"]["max_error"] < 1e-12 and summary["momentum"]["max_error"] < 1e-12  # likewise
+
+
+def test_mujoco_is_recorded_with_its_planes_and_its_spheres_rest_on_them(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    ball = '<body name="ball" pos="0 0 0.11"><freejoint/><geom type="sphere" size="0.1" mass="1"/></body>'
+    text = f'<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>{ball}</worldbody></mujoco>'
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qvel[3:] = [0.0, 0.0, 2.0]
+    with carom.record.Recorder(carom.record.mujoco(model, data), tmp_path / "run.rrd") as recorder:
+        while data.time < 0.4:
+            mujoco.mj_step(model, data)
+            recorder.frame()
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert [event.text for event in recording.warnings()] == []
+    path = recording.trajectory("ball")
+    assert path["z"][-1].as_py() == pytest.approx(0.1, rel=0.02)  # soft contacts give way a little
+    assert path["wz"][0].as_py() == 2.0 and path["qw"][0].as_py() == 1.0
+    assert recording.summary()["moments"]["impact"]["between"] == 'body 0 "ball" and floor'
+
+
+def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it() -> None:
+    with pytest.raises(carom.errors.RecordingError, match="pip install rebound-next"):
+        engine_package("rebound_next", "rebound-next")
