@@ -23,7 +23,7 @@ class Box3D:
     Parameters
     ----------
     world
-        A ``robox3d.World``, with its bodies and shapes.
+        A robox3d.World, with its bodies and shapes.
     planes
         The planes that its static shapes make, such as the top of a large box; Box3D itself has none.
     """
@@ -62,7 +62,7 @@ class Box3D:
 
 
 def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3D:
-    """Return the source of a ``robox3d.World``; see `Box3D`."""
+    """Return the source of a robox3d.World; see `Box3D`."""
     return Box3D(world, planes)
 
 

@@ -24,7 +24,7 @@ class MuJoCo:
     Parameters
     ----------
     model, data
-        ``mujoco.MjModel`` and ``mujoco.MjData``.
+        mujoco.MjModel and mujoco.MjData.
     """
 
     def __init__(self, model: Any, data: Any) -> None:
@@ -113,7 +113,7 @@ class MuJoCo:
 
 
 def mujoco(model: Any, data: Any) -> MuJoCo:
-    """Return the source of a ``mujoco.MjModel`` and its ``mujoco.MjData``; see `MuJoCo`."""
+    """Return the source of a mujoco.MjModel and its mujoco.MjData; see `MuJoCo`."""
     return MuJoCo(model, data)
 
 

@@ -22,7 +22,7 @@ class Newton:
     Parameters
     ----------
     model
-        ``newton.Model``.
+        newton.Model.
     now
         Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not know their
         time, and a step swaps them.
@@ -74,7 +74,7 @@ class Newton:
 
 
 def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> Newton:
-    """Return the source of a ``newton.Model``; see `Newton`."""
+    """Return the source of a newton.Model; see `Newton`."""
     return Newton(model, now)
 
 

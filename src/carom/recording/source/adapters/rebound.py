@@ -17,7 +17,7 @@ class Rebound:
     Parameters
     ----------
     simulation
-        A ``rebound.Simulation``. Particles cannot be added or removed while it is recorded.
+        A rebound.Simulation. Particles cannot be added or removed while it is recorded.
     radius
         m, drawn for particles without a radius; by default a hundredth of their extent.
     """
@@ -63,7 +63,7 @@ class Rebound:
 
 
 def rebound(simulation: Any, radius: float | None = None) -> Rebound:
-    """Return the source of a ``rebound.Simulation``; see `Rebound`."""
+    """Return the source of a rebound.Simulation; see `Rebound`."""
     return Rebound(simulation, radius)
 
 
