@@ -316,6 +316,7 @@ def header_of(space: Space) -> Header:
         walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
         planes=planes_of(scene) if scene.plane else None,
         colour_by=scene.record.colour_by,
+        data=scene.data,
         properties=dict(environment(space.threads)),
     )
 

@@ -28,7 +28,6 @@ from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.load import scene_from_text
 from carom.scene.placement import Start, place
 from carom.scene.schema import Promise, Scene
 
@@ -232,7 +231,7 @@ def _promised(scene: Scene, promise: Promise) -> Scene:
     overrides = [
         f"promise.{key}={list(value) if isinstance(value, tuple) else value!r}" for key, value in values.items()
     ]
-    return scene_from_text(scene.toml, scene.title, overrides)
+    return scene.changed(overrides)
 
 
 def _size(start: Start, box: FloatArray | None) -> float:

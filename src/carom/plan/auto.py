@@ -189,7 +189,8 @@ def smoothing(scene: Scene) -> float:
 
 def smallest_radius(scene: Scene) -> float:
     """Return the smallest radius of a body in metres."""
-    return min([body.radius for body in scene.body] + [group.radius.min for group in scene.group])
+    given = [body.radius for body in scene.body] + [columns.radii[0] for columns in scene.data]
+    return min(given + [group.radius.min for group in scene.group])
 
 
 def auto_step(scene: Scene) -> float:

@@ -27,7 +27,10 @@ def _moves_relatively(scene: Scene) -> bool:
 
     Planes, walls and fixed bodies do not move; a uniform field or a moving medium moves bodies relative to them.
     """
-    velocities = {body.velocity for body in scene.body} | {group.velocity.mean for group in scene.group}
+    velocities: set[tuple[float, ...] | None] = {body.velocity for body in scene.body}
+    velocities |= {columns.common_velocity for columns in scene.data} | {group.velocity.mean for group in scene.group}
+    if None in velocities:  # those of one file differ
+        return True
     if scene.anchored:
         velocities.add((0.0, 0.0, 0.0))
         if pushing(scene):

@@ -222,8 +222,10 @@ def _orientation(scene: Scene, friction: Part) -> Part:
 
 
 def _starts_spinning(scene: Scene) -> bool:
-    return any(any(body.angular_velocity) for body in scene.body) or any(
-        group.spin.dispersion > 0 or any(group.bulk_rotation) for group in scene.group
+    return (
+        any(any(body.angular_velocity) for body in scene.body)
+        or any(columns.spins for columns in scene.data)
+        or any(group.spin.dispersion > 0 or any(group.bulk_rotation) for group in scene.group)
     )
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from carom.plan import contacts, pulls
 from carom.scene.names import body_called
 from carom.scene.placement import body_mass, mean_mass
-from carom.scene.schema import Body, Scene
+from carom.scene.schema import Scene
 
 DOMINANT = 0.99  # share of the mass from which a body dominates
 FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
@@ -22,6 +23,14 @@ class Heaviest(NamedTuple):
 
     name: str
     share: float  # of the mass of all
+
+
+class _Point(NamedTuple):
+    """A body without its extent."""
+
+    mass: float  # kg
+    position: Sequence[float]  # m
+    velocity: Sequence[float]  # m/s
 
 
 class Orbit(NamedTuple):
@@ -38,9 +47,17 @@ def heaviest(scene: Scene) -> Heaviest:
     masses = [body_mass(body) for body in scene.body]
     groups = [mean_mass(group) for group in scene.group]
     total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
-    if masses and max(masses) >= max(groups, default=0.0):
-        number = masses.index(max(masses))
-        return Heaviest(body_called(number, scene.body[number].name), masses[number] / total)
+    names, first = {number: body.name for number, body in enumerate(scene.body)}, len(masses)
+    heavy = dict(enumerate(masses))
+    for columns in scene.data:
+        number = first + columns.heaviest
+        heavy[number] = float(columns.mass[columns.heaviest])
+        names[number] = columns.name[columns.heaviest] if columns.name else ""
+        total += columns.total_mass
+        first += len(columns)
+    if heavy and max(heavy.values()) >= max(groups, default=0.0):
+        number = max(heavy, key=heavy.__getitem__)
+        return Heaviest(body_called(number, names[number]), heavy[number] / total)
     number = groups.index(max(groups))
     return Heaviest(f"a body of group.{number}", groups[number] / total)
 
@@ -56,6 +73,8 @@ def why_no_hierarchy(scene: Scene) -> str:
     if any(gravity.uniform):
         return "with gravity.uniform, under which orbits are not Kepler's; leave it out"
     fixed = next((number for number, body in enumerate(scene.body) if body.fixed), None)
+    if fixed is None and scene.has_fixed_bodies:
+        return 'with a fixed body, but all bodies have to move; set fixed = false, or take "auto"'
     if fixed is not None:
         called = body_called(fixed, scene.body[fixed].name)
         return f'with {called} fixed, but all bodies have to move; set fixed = false, or take "auto"'
@@ -83,21 +102,25 @@ def orbits_often(scene: Scene) -> float:
 
 def _orbits(scene: Scene) -> list[Orbit] | None:
     """Return the orbits about the heaviest body by their pericentres; None if a body is not bound."""
-    masses = [body_mass(body) for body in scene.body]
-    number = masses.index(max(masses))
+    points = [_Point(body_mass(body), body.position, body.velocity) for body in scene.body]
+    for columns in scene.data:
+        state = columns.mass.tolist(), columns.position.tolist(), columns.velocity.tolist()
+        points += itertools.starmap(_Point, zip(*state, strict=True))
+    centre = max(points, key=lambda point: point.mass)
     orbits = []
-    for body, mass in zip(scene.body, masses, strict=True):
-        if body is scene.body[number]:
+    for point in points:
+        if point is centre:
             continue
-        orbit = _orbit(body, scene.body[number], mass, masses[number], scene.gravity.constant)
+        orbit = _orbit(point, centre, scene.gravity.constant)
         if orbit is None:
             return None
         orbits.append(orbit)
     return sorted(orbits, key=lambda orbit: orbit.pericentre)
 
 
-def _orbit(body: Body, centre: Body, mass: float, heavy: float, constant: float) -> Orbit | None:
+def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
     """Return the orbit of a body about another one; None if it is not bound."""
+    mass, heavy = body.mass, centre.mass
     x = [there - here for there, here in zip(body.position, centre.position, strict=True)]
     v = [there - here for there, here in zip(body.velocity, centre.velocity, strict=True)]
     mu, r = constant * (heavy + mass), math.hypot(*x)

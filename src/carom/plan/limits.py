@@ -139,7 +139,8 @@ def _refuse_narrow_box(scene: Scene) -> None:
     """Refuse periodic boxes in which a body could meet another body and its image, or itself."""
     if scene.domain.boundary != "periodic" or scene.domain.size is None:
         return
-    largest = max([body.radius for body in scene.body] + [group.radius.max for group in scene.group])
+    given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
+    largest = max(given + [group.radius.max for group in scene.group])
     if min(scene.domain.size) < 4 * largest:
         raise SceneError(
             f"domain.size = {list(scene.domain.size)}: a periodic box must be at least four times the largest "

@@ -21,7 +21,6 @@ OTHER_WORDS = {
     "spheres": "body",
     "ball": "body",
     "balls": "body",
-    "bodies": "body",
     "particle": "body",
     "particles": "group",
     "wall": "plane",

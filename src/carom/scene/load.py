@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.command import command
 from carom.scene.conversion import Wrong, converted
+from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
 from carom.scene.error import SceneError
 from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
@@ -27,6 +28,7 @@ from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, othe
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.expect import ABOUT_THE_END
 from carom.scene.toml_text import toml_text
+from carom.scene.units.system import UnitSystem
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
@@ -56,7 +58,7 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
     """
     path = _find(source)
     text = _read(path)
-    scene = scene_from_text(text, str(path), overrides)
+    scene = scene_from_text(text, str(path), overrides, DataFiles(path.parent))
     _warn_of_old_names(text, str(path), overrides)
     return scene
 
@@ -72,7 +74,9 @@ def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
             warnings.warn(f"--set {override}: {advice(key)}", OldNameWarning, stacklevel=4)
 
 
-def scene_from_text(text: str, source: str, overrides: list[str] | None = None) -> Scene:
+def scene_from_text(
+    text: str, source: str, overrides: list[str] | None = None, bodies: BodySource | None = None
+) -> Scene:
     """Build a scene from TOML text, such as that in a recording.
 
     Parameters
@@ -83,6 +87,8 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
         Its name in messages.
     overrides
         As for `load_scene`.
+    bodies
+        Where the bodies of [[bodies]] are; by default in files of the current folder.
 
     Raises
     ------
@@ -93,7 +99,7 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
         raise SceneError(f"{source}: {len(text)} characters are too many for a scene; at most {LARGEST_FILE}")
     data = _parse(text, source)
     if not overrides:
-        return _validate(data, text, _Places(source, text, {}))
+        return _validate(data, text, _Places(source, text, {}), bodies)
     document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
     overridden: dict[KeyPath, str] = {}
     for override in overrides:
@@ -102,9 +108,10 @@ def scene_from_text(text: str, source: str, overrides: list[str] | None = None) 
         if other in overridden:
             raise SceneError(f"--set {overridden[other]} and --set {override}: two names of one key; give one of them")
         overridden[path] = override
+        _forget_digest(document, path)
     _keep_promised_duration(document, data, overridden)
     effective = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
-    return _validate(_parse(effective, source), effective, _Places(source, text, overridden))
+    return _validate(_parse(effective, source), effective, _Places(source, text, overridden), bodies)
 
 
 def longest_text(bodies: int) -> int:
@@ -128,12 +135,12 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     return data
 
 
-def scene_from_dict(data: dict[str, Any]) -> Scene:
-    """Build a scene from a plain dictionary; errors name the key."""
+def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:
+    """Build a scene from a plain dictionary; errors name the key. ``bodies`` as for `scene_from_text`."""
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
     text = _written(data)
-    return _validate(data, text, _Places("", "", {}))
+    return _validate(data, text, _Places("", "", {}), bodies)
 
 
 def _written(data: dict[str, Any]) -> str:
@@ -240,6 +247,13 @@ def _keys(override: str) -> KeyPath:
     return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
 
 
+def _forget_digest(document: Any, path: KeyPath) -> None:
+    """Remove what is known of the former file, if an override names another file of bodies."""
+    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot"):
+        for key in ("count", *(("sha256",) if path[2] == "file" else ())):
+            document["bodies"][path[1]].pop(key, None)
+
+
 def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
     """Store the duration that the promises about the end refer to, if an override changes the duration."""
     expect, duration = before.get("expect"), _duration(before)
@@ -266,7 +280,7 @@ def _parse_value(text: str) -> Any:
         return text
 
 
-def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
+def _validate(data: dict[str, Any], text: str, places: _Places, bodies: BodySource | None) -> Scene:
     numbers, units, wrong = converted(data)
     if wrong:
         messages = [_not_a_quantity(each, places) for each in wrong[:MOST_MESSAGES]]
@@ -280,6 +294,8 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
         messages = [_explain(detail, path, places, data) for path, detail in explained]
         more = len(first_of_each_key) - MOST_MESSAGES
         raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages)) from None
+    if scene.bodies:
+        scene, text = _with_bodies(scene, units, data, text, places, bodies or DataFiles(Path()))
     if len(text) > longest_text(scene.count):
         raise SceneError(
             f"{places.file or 'the scene'}: {len(text)} characters are too many for a scene of {scene.count} bodies; "
@@ -287,6 +303,30 @@ def _validate(data: dict[str, Any], text: str, places: _Places) -> Scene:
         )
     scene._toml, scene._unit_system = text, units
     return scene
+
+
+def _with_bodies(
+    scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: _Places, source: BodySource
+) -> tuple[Scene, str]:
+    """Find the bodies of each [[bodies]]; return the scene and its text with their counts and digests."""
+    found, row = list[Found](), 0
+    for index, section in enumerate(scene.bodies):
+        try:
+            found.append(source.find(Wanted(section, index, len(scene.body) + row, row, units)))
+        except SceneError as error:
+            raise SceneError(f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}") from None
+        row += len(found[-1].columns)
+    known = [{"count": len(one.columns), "sha256": one.sha256} for one in found]
+    sections = tuple(section.model_copy(update=values) for section, values in zip(scene.bodies, known, strict=True))
+    if sections != scene.bodies:
+        document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
+        for index, values in enumerate(known):
+            document["bodies"][index].update(values)
+        text = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
+        scene = scene.model_copy(update={"bodies": sections})
+    files = source.files if isinstance(source, HeldBodies) else source if isinstance(source, DataFiles) else None
+    scene._held = HeldBodies(sections, tuple(found), units, files)
+    return scene, text
 
 
 def _not_a_quantity(wrong: Wrong, places: _Places) -> str:

@@ -36,7 +36,7 @@ def in_series(called: Sequence[str]) -> str:
 class Names:
     """Names of the n bodies, and of the planes and walls, whose indices follow."""
 
-    bodies: list[str]
+    bodies: Sequence[str]
     planes: list[str]
 
     def of(self, end: int) -> str:

@@ -16,6 +16,7 @@ from carom.experiment.diff.frame_alignment import FrameAlignment
 from carom.experiment.diff.impact_divergence import ImpactDivergence, impact_divergence
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.read.restore import RecordedBodies
 from carom.recording.view.comparison import Pair, write_overlay
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
@@ -115,7 +116,7 @@ def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any
 
 def _validated(recording: Recording) -> Scene | None:
     try:
-        return scene_from_text(recording.scene_toml, f"the scene in {recording.path}")
+        return scene_from_text(recording.scene_toml, f"the scene in {recording.path}", bodies=RecordedBodies(recording))
     except SceneError:  # of another version
         return None
 

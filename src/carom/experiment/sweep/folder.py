@@ -30,6 +30,11 @@ class Folder:
         return self.root / "scene.toml"
 
     @property
+    def data(self) -> Path:
+        """Copies of the data files that the scene reads."""
+        return self.root / "data"
+
+    @property
     def manifest(self) -> Path:
         """The outcomes of all runs."""
         return self.root / "manifest.json"
@@ -68,7 +73,7 @@ class Folder:
 
     def clear(self) -> None:
         """Remove all files of a sweep, and nothing else."""
-        for part in ("runs", "failed", "partial"):
+        for part in ("runs", "failed", "partial", "data"):
             shutil.rmtree(self.root / part, ignore_errors=True)
         for path in (self.manifest, self.scene, self.table, self.table.with_suffix(".csv")):
             path.unlink(missing_ok=True)
@@ -103,6 +108,19 @@ def put(path: Path, content: str | bytes) -> None:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
         raise
+
+
+def put_copy(path: Path, source: Path) -> None:
+    """Copy a file atomically, unless a copy is there."""
+    known, found = source.stat(), path.stat() if path.exists() else None
+    if found is not None and (found.st_size, found.st_mtime_ns) == (known.st_size, known.st_mtime_ns):
+        return
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        shutil.copy2(source, beside)
+        move(beside, path)
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def move(path: Path, to: Path) -> None:

@@ -11,7 +11,8 @@ from pydantic import BaseModel, Field, ValidationError
 
 from carom.experiment.environment import versions
 from carom.experiment.error import ExperimentError
-from carom.experiment.sweep.folder import NO_ROOM, Folder, put
+from carom.experiment.output import output_folder
+from carom.experiment.sweep.folder import NO_ROOM, Folder, put, put_copy
 from carom.experiment.sweep.plan import Plan, Point
 from carom.recording.write.disk_reserve import DiskReserve
 from carom.scene.nesting import DEEPEST, is_too_deep
@@ -83,6 +84,7 @@ class Manifest:
         for point in plan.points:
             known.setdefault(point.name, Run(point.name, point.parameters, point.seed))
         folder.make()
+        _copy_data(folder, plan)
         put(folder.scene, plan.scene)
         return cls(folder, plan, known, command)
 
@@ -212,3 +214,14 @@ def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
     theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
     if theirs != ours:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
+
+
+def _copy_data(folder: Folder, plan: Plan) -> None:
+    """Copy the data files of the scene into the folder, for workers on other machines and for later."""
+    for name, source in plan.files.items():
+        target = folder.data / name
+        output_folder(target.parent)
+        try:
+            put_copy(target, source)
+        except OSError as error:
+            raise ExperimentError(f"{source}: cannot be copied to {target}: {error.strerror}") from None

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import tomlkit
 
 from carom.experiment.error import ExperimentError
+from carom.scene.data.sources import HeldBodies
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -20,6 +21,7 @@ from carom.scene.variation import Values, combinations, override, values_of
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer
+_FILE = re.compile(r"bodies\.\d+\.file")
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
 
@@ -45,6 +47,7 @@ class Plan:
     scene: str  # TOML, without [sweep]
     varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
     points: tuple[Point, ...]
+    files: Mapping[str, Path] = field(default_factory=dict)  # data files that the scene reads, by the names it gives
 
     @property
     def digest(self) -> str:
@@ -99,8 +102,25 @@ def plan(
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
     text = _without_sweep(scene.toml)
     points = tuple(_point(row, _short_names(varied)) for row in rows)
-    _refuse_hopeless(text, points)
-    return Plan(scene.title, text, varied, points)
+    _refuse_hopeless(text, points, scene.held)
+    return Plan(scene.title, text, varied, points, _data_files(scene, points))
+
+
+def _data_files(scene: Scene, points: Sequence[Point]) -> dict[str, Path]:
+    """Return the data files of all runs that lie at or below the scene's folder, by their names in the scene."""
+    files = None if scene.held is None else scene.held.files
+    if files is None:
+        return {}
+    named = [section.file for section in scene.bodies]
+    named += [value for point in points for key, value in point.parameters.items() if _FILE.fullmatch(key)]
+    found = {}
+    for name in dict.fromkeys(name for name in named if isinstance(name, str) and not Path(name).is_absolute()):
+        if ".." in Path(name).parts:
+            raise ExperimentError(
+                f"{name}: a sweep copies its data files; put it into the folder of the scene or below"
+            )
+        found[name] = files.folder / name
+    return found
 
 
 def _axis(text: str) -> tuple[str, Values]:
@@ -148,12 +168,12 @@ def _shown(value: Any) -> str:
     return json.dumps(value)
 
 
-def _refuse_hopeless(text: str, points: Sequence[Point]) -> None:
+def _refuse_hopeless(text: str, points: Sequence[Point], held: HeldBodies | None) -> None:
     """Refuse a sweep of which no run can be made, so a misspelt key is reported once, not once a run."""
     first: SceneError | None = None
     for point in points:
         try:
-            scene_from_text(text, "scene.toml", point.overrides)
+            scene_from_text(text, "scene.toml", point.overrides, held)
             return
         except SceneError as error:
             first = first or error

@@ -18,6 +18,7 @@ from carom.physics.error import PhysicsError
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
+from carom.scene.data.sources import DataFiles
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -73,7 +74,8 @@ def _made(task: Task, folder: Folder) -> Report:
     if why := unfit(task.root, task.scene, task.version):
         return _failure("error", f"this worker {why}")
     point = task.point
-    scene = scene_from_text(folder.scene.read_text(encoding="utf-8"), folder.scene.name, point.overrides)
+    text, files = folder.scene.read_text(encoding="utf-8"), DataFiles(folder.data)
+    scene = scene_from_text(text, folder.scene.name, point.overrides, files)
     whole = folder.whole(point.name)
     found = _found(whole, scene)
     if found:

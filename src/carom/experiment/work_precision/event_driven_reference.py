@@ -59,7 +59,7 @@ def why_not(scene: Scene) -> str:
         return f"{scene.count} bodies are more than {MOST_BODIES}"
     if scene.domain.boundary != "open" or scene.plane:
         return "no exact solution with planes, walls or periodic boxes"
-    if any(body.fixed for body in scene.body):
+    if scene.has_fixed_bodies:
         return "no exact solution with fixed bodies"
     if scene.contact.allow_overlap:
         return "bodies may overlap at the start"

@@ -26,7 +26,6 @@ from carom.experiment.work_precision.trajectory import Trajectory, follow, sampl
 from carom.physics.space import Space
 from carom.plan.auto import cfl, gravity_method, integrator, pull_fraction, target_dx
 from carom.plan.features import require
-from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 
@@ -189,7 +188,7 @@ def _space(scene: Scene, factor: float, threads: int | None) -> Space:
     overrides = refined(scene, factor) + _finer_pull(scene)[0]
     if not require(scene).pulls:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
-    return Space(scene_from_text(scene.toml, scene.title, overrides), threads)
+    return Space(scene.changed(overrides), threads)
 
 
 def _finer_pull(scene: Scene) -> tuple[list[str], str]:

@@ -15,7 +15,6 @@ from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of
 
@@ -43,7 +42,7 @@ class Setting:
         SceneError
             If a key or a value is wrong.
         """
-        return scene_from_text(scene.toml, scene.title, list(self.overrides))
+        return scene.changed(list(self.overrides))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from carom.experiment.work_precision.coordinate_descent import Search, excess, l
 from carom.experiment.work_precision.error_measures import NAMES
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+from carom.scene.data.moved import toml_for
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 
@@ -155,7 +156,7 @@ def write(tuning: Tuning, path: Path) -> None:
         f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as before",
         f"against a reference that is {study.reference.text}; compared up to {study.reference.horizon:.6g} s",
     ]
-    text = "".join(f"# {line}\n" for line in comment) + "\n" + result.setting.apply(study.scene).toml
+    text = "".join(f"# {line}\n" for line in comment) + "\n" + toml_for(result.setting.apply(study.scene), path.parent)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

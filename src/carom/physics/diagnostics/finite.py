@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,7 +19,7 @@ MOST_TURNS = 1e6
 MIN_BODIES_PER_TASK = 5000
 
 
-def refuse_infinities(bodies: Bodies, names: list[str], step: int, time: float, team: Team = SOLO) -> None:
+def refuse_infinities(bodies: Bodies, names: Sequence[str], step: int, time: float, team: Team = SOLO) -> None:
     """Refuse a state whose positions or velocities are not all finite.
 
     Raises

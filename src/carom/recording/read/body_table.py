@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 class BodyTable:
     """The static properties of the bodies; called with a time, their exact state at that time."""
 
-    name: list[str]  # (n,)
+    name: Sequence[str]  # (n,)
     group: NDArray[np.int64]  # (n,)
     mass: NDArray[np.float64]  # (n,) kg
     radius: NDArray[np.float64]  # (n,) m

@@ -28,9 +28,12 @@ from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
+from carom.recording.schema.body_names import names_of
 from carom.recording.schema.event_kinds import CLOSING, kind_of
+from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.scene.data.columns import BodyColumns
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -183,8 +186,8 @@ class Recording:
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time."""
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
-        names, groups = stored["name"], np.asarray(stored["group"])
-        if not isinstance(names, list) or len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
+        names, groups = names_of(stored), np.asarray(stored["group"])
+        if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
         mass, radius, inertia = (self._positive(stored[name], name) for name in ("mass", "radius", "inertia"))
         return BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
@@ -282,6 +285,11 @@ class Recording:
             If the time is not in the recording, or it cannot be run again.
         """
         return contacts(self, at, replay=replay, watch=watch)
+
+    @_named
+    def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
+        """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.given_bodies`."""
+        return decode(self._given, index, row, place, self.bodies)
 
     def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
         n, array = int(self.info["bodies"]), np.asarray(values)
@@ -484,6 +492,10 @@ class Recording:
         from carom.recording.view.request import Request  # noqa: PLC0415
 
         show(self, Request(at, event, bodies), height)
+
+    @cached_property
+    def _given(self) -> dict[str, Values]:
+        return self._entities.static(paths.GIVEN_STATE)
 
     @cached_property
     def _start(self) -> dict[str, Values]:

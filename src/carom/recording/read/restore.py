@@ -12,6 +12,8 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.scene.data.sources import Found, Wanted
+from carom.scene.error import SceneError
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
@@ -36,12 +38,27 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
         raise RecordingError(
             f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
         )
-    scene = scene_from_text(text, f"the scene in {recording.path}", overrides)
+    scene = scene_from_text(text, f"the scene in {recording.path}", overrides, RecordedBodies(recording))
     if scene.count != len(recording.bodies.mass):
         raise RecordingError(
             f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
         )
     return scene
+
+
+class RecordedBodies:
+    """Finds the bodies of [[bodies]] in a recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+
+    def find(self, wanted: Wanted) -> Found:
+        """Return the bodies of a section; see `BodySource`."""
+        section = wanted.section
+        if section.count is None or section.sha256 is None:
+            raise SceneError("its count and sha256 are missing: the recording is damaged")
+        place = range(wanted.first, wanted.first + section.count)
+        return Found(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256)
 
 
 def space_of(
@@ -100,8 +117,9 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
 
 def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
     bodies, n = recording.bodies, scene.count
-    fixed = np.zeros(n, dtype=bool)
-    fixed[: len(scene.body)] = [body.fixed for body in scene.body]
+    given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
+    fixed = np.concatenate(given)
+    fixed = np.pad(fixed, (0, n - len(fixed)))
     spin = checkpoint.angular_velocity
     return Start(
         name=bodies.name,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.scene.data.columns import BodyColumns
 from carom.scene.forces import FORCES
 from carom.scene.half_space import HalfSpaces
 
@@ -50,7 +51,7 @@ class Header:
     scene_toml: str  # the exact text
     seed: int
     run_id: str  # a UUID; the recording id
-    names: list[str]  # (n,)
+    names: Sequence[str]  # (n,)
     group: NDArray[np.int64]  # (n,) bodies of one group share a hue
     mass: NDArray[np.float64]  # (n,) kg
     radius: NDArray[np.float64]  # (n,) m
@@ -71,6 +72,7 @@ class Header:
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
+    data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the other engine that it was recorded from; empty for carom's own runs

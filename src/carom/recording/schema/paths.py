@@ -26,5 +26,6 @@ MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
 START = "state/start"  # in a clip: the exact state that its first frame follows from
 STATIC_STATE = "state/bodies"
+GIVEN_STATE = "scene/bodies"  # the bodies of [[bodies]] at time 0
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as

@@ -78,8 +78,8 @@ def write_overlay(
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
-        writer.log(_A, _spheres(radius, palette.SKY, a.bodies.name, FillMode.Solid))
-        writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, a.bodies.name, FillMode.MajorWireframe))
+        writer.log(_A, _spheres(radius, palette.SKY, list(a.bodies.name), FillMode.Solid))
+        writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, list(a.bodies.name), FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, colour in _SERIES.values():
             writer.log(path, curve_style(name, colour))

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from rerun.components import AggregationPolicy, FillMode
 
 from carom.recording.schema import palette, paths
+from carom.recording.schema.body_names import stored_names
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.given_bodies import encode
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import THIN, recorded
 from carom.recording.view.scene_text import scene_document
@@ -38,13 +40,15 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
     yield (
         paths.STATIC_STATE,
         rr.AnyValues(
-            name=header.names,
+            **stored_names(header.names),
             group=header.group,
             mass=header.mass,
             radius=header.radius,
             inertia=header.inertia,
         ),
     )
+    if header.data:
+        yield paths.GIVEN_STATE, rr.AnyValues(**encode(header.data))
     if header.has_torque:
         yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
         yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
@@ -74,7 +78,7 @@ def _bodies(header: Header) -> Iterable[Static]:
                     colors=colours,
                     fill_mode=fill,
                     line_radii=rr.Radius.ui_points(0.75),
-                    labels=header.names,
+                    labels=list(header.names),
                     show_labels=False,
                 ),
             )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,8 +12,24 @@ from carom.scene.half_space import HalfSpaces
 from carom.scene.names import body_called, body_key
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.placement.start import Start
+from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
+
+MOST_PAIRS = 3  # that a message names
+
+
+def key_of(scene: Scene, number: int, names: Sequence[str]) -> str:
+    """Name a body whose position is given by its key in the scene, or by its row in the data."""
+    row, name = number - len(scene.body), names[number]
+    if row < 0:
+        return body_key(number, name)
+    for section, columns in zip(scene.bodies, scene.data, strict=True):
+        if row < len(columns):
+            own = f' ("{name}")' if columns.name else ""
+            return f"row {row} of {section.called}{own}"
+        row -= len(columns)
+    raise IndexError(number)
 
 
 def refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") -> None:
@@ -40,7 +58,7 @@ def refuse_overflow(start: Start) -> None:
             raise SceneError(f"the {what} of {called} is too large or too small a number; choose other units")
 
 
-def refuse_overlaps(start: Start, box: FloatArray | None) -> None:
+def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
     """Refuse overlapping bodies; touching is allowed, up to the rounding of the positions."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
@@ -49,24 +67,34 @@ def refuse_overlaps(start: Start, box: FloatArray | None) -> None:
     reach = start.radius[i] + start.radius[j]
     distance = np.sqrt(squared_distance(start.position[i], start.position[j], box))
     rounding = _rounding(start, reach)
-    worst = int(np.argmax(reach - distance - rounding))
-    overlap = reach[worst] - distance[worst]
-    if overlap > rounding[worst]:
-        a, b = pairs[worst]
-        raise SceneError(
-            f"{body_key(a, start.name[a])} and {body_key(b, start.name[b])} overlap by {overlap:.6g} m at the start; "
-            "move them apart, or set contact.allow_overlap = true"
-        )
+    overlap = reach - distance
+    deep = np.flatnonzero(overlap > rounding)
+    if len(deep) == 0:
+        return
+    worst = int(np.argmax(overlap - rounding))
+    others = [k for k in deep[: MOST_PAIRS + 1] if k != worst][:MOST_PAIRS]
+
+    def called(k: int) -> str:
+        return " and ".join(key_of(scene, int(number), start.name) for number in pairs[k])
+
+    more = ""
+    if others:
+        left = len(deep) - 1 - len(others)
+        more = f"; so do {', '.join(map(called, others))}{f' and {left} more pairs' if left else ''}"
+    raise SceneError(
+        f"{called(worst)} overlap by {overlap[worst]:.6g} m at the start{more}; "
+        "move them apart, or set contact.allow_overlap = true"
+    )
 
 
-def refuse_immersion(start: Start, solids: HalfSpaces) -> None:
+def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
     """Refuse bodies that reach into a plane or a wall."""
     depth = solids.depth(start.position, start.radius)
     rounding = _rounding(start, start.radius)[:, None]
     if len(solids) and np.max(depth - rounding) > 0.0:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
         raise SceneError(
-            f"{body_key(int(body), start.name[body])} reaches {depth[body, plane]:.6g} m into {solids.name[plane]} "
+            f"{key_of(scene, int(body), start.name)} reaches {depth[body, plane]:.6g} m into {solids.name[plane]} "
             "at the start; move it out, or set contact.allow_overlap = true"
         )
 

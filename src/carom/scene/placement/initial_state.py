@@ -1,4 +1,4 @@
-"""Initial states of the bodies: explicit ones as written, then groups at random without overlaps."""
+"""Initial states of the bodies: explicit ones and those from data as given, then groups without overlaps."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.scene.body_names import NumberedNames
+from carom.scene.data.columns import BodyColumns
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces, half_spaces
-from carom.scene.names import body_key
-from carom.scene.placement.check import refuse_immersion, refuse_overflow, refuse_overlaps, refuse_unresolved
+from carom.scene.placement.check import (
+    key_of,
+    refuse_immersion,
+    refuse_overflow,
+    refuse_overlaps,
+    refuse_unresolved,
+)
 from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
 from carom.scene.placement.random_placement import positions
 from carom.scene.placement.region import default_region, packing_fraction
@@ -29,19 +36,20 @@ def place(scene: Scene) -> Start:
     Raises
     ------
     SceneError
-        If explicit bodies overlap each other or a plane and the scene does not allow it, or a group does not fit.
+        If bodies of given positions overlap each other or a plane, which the scene does not allow, or a group does not
+        fit.
     """
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
-    parts = [_explicit(scene.body)] if scene.body else []
+    parts = [_given(scene)] if scene.body or scene.bodies else []
     if parts and scene.contact.enabled:
         reach = np.abs(parts[0].position).max(axis=1)
         worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
-        remedy, key = ", or set contact.enabled = false", body_key(worst, parts[0].name[worst])
+        remedy, key = ", or set contact.enabled = false", key_of(scene, worst, parts[0].name)
         refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), remedy)
     solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
-        refuse_overlaps(parts[0], box)
-        refuse_immersion(parts[0], solids)
+        refuse_overlaps(scene, parts[0], box)
+        refuse_immersion(scene, parts[0], solids)
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
     _refuse_full_box(scene)
     for index, group in enumerate(scene.group):
@@ -55,6 +63,32 @@ def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
     """Return the images of positions inside a periodic box."""
     turns = np.where(np.abs(position) > 0.5 * box, np.floor(position / box + 0.5), 0.0)
     return np.asarray(position - box * turns)
+
+
+def _given(scene: Scene) -> Start:
+    """Return the bodies whose positions are given, in the order of the scene."""
+    parts = [_explicit(scene.body)] if scene.body else []
+    for index, columns in enumerate(scene.data):
+        first = sum(len(part.mass) for part in parts)
+        parts.append(_from_data(-2 - index, scene.bodies[index].name, columns, first))
+    return parts[0] if len(parts) == 1 else join(parts)
+
+
+def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> Start:
+    """Return the bodies of a [[bodies]]; ``first`` is the number of the first in the scene."""
+    n = len(columns)
+    numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
+    return Start(
+        name=columns.name or numbered,
+        group=np.full(n, group),
+        position=columns.position,
+        velocity=columns.velocity,
+        angular_velocity=columns.angular_velocity,
+        mass=columns.mass,
+        radius=columns.radius,
+        inertia=columns.inertia,
+        fixed=columns.fixed,
+    )
 
 
 def _explicit(bodies: tuple[Body, ...]) -> Start:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from carom.scene.body_names import joined
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Start:
-    """The bodies at time 0, explicit ones first, then the groups in order; SI units."""
+    """The bodies at time 0, explicit ones first, then those from data, then the groups, in order; SI units."""
 
-    name: list[str]
-    group: NDArray[np.int64]  # (n,) index of the group, -1 for explicit bodies
+    name: Sequence[str]
+    group: NDArray[np.int64]  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]]
     position: FloatArray  # (n, 3)
     velocity: FloatArray  # (n, 3)
     angular_velocity: FloatArray  # (n, 3)
@@ -32,7 +35,7 @@ def join(parts: list[Start]) -> Start:
         return np.ascontiguousarray(np.concatenate([getattr(part, key) for part in parts]))
 
     return Start(
-        name=[name for part in parts for name in part.name],
+        name=joined([part.name for part in parts]),
         group=np.concatenate([part.group for part in parts]),
         position=stacked("position"),
         velocity=stacked("velocity"),

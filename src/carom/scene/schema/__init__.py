@@ -4,6 +4,7 @@ Sections and keys have the names that they have in the TOML file. All are option
 a group. Unknown keys are refused.
 """
 
+from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.body import Body
 from carom.scene.schema.contact import Contact, Material
 from carom.scene.schema.domain import Domain
@@ -23,6 +24,7 @@ from carom.scene.schema.units import Units
 __all__ = [
     "LARGEST",
     "Body",
+    "BodyData",
     "Contact",
     "Domain",
     "Drag",

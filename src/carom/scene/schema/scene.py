@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
+from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.body import Body
 from carom.scene.schema.contact import Contact
 from carom.scene.schema.domain import Domain
@@ -22,6 +23,12 @@ from carom.scene.schema.sweep import Sweep
 from carom.scene.schema.time import Time
 from carom.scene.schema.units import Units
 from carom.scene.units.system import SI, UnitSystem
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from carom.scene.data.columns import BodyColumns
+    from carom.scene.data.sources import HeldBodies
 
 
 class Scene(Section):
@@ -53,6 +60,7 @@ class Scene(Section):
     record: Record = Field(Record(), description="how often frames are recorded and the energy is checked")
     group: tuple[Group, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
+    bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
     plane: tuple[Plane, ...] = Field((), description="static half-spaces")
     expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
@@ -60,6 +68,7 @@ class Scene(Section):
 
     _toml: str = PrivateAttr("")
     _unit_system: UnitSystem = PrivateAttr(SI)
+    _held: HeldBodies | None = PrivateAttr(None)
 
     @property
     def toml(self) -> str:
@@ -79,12 +88,27 @@ class Scene(Section):
     @property
     def count(self) -> int:
         """Number of bodies."""
-        return len(self.body) + sum(group.count for group in self.group)
+        return len(self.body) + sum(map(len, self.data)) + sum(group.count for group in self.group)
+
+    @property
+    def held(self) -> HeldBodies | None:
+        """The bodies of all [[bodies]], and where they are from."""
+        return self._held
+
+    @property
+    def data(self) -> tuple[BodyColumns, ...]:
+        """The bodies of each [[bodies]]."""
+        return () if self._held is None else tuple(found.columns for found in self._held.found)
+
+    @property
+    def has_fixed_bodies(self) -> bool:
+        """Whether a body is fixed."""
+        return any(body.fixed for body in self.body) or any(columns.anchors for columns in self.data)
 
     @property
     def anchored(self) -> bool:
         """Whether there are planes, walls or fixed bodies, which take up momentum."""
-        return bool(self.plane) or self.domain.boundary == "walls" or any(body.fixed for body in self.body)
+        return bool(self.plane) or self.domain.boundary == "walls" or self.has_fixed_bodies
 
     @classmethod
     def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
@@ -100,10 +124,78 @@ class Scene(Section):
 
         return scene_from_dict(data)
 
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        position: ArrayLike,
+        radius: ArrayLike,
+        mass: ArrayLike | None = None,
+        density: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
+        fixed: ArrayLike | None = None,
+        name: str | ArrayLike | None = None,
+        **sections: Any,
+    ) -> Scene:
+        """Build a scene of bodies that are given as arrays.
+
+        Parameters
+        ----------
+        position
+            (n, 3) m.
+        radius, mass, density, inertia, fixed
+            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor turns; (n,), or one value
+            for all. A mass or a density is needed. Without ``inertia`` the bodies are solid spheres.
+        velocity, angular_velocity
+            m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
+        name
+            n names, or one that each body has with its number.
+        sections
+            The other keys of a scene, such as ``time={"duration": 1.0}``.
+
+        Raises
+        ------
+        SceneError
+            If an array has another shape or a value that is not finite, or a section is wrong.
+
+        Examples
+        --------
+        >>> scene = Scene.from_arrays(position=[[0, 0, 0], [3, 0, 0]], radius=1.0, density=2600.0)
+        >>> scene.count
+        2
+        """
+        from carom.scene.data.arrays import scene_from_arrays  # noqa: PLC0415 - needs Scene
+
+        arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
+        arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
+        return scene_from_arrays(arrays, name, sections)
+
+    def with_bodies(self, *, keep: bool = False, **arrays: Any) -> Scene:
+        """Return this scene with other bodies, given as for `from_arrays`.
+
+        Parameters
+        ----------
+        keep
+            Whether the scene's own bodies and groups stay, besides the new ones.
+        arrays
+            ``position``, ``radius`` and so on.
+        """
+        from carom.scene.data.arrays import scene_with_arrays  # noqa: PLC0415 - needs Scene
+
+        return scene_with_arrays(self, keep, arrays)
+
+    def changed(self, overrides: list[str]) -> Scene:
+        """Return this scene with keys changed, as ``--set`` changes them; raises `SceneError` like `load`."""
+        from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
+
+        return scene_from_text(self.toml, self.title, overrides, self._held)
+
     @model_validator(mode="after")
     def _has_a_body(self) -> Self:
-        if self.count == 0:
-            raise ValueError("no bodies; add a [[body]] or a [[group]]")
+        if not (self.body or self.bodies or self.group):
+            raise ValueError("no bodies; add a [[body]], a [[group]] or a [[bodies]] with a file")
         return self
 
     @model_validator(mode="after")

@@ -1,0 +1,91 @@
+"""Scenes from arrays of a Python program."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carom.scene.conversion import unit_system
+from carom.scene.data.columns import BodyColumns
+from carom.scene.data.mapping import VECTORS
+from carom.scene.data.read import read_columns
+from carom.scene.data.sources import Found, HeldBodies
+from carom.scene.data.table import Arrays
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_dict
+from carom.scene.schema.bodies import BodyData
+from carom.scene.units.system import UnitSystem
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
+
+
+def scene_from_arrays(
+    arrays: Mapping[str, ArrayLike | None], name: str | ArrayLike | None, sections: Mapping[str, Any]
+) -> Scene:
+    """Build a scene; see `Scene.from_arrays`."""
+    if "bodies" in sections:
+        raise SceneError("bodies: the arrays are its bodies; give the other sections only, or use with_bodies")
+    return _scene(sections, [], [], arrays, name)
+
+
+def scene_with_arrays(scene: Scene, keep: bool, arrays: Mapping[str, Any]) -> Scene:
+    """Return a scene with other bodies; see `Scene.with_bodies`."""
+    wanted = dict(arrays)
+    name = wanted.pop("name", None)
+    data = tomllib.loads(scene.toml)
+    others = {key: value for key, value in data.items() if keep or key not in ("body", "group")}
+    held = scene.held if keep else None
+    sections, found = ([], []) if held is None else (list(held.sections), list(held.found))
+    return _scene(others, sections, found, wanted, name)
+
+
+def _scene(
+    data: Mapping[str, Any],
+    sections: list[BodyData],
+    found: list[Found],
+    arrays: Mapping[str, Any],
+    name: str | ArrayLike | None,
+) -> Scene:
+    """Build a scene of sections, of bodies that it has, and of arrays."""
+    units = unit_system(data.get("units"), [])  # what is wrong with them, the scene itself says
+    columns = _columns(arrays, name, units)
+    prefix = {"name": name} if isinstance(name, str) else {}
+    section = {**prefix, "count": len(columns), "sha256": columns.sha256}
+    kept = data.get("bodies", [])[: len(sections)]
+    held = HeldBodies((*sections, BodyData.model_validate(section)), (*found, Found(columns, columns.sha256)), units)
+    return scene_from_dict({**data, "bodies": [*kept, section]}, held)
+
+
+def _columns(arrays: Mapping[str, Any], name: str | ArrayLike | None, units: UnitSystem) -> BodyColumns:
+    given = {quantity: value for quantity, value in arrays.items() if value is not None}
+    if "position" not in given or "radius" not in given:
+        raise SceneError("arrays of bodies need a position and a radius")
+    if ("mass" in given) == ("density" in given):
+        raise SceneError("arrays of bodies need a mass or a density, and not both")
+    try:
+        bodies = len(given["position"])
+    except TypeError:
+        raise SceneError("position: needs an array of the shape (n, 3)") from None
+    table = {quantity: _array(quantity, value, bodies) for quantity, value in given.items()}
+    if name is not None and not isinstance(name, str):
+        table["name"] = _array("name", name, bodies)
+    return read_columns(BodyData(), Arrays(table), units)
+
+
+def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
+    """Return an array with a row for each body."""
+    shape = (bodies, 3) if quantity in VECTORS else (bodies,)
+    try:
+        array = np.asarray(value)
+        return np.broadcast_to(array, shape) if array.shape in (shape, shape[1:]) else _refused(array.shape, shape)
+    except ValueError as error:  # rows of different lengths
+        raise SceneError(f"{quantity}: {error}; {bodies} bodies need the shape {shape}") from None
+
+
+def _refused(shape: tuple[int, ...], right: tuple[int, ...]) -> NDArray[Any]:
+    raise ValueError(f"an array of the shape {shape}")

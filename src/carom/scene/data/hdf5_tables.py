@@ -1,0 +1,64 @@
+"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or whole paths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.error import SceneError
+
+_MOST_DATASETS = 10_000
+
+
+def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
+    """Open an HDF5 file."""
+    try:
+        import h5py  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise SceneError(f'{called}: HDF5 needs h5py; install it with: pip install "carom[hdf5]"') from None
+    try:
+        with h5py.File(path, "r") as file:
+            names = list[str]()
+
+            def see(name: str, node: Any) -> bool | None:
+                if isinstance(node, h5py.Dataset) and node.ndim:
+                    names.append(name)
+                return True if len(names) > _MOST_DATASETS else None
+
+            file.visititems(see)  # follows no links, which could lead out of the file
+    except (OSError, RuntimeError, KeyError, ValueError) as error:
+        raise SceneError(f"{called}: not an HDF5 file: {error}") from None
+    return _Datasets(path, called, names)
+
+
+class _Datasets:
+    def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
+        self._path = path
+        self.called = called
+        self.names = names
+
+    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+        """Read datasets; their shapes are checked before memory is taken."""
+        import h5py  # noqa: PLC0415 - an extra
+
+        try:
+            with h5py.File(self._path, "r") as file:
+                return {name: self._array(name, file[name]) for name in names}
+        except SceneError:
+            raise
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+            raise SceneError(f"{self.called}: cannot be read: {error}") from None
+        except MemoryError:
+            raise SceneError(f"{self.called}: too large for this machine's memory") from None
+
+    def _array(self, name: str, dataset: Any) -> Raw:
+        if dataset.external or dataset.is_virtual:
+            raise SceneError(f"{self.called}: dataset {name} is stored in another file, which is not read")
+        refuse_many_rows(self.called, max(dataset.shape, default=0))
+        refuse_large(self.called, name, math.prod(dataset.shape) * dataset.dtype.itemsize)
+        return np.asarray(dataset[()])

@@ -1,0 +1,73 @@
+"""Tables in NumPy's .npz. Files are data: pickled objects are refused."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.error import SceneError
+
+_SUFFIX = ".npy"
+_LARGEST_HEADER = 10_000  # characters
+_SURPRISES = (ValueError, EOFError, OSError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError)
+
+
+def open_npz(path: Path, called: str, snapshot: int) -> Table:
+    """Open an archive of arrays."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name.removesuffix(_SUFFIX) for name in archive.namelist() if name.endswith(_SUFFIX)]
+    except _SURPRISES as error:
+        raise SceneError(f"{called}: not an .npz file: {error}") from None
+    return _Archive(path, called, names)
+
+
+class _Archive:
+    def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
+        self._path = path
+        self.called = called
+        self.names = names
+
+    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+        """Read arrays; what their headers say is checked before memory is taken."""
+        try:
+            with zipfile.ZipFile(self._path) as archive:
+                return {name: self._array(archive, name) for name in names}
+        except SceneError:
+            raise
+        except _SURPRISES as error:
+            raise SceneError(f"{self.called}: cannot be read: {error}") from None
+        except MemoryError:
+            raise SceneError(f"{self.called}: too large for this machine's memory") from None
+
+    def _array(self, archive: zipfile.ZipFile, name: str) -> Raw:
+        info = archive.getinfo(name + _SUFFIX)
+        with archive.open(info) as member:
+            shape, kind = _header(member)
+            if kind.hasobject:
+                raise SceneError(f"{self.called}: array {name} holds Python objects, which are not read; save numbers")
+            size = math.prod(shape) * kind.itemsize
+            if size != info.file_size - member.tell():
+                raise SceneError(f"{self.called}: array {name} is damaged: it says that it has {size} bytes")
+            refuse_many_rows(self.called, max(shape, default=0))
+            refuse_large(self.called, name, size)
+        with archive.open(info) as member:
+            return np.asarray(npy.read_array(member, allow_pickle=False, max_header_size=_LARGEST_HEADER))
+
+
+def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Read what an array says about itself."""
+    version = npy.read_magic(member)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"an array of version {version[0]}.{version[1]}")
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
+    return shape, kind

@@ -1,0 +1,172 @@
+"""From a table to checked `BodyColumns`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.data.columns import BodyColumns
+from carom.scene.data.mapping import VECTORS, Mapping, mapping_of
+from carom.scene.data.table import Raw, Table, flags_of, numbers_of, texts_of
+from carom.scene.error import SceneError
+from carom.scene.schema.bodies import BodyData
+from carom.scene.schema.quantity import LARGEST, SMALLEST
+from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
+from carom.scene.units.system import UnitSystem
+
+FloatArray = NDArray[np.float64]
+
+_POSITIVE = ("mass", "density", "radius", "inertia")
+_DIMENSIONS = {  # whose product a quantity has
+    "position": (LENGTH,),
+    "velocity": (VELOCITY,),
+    "angular_velocity": (ANGULAR_VELOCITY,),
+    "mass": (MASS,),
+    "density": (DENSITY,),
+    "radius": (LENGTH,),
+    "inertia": (MASS, LENGTH, LENGTH),
+}
+
+
+def read_columns(section: BodyData, table: Table, units: UnitSystem) -> BodyColumns:
+    """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
+
+    Raises
+    ------
+    SceneError
+        Naming the table, the column and the row.
+    """
+    mapping = mapping_of(section, table.names, table.called)
+    raw = table.read(list(dict.fromkeys(column for columns in mapping.values() for column in columns)))
+    reader = _Reader(section, table.called, mapping, raw, units)
+    position = reader.vectors("position")
+    n = len(position)
+    if n == 0:
+        raise SceneError(f"{table.called}: it has no rows")
+    if section.count is not None and section.count != n:
+        raise SceneError(f"{table.called}: it has {n} rows, and count = {section.count}")
+    radius, fixed = reader.numbers("radius"), reader.flags()
+    volume = (4.0 / 3.0) * math.pi * radius * radius * radius
+    with np.errstate(over="ignore"):
+        mass = reader.numbers("density") * volume if reader.has_density else reader.numbers("mass")
+        inertia = section.inertia_factor * mass * radius * radius if not reader.has_inertia else None
+    columns = BodyColumns(
+        position=position,
+        velocity=reader.vectors("velocity"),
+        angular_velocity=reader.vectors("angular_velocity"),
+        mass=mass,
+        radius=radius,
+        inertia=reader.numbers("inertia") if inertia is None else inertia,
+        fixed=fixed,
+        name=reader.names(),
+    )
+    _refuse_moving_fixed(columns, table.called)
+    return columns
+
+
+class _Reader:
+    """Converts the columns of each quantity; constants take the place of columns."""
+
+    def __init__(
+        self, section: BodyData, called: str, mapping: Mapping, raw: dict[str, Raw], units: UnitSystem
+    ) -> None:
+        self._units = units
+        self._section = section
+        self._called = called
+        self._mapping = mapping
+        self._raw = {
+            name: self._snapshot(quantity, name, raw[name]) for quantity in mapping for name in mapping[quantity]
+        }
+        first = mapping["position"][0]
+        self._rows = len(self._raw[first])
+        for name, array in self._raw.items():
+            if len(array) != self._rows:
+                raise SceneError(f"{called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
+
+    @property
+    def has_density(self) -> bool:
+        """Whether masses follow from densities."""
+        return "density" in self._mapping or self._section.density is not None
+
+    @property
+    def has_inertia(self) -> bool:
+        """Whether there are moments of inertia."""
+        return "inertia" in self._mapping
+
+    def vectors(self, quantity: str) -> FloatArray:
+        """Return (n, 3) vectors."""
+        columns = self._mapping.get(quantity)
+        if columns is None:
+            constant = getattr(self._section, quantity, None) or (0.0, 0.0, 0.0)
+            return np.tile(np.array(constant), (self._rows, 1))
+        if len(columns) == 1:
+            return self._numbers(quantity, columns[0])
+        found = np.empty((self._rows, 3))
+        for axis, column in enumerate(columns):
+            found[:, axis] = self._numbers(quantity, column)
+        return found
+
+    def numbers(self, quantity: str) -> FloatArray:
+        """Return (n,) numbers."""
+        columns = self._mapping.get(quantity)
+        if columns is None:
+            return np.full(self._rows, float(getattr(self._section, quantity)))
+        return self._numbers(quantity, columns[0])
+
+    def flags(self) -> NDArray[np.bool_]:
+        """Return (n,) whether a body is fixed."""
+        columns = self._mapping.get("fixed")
+        if columns is None:
+            return np.full(self._rows, bool(self._section.fixed))
+        return flags_of(self._called, columns[0], self._raw[columns[0]])
+
+    def names(self) -> list[str] | None:
+        """Return (n,) names, if there are any."""
+        columns = self._mapping.get("name")
+        return None if columns is None else texts_of(self._raw[columns[0]])
+
+    def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
+        """Take one of several steps, and check the shape."""
+        dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
+        if array.ndim == dimensions + 1:
+            if not -len(array) <= self._section.snapshot < len(array):
+                raise SceneError(
+                    f"{self._called}: there is no snapshot {self._section.snapshot}: {name} has {len(array)}"
+                )
+            array = array[self._section.snapshot]
+        if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):
+            right = "(n, 3)" if dimensions == 2 else "(n,)"
+            raise SceneError(f"{self._called}: {name} has the shape {array.shape}, and {quantity} needs {right}")
+        return array
+
+    def _numbers(self, quantity: str, column: str) -> FloatArray:
+        values = numbers_of(self._called, column, self._raw[column])
+        factor = math.prod(self._units.factor(dimension) for dimension in _DIMENSIONS[quantity])
+        if factor != 1.0:
+            values *= factor
+        size = np.abs(values)
+        wrong = {
+            "is not a finite number": ~np.isfinite(values),
+            "must be more than 0": values <= 0.0 if quantity in _POSITIVE else np.zeros(0, np.bool_),
+            f"is not between {SMALLEST:g} and {LARGEST:g} in size; choose other units": (
+                (values != 0.0) & ~((size >= SMALLEST) & (size <= LARGEST))
+            ),
+        }
+        for what, rows in wrong.items():
+            if rows.any():
+                place = np.unravel_index(int(np.argmax(rows)), rows.shape)
+                raise SceneError(f"{self._called}: column {column}, row {place[0]}: {values[place]:g} {what}")
+        return values
+
+
+def _refuse_moving_fixed(columns: BodyColumns, called: str) -> None:
+    if not columns.anchors:
+        return
+    moving = columns.fixed & (columns.velocity.any(axis=1) | columns.angular_velocity.any(axis=1))
+    if moving.any():
+        row = int(np.argmax(moving))
+        raise SceneError(
+            f"{called}: row {row} is fixed and has a velocity or an angular_velocity; set one of them to 0"
+        )

@@ -1,0 +1,100 @@
+"""Where a scene finds the bodies of its [[bodies]]: data files, arrays, or a recording."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from carom.scene.data.columns import BodyColumns
+from carom.scene.data.formats import open_table
+from carom.scene.data.read import read_columns
+from carom.scene.error import SceneError
+from carom.scene.schema.bodies import BodyData
+from carom.scene.units.system import SI, UnitSystem
+
+
+class Found(NamedTuple):
+    """Bodies, and the digest of what they were read from."""
+
+    columns: BodyColumns
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The [[bodies]] whose bodies are to be found."""
+
+    section: BodyData
+    index: int  # among those of the scene
+    first: int  # number of its first body in the scene
+    row: int  # likewise, among the bodies of all [[bodies]]
+    units: UnitSystem  # of the numbers in files
+
+
+class BodySource(Protocol):
+    """Finds the bodies of each [[bodies]] of a scene."""
+
+    def find(self, wanted: Wanted) -> Found:
+        """Return the bodies of a section; SceneError if they cannot be found."""
+
+
+@dataclass(frozen=True)
+class DataFiles:
+    """Files, relative to the folder of the scene."""
+
+    folder: Path
+
+    def find(self, wanted: Wanted) -> Found:
+        """Read a file, if it is the one whose digest the scene has."""
+        section = wanted.section
+        if section.file is None:
+            raise SceneError("file is missing: the name of the data file")
+        path = self.folder / section.file
+        try:
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
+        except IsADirectoryError:
+            raise SceneError(f"{section.file}: a folder, not a data file") from None
+        except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+            reason = getattr(error, "strerror", None) or str(error)
+            raise SceneError(f"{path}: cannot be read: {reason}") from None
+        if section.sha256 not in (None, digest):
+            raise SceneError(
+                f"{section.file} has changed: its sha256 is {digest[:12]}… and that of the scene "
+                f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
+            )
+        columns = read_columns(section, open_table(path, section.file, section.snapshot), wanted.units)
+        return Found(columns, digest)
+
+
+@dataclass(frozen=True)
+class HeldBodies:
+    """Bodies that are in memory, of a scene from files, arrays or a recording.
+
+    Parameters
+    ----------
+    sections
+        The [[bodies]] that they were read for.
+    found
+        The bodies of each.
+    units
+        The units that the scene's numbers had.
+    files
+        The files that they were read from, for sections that are changed; None if they came from no file.
+    """
+
+    sections: tuple[BodyData, ...]
+    found: tuple[Found, ...]
+    units: UnitSystem = SI
+    files: DataFiles | None = field(default=None, compare=False)
+
+    def find(self, wanted: Wanted) -> Found:
+        """Return the bodies, or read the file again if the scene says something else about it now."""
+        known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
+        if known and wanted.units == self.units:
+            return self.found[wanted.index]
+        if self.files is None:
+            raise SceneError("it cannot be changed, because its file is not at hand: only its name can")
+        return self.files.find(wanted)

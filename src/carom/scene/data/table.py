@@ -1,0 +1,99 @@
+"""`Table`: named columns of a data file, whatever its format."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.error import SceneError
+
+MOST_ROWS = 50_000_000  # a run takes 1 kB a body
+MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
+
+Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
+
+
+class Table(Protocol):
+    """The columns of a file; only those that are asked for are read."""
+
+    @property
+    def called(self) -> str:
+        """What messages call it."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The names of its columns."""
+
+    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+        """Read columns by their names."""
+
+
+class Arrays:
+    """Columns that a Python program gives as arrays."""
+
+    called = "the arrays"
+
+    def __init__(self, arrays: Mapping[str, Raw]) -> None:
+        self._arrays = arrays
+        self.names = list(arrays)
+
+    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+        """Return arrays by their names."""
+        return {name: self._arrays[name] for name in names}
+
+
+def refuse_many_rows(called: str, rows: int) -> None:
+    """Refuse a table before anything large is allocated for it."""
+    if rows > MOST_ROWS:
+        raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
+
+
+def refuse_large(called: str, column: str, size: int) -> None:
+    """Refuse a column of so many bytes."""
+    if size > MOST_BYTES:
+        raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
+
+
+def numbers_of(called: str, column: str, raw: Raw) -> NDArray[np.float64]:
+    """Return a column as float64.
+
+    Raises
+    ------
+    SceneError
+        Naming the first row that is no number.
+    """
+    if raw.dtype.kind in "fiu":
+        return raw.astype(np.float64)
+    if raw.dtype.kind not in "OSU":
+        raise SceneError(f"{called}: column {column} holds values of type {raw.dtype}, and numbers are needed")
+    for row, value in enumerate(raw.ravel().tolist()):
+        try:
+            float(value)
+        except (TypeError, ValueError):
+            raise SceneError(f"{called}: column {column}, row {row}: {_shown(value)} is not a number") from None
+    return raw.astype(np.float64)
+
+
+def flags_of(called: str, column: str, raw: Raw) -> NDArray[np.bool_]:
+    """Return a column of true and false, or of 1 and 0."""
+    if raw.dtype.kind == "b":
+        return raw.astype(np.bool_)
+    wrong = (raw != 0) & (raw != 1) if raw.dtype.kind in "fiu" else np.ones(raw.shape, dtype=np.bool_)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SceneError(
+            f"{called}: column {column}, row {row}: {_shown(raw.ravel()[row])} is neither true nor false (1 or 0)"
+        )
+    return raw.astype(np.bool_)
+
+
+def texts_of(raw: Raw) -> list[str]:
+    """Return a column as texts."""
+    return [value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) for value in raw.tolist()]
+
+
+def _shown(value: Any) -> str:
+    return "empty, which" if value is None or value == "" else repr(value)[:60]

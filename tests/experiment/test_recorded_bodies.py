@@ -1,0 +1,155 @@
+"""Bodies from data files are in the recording: it replays, resumes, clips, reports and exports without the files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom.experiment.diff.diff import diff
+from carom.experiment.environment import versions
+from carom.experiment.replay import replay
+from carom.experiment.report import report
+from carom.experiment.resume import resumable_run, resume
+from carom.experiment.sweep.folder import Folder
+from carom.experiment.sweep.manifest import Manifest
+from carom.experiment.sweep.plan import plan
+from carom.experiment.sweep.task import Task, execute
+from carom.recording.edit.bundle import opened
+from carom.recording.edit.clip import clip
+from carom.recording.errors import RecordingError
+from carom.recording.export.export import write
+from carom.recording.export.snapshot import snapshots
+from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene
+from carom.scene.schema import Scene
+
+SCENE = """
+title = "From a file"
+[gravity]
+constant = 0.0
+[time]
+duration = 0.02
+fixed_dt = 0.01
+[record]
+every = "step"
+[[body]]
+name = "sun"
+position = [0, 0, 50]
+[[bodies]]
+file = "a.npz"
+name = "grain"
+[[bodies]]
+file = "b.npz"
+[[group]]
+count = 2
+"""
+
+
+def grains(count: int, height: float, **others: Any) -> dict[str, Any]:
+    rng = np.random.default_rng(count)
+    position = np.stack([3.0 * np.arange(count), np.zeros(count), np.full(count, height)], axis=1)
+    velocity, spin = rng.standard_normal((2, count, 3))
+    radius = 0.5 + rng.random(count)
+    return {
+        "position": position,
+        "velocity": velocity,
+        "angular_velocity": spin,
+        "mass": 1.0 + radius,
+        "r": radius,
+        **others,
+    }
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    """A recording whose data files are gone."""
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
+    fixed = np.arange(7) == 3
+    still = {name: np.where(fixed[:, None], 0.0, grains(7, 9.0)[name]) for name in ("velocity", "angular_velocity")}
+    np.savez(folder / "a.npz", **grains(7, 9.0, fixed=fixed, **still))
+    np.savez(folder / "b.npz", **grains(3, 20.0, name=["p", "q", "r"]))
+    found = carom.run(folder / "scene.toml", tmp_path / "run.rrd")
+    for file in ("a.npz", "b.npz"):
+        (folder / file).unlink()
+    return found
+
+
+def test_a_recording_replays_resumes_clips_and_reports_without_the_data_files(
+    recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not of interest here")
+    assert replay(recording).same
+    clip(recording.path, tmp_path / "clip.rrd", 0.01, 0.02, bodies=[0, 8])
+    assert replay(Recording.open(tmp_path / "clip.rrd")).same
+    report(recording, tmp_path / "x.zip")
+    with opened(tmp_path / "x.zip") as path:
+        assert replay(Recording.open(path)).same
+    run = resumable_run(recording, until=0.04)
+    assert resume(run, run.space(), tmp_path / "longer.rrd").status == "completed"
+    longer = Recording.open(tmp_path / "longer.rrd")
+    assert replay(longer).same
+    assert diff(recording, longer).verdict.kind == "same"
+
+
+def test_the_scene_of_a_recording_has_the_bodies_of_the_files(recording: Recording) -> None:
+    scene = recorded_scene(recording)
+    first, second = scene.data
+    assert len(scene.toml) < 2 * len(SCENE)
+    assert np.array_equal(first.position, grains(7, 9.0)["position"])
+    assert first.fixed.tolist() == [False, False, False, True, False, False, False]
+    assert np.array_equal(second.radius, grains(3, 20.0)["r"])
+    assert second.name == ["p", "q", "r"]
+    names = ["sun", *(f"grain {k}" for k in range(7)), "p", "q", "r", "group 0 0", "group 0 1"]
+    assert list(recording.bodies.name) == names
+    assert scene.count == 13
+
+
+def test_what_is_exported_is_read_as_bodies_again(recording: Recording, tmp_path: Path) -> None:
+    for ending in ("csv", "parquet", "npz"):
+        file = tmp_path / f"out.{ending}"
+        write(file, snapshots(recording, None, everything=True), series=True)
+        (tmp_path / "again.toml").write_text(f'[[bodies]]\nfile = "out.{ending}"\n', encoding="utf-8")
+        again = Scene.load(tmp_path / "again.toml").data[0]
+        last = recording.bodies(0.02)
+        assert np.array_equal(again.position[:, 0], last["x"].to_numpy())
+        assert np.array_equal(again.angular_velocity[:, 2], last["wz"].to_numpy())
+        assert np.array_equal(again.radius, recording.bodies.radius)
+
+
+def test_a_recording_that_lacks_bodies_of_its_scene_is_damaged(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recording, "scene_toml", recording.scene_toml.replace("count = 7", "count = 700"))
+    with pytest.raises(RecordingError, match="its scene has more bodies than it"):
+        recorded_scene(Recording.open(recording.path))
+
+
+def test_arrays_are_recorded_like_files(tmp_path: Path) -> None:
+    scene = Scene.from_arrays(
+        position=[[0, 0, 0], [9, 0, 0]], radius=1.0, mass=2.0, time={"duration": 0.02, "fixed_dt": 0.01}
+    )
+    recording = carom.run(scene, tmp_path / "x.rrd")
+    assert replay(recording).same
+    assert recorded_scene(recording) == scene
+
+
+def test_a_sweep_copies_the_data_files_of_its_scene(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "scene.toml").write_text(SCENE.replace('[[bodies]]\nfile = "b.npz"\n', ""), encoding="utf-8")
+    for name in ("a.npz", "c.npz"):
+        np.savez(folder / name, **grains(4, 9.0))
+    made = plan(folder / "scene.toml", vary=["bodies.0.file=a.npz,c.npz"])
+    root = Folder(tmp_path / "sweep")
+    Manifest.begin(root, made, "carom sweep")
+    for name in ("a.npz", "c.npz"):
+        (folder / name).unlink()
+    for point in made.points:
+        result = execute(Task(str(root.root), made.digest, versions()["carom"], "carom sweep", point))
+        assert result["status"] == "done", result["reason"]

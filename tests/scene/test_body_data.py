@@ -1,0 +1,400 @@
+"""Bodies from data files and arrays."""
+
+from __future__ import annotations
+
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.feather
+import pyarrow.parquet as pq
+import pytest
+from numpy.typing import NDArray
+
+from carom.plan.features import require
+from carom.plan.hierarchy import heaviest
+from carom.scene.body_names import JoinedNames, NumberedNames
+from carom.scene.data import table
+from carom.scene.error import SceneError
+from carom.scene.placement import place
+from carom.scene.schema import Scene
+
+POSITION = np.array([[0.0, 0.0, 0.1], [3.0, 0.0, 0.2], [0.0, 3.0, 0.3]])
+VELOCITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0 / 3.0, 0.0], [0.0, 0.0, 0.0]])
+MASS = np.array([1.0, 2.0, 3.0])
+RADIUS = np.array([0.5, 0.6, 0.7])
+
+Columns = dict[str, Any]
+
+
+def columns(**others: Any) -> Columns:
+    found: Columns = dict(zip("xyz", POSITION.T, strict=True))
+    found |= dict(zip(("vx", "vy", "vz"), VELOCITY.T, strict=True))
+    found |= {"m": MASS, "r": RADIUS, **others}
+    return {name: values for name, values in found.items() if values is not None}
+
+
+def write_csv(path: Path, **others: Any) -> None:
+    pyarrow.csv.write_csv(pa.table(columns(**others)), path)
+
+
+def write_parquet(path: Path, **others: Any) -> None:
+    pq.write_table(pa.table(columns(**others)), path)
+
+
+def write_feather(path: Path, **others: Any) -> None:
+    pyarrow.feather.write_feather(pa.table(columns(**others)), path)
+
+
+def write_stream(path: Path, **others: Any) -> None:
+    found = pa.table(columns(**others))
+    with pa.ipc.new_stream(path, found.schema) as writer:
+        writer.write_table(found)
+
+
+def write_npz(path: Path, **others: Any) -> None:
+    np.savez(path, **({"position": POSITION, "velocity": VELOCITY, "mass": MASS, "radius": RADIUS} | others))
+
+
+def write_hdf5(path: Path, **others: Any) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        group = file.create_group("PartType0")
+        named = {"Coordinates": POSITION, "Velocities": VELOCITY, "Masses": MASS.astype(">f8"), "Radius": RADIUS}
+        for name, values in (named | others).items():
+            group[name] = values
+
+
+def write_rebound(path: Path, **others: Any) -> None:
+    rebound = pytest.importorskip("rebound")
+    simulation = rebound.Simulation()
+    for k in range(len(MASS)):
+        x, v = POSITION[k], VELOCITY[k]
+        simulation.add(m=MASS[k], r=RADIUS[k], x=x[0], y=x[1], z=x[2], vx=v[0], vy=v[1], vz=v[2])
+    simulation.save_to_file(str(path))
+
+
+WRITERS: dict[str, Callable[..., None]] = {
+    "a.csv": write_csv,
+    "a.parquet": write_parquet,
+    "a.feather": write_feather,
+    "a.arrow": write_stream,
+    "a.npz": write_npz,
+    "a.h5": write_hdf5,
+    "a.bin": write_rebound,
+}
+
+
+def scene_of(folder: Path, file: str, more: str = "", top: str = "") -> Scene:
+    path = folder / "scene.toml"
+    path.write_text(f'{top}\n[[bodies]]\nfile = "{file}"\n{more}\n', encoding="utf-8")
+    return Scene.load(path)
+
+
+def complaint(folder: Path, file: str, more: str = "", top: str = "") -> str:
+    with pytest.raises(SceneError) as caught:
+        place(scene_of(folder, file, more, top))
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("file", WRITERS)
+def test_bodies_of_each_format_have_the_numbers_of_the_file(tmp_path: Path, file: str) -> None:
+    WRITERS[file](tmp_path / file)
+    start = place(scene_of(tmp_path, file))
+    for found, written in ((start.position, POSITION), (start.velocity, VELOCITY), (start.mass, MASS)):
+        assert np.array_equal(found, written)
+    assert np.array_equal(start.radius, RADIUS)
+    assert np.array_equal(start.inertia, 0.4 * MASS * RADIUS * RADIUS)
+    assert list(start.name) == ["body 0", "body 1", "body 2"]
+
+
+def test_constants_take_the_place_of_columns(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv")
+    start = place(scene_of(tmp_path, "a.csv", 'radius = "1 cm"\ndensity = 2600.0\nvelocity = [0, 0, 1]'))
+    assert start.radius.tolist() == 3 * [0.01]
+    assert start.mass == pytest.approx(3 * [2600.0 * 4.0 / 3.0 * np.pi * 1e-6], rel=1e-15)
+    assert start.velocity.tolist() == 3 * [[0.0, 0.0, 1.0]]
+
+
+def test_columns_are_taken_by_the_names_that_the_scene_gives(tmp_path: Path) -> None:
+    write_parquet(tmp_path / "a.parquet", X=POSITION[:, 2], mass=MASS, pinned=[1, 0, 0], vx=None, vy=None, vz=None)
+    named = 'columns = { position = ["X", "y", "x"], mass = "m", fixed = "pinned" }'
+    scene = scene_of(tmp_path, "a.parquet", named)
+    start = place(scene)
+    assert start.position[:, 0].tolist() == POSITION[:, 2].tolist()
+    assert start.position[:, 2].tolist() == POSITION[:, 0].tolist()
+    assert start.fixed.tolist() == [True, False, False]
+    assert scene.anchored
+
+
+def test_numbers_of_a_file_are_in_the_units_of_the_scene(tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz")
+    start = place(scene_of(tmp_path, "a.npz", top='[units]\nlength = "km"\nmass = "g"\n'))
+    assert start.position == pytest.approx(1e3 * POSITION, rel=1e-15)
+    assert start.velocity == pytest.approx(1e3 * VELOCITY, rel=1e-15)
+    assert start.mass == pytest.approx(1e-3 * MASS, rel=1e-15)
+
+
+def test_of_several_steps_the_last_is_read_or_the_one_asked_for(tmp_path: Path) -> None:
+    steps = np.stack([POSITION, POSITION + 1.0])
+    write_npz(tmp_path / "a.npz", position=steps, velocity=np.stack([VELOCITY, VELOCITY]))
+    assert np.array_equal(place(scene_of(tmp_path, "a.npz")).position, steps[1])
+    assert np.array_equal(place(scene_of(tmp_path, "a.npz", "snapshot = 0")).position, steps[0])
+    twice = {name: np.concatenate([values, values]) for name, values in columns().items()}
+    twice |= {
+        "step": np.repeat([0, 8], 3),
+        "body": np.tile(np.arange(3), 2),
+        "x": np.r_[POSITION[:, 0], 9.0, 12.0, 15.0],
+    }
+    pq.write_table(pa.table(twice), tmp_path / "a.parquet")
+    assert place(scene_of(tmp_path, "a.parquet")).position[:, 0].tolist() == [9.0, 12.0, 15.0]
+    assert "it has 2" in complaint(tmp_path, "a.parquet", "snapshot = 5")
+
+
+def test_bodies_from_data_come_after_single_ones_and_before_groups(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", name=["left", "right", "top"])
+    others = '[[body]]\nname = "sun"\nposition = [0, 0, -9]\n[[group]]\ncount = 1\n'
+    others += "region = { radius = 2, centre = [50, 0, 0] }\n"
+    write_npz(tmp_path / "b.npz", position=POSITION + 20.0)
+    scene = scene_of(tmp_path, "a.csv", f'[[bodies]]\nfile = "b.npz"\nname = "grain"\n{others}')
+    start = place(scene)
+    assert scene.count == 8
+    names = ["sun", "left", "right", "top", "grain 0", "grain 1", "grain 2", "group 0 0"]
+    assert list(start.name) == names
+    assert start.group.tolist() == [-1, -2, -2, -2, -3, -3, -3, 0]
+    assert scene.bodies[0].count == 3
+
+
+def test_the_plan_knows_what_the_bodies_from_data_do(tmp_path: Path) -> None:
+    still, one = np.zeros((3, 3)), np.eye(3)
+    for velocity, spin, touches, turns in (
+        (still, still, False, False),
+        (VELOCITY, still, True, True),
+        (still, one, False, True),
+    ):
+        write_npz(tmp_path / "a.npz", velocity=velocity, angular_velocity=spin)
+        needs = require(scene_of(tmp_path, "a.npz", top="[gravity]\nconstant = 0\n"))
+        assert (needs.contact.modelled, needs.spin.modelled) == (touches, turns)
+    heavy = heaviest(scene_of(tmp_path, "a.npz"))
+    assert heavy.name == "body 2"
+    assert heavy.share == pytest.approx(0.5, rel=1e-15)
+
+
+def test_a_scene_remembers_the_count_and_the_digest_of_its_file(tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz")
+    scene = scene_of(tmp_path, "a.npz", "# a comment")
+    assert "count = 3" in scene.toml
+    assert "# a comment" in scene.toml
+    (tmp_path / "scene.toml").write_text(scene.toml, encoding="utf-8")
+    again = Scene.load(tmp_path / "scene.toml")
+    assert again.toml == scene.toml
+    assert again == scene
+    write_npz(tmp_path / "a.npz", mass=MASS + 1.0)
+    with pytest.raises(SceneError, match=r"a\.npz has changed: its sha256 is .* and that of the scene"):
+        Scene.load(tmp_path / "scene.toml")
+
+
+def test_changed_keys_keep_the_bodies_or_read_the_file_again(tmp_path: Path) -> None:
+    write_npz(tmp_path / "a.npz")
+    scene = scene_of(tmp_path, "a.npz")
+    assert scene.changed(["time.duration=2"]).data[0] is scene.data[0]
+    assert scene.changed(["bodies.0.radius=0.25"]).data[0].radius.tolist() == 3 * [0.25]
+    write_npz(tmp_path / "b.npz", mass=MASS + 1.0)
+    assert scene.changed(["bodies.0.file=b.npz"]).data[0].mass.tolist() == [2.0, 3.0, 4.0]
+
+
+def test_arrays_make_a_scene() -> None:
+    scene = Scene.from_arrays(
+        position=POSITION, velocity=[0, 0, 1], radius=0.5, mass=MASS, fixed=False, name="grain", time={"duration": 2.0}
+    )
+    start = place(scene)
+    assert scene.time.duration == 2.0
+    assert start.velocity.tolist() == 3 * [[0.0, 0.0, 1.0]]
+    assert np.array_equal(start.mass, MASS)
+    assert list(start.name) == ["grain 0", "grain 1", "grain 2"]
+    assert scene.changed(["time.duration=3"]).count == 3
+    with pytest.raises(SceneError, match="cannot be changed, because its file is not at hand"):
+        scene.changed(["bodies.0.radius=1"])
+
+
+def test_a_scene_with_bodies_keeps_its_other_sections() -> None:
+    scene = Scene.from_dict({"body": [{"name": "old"}], "time": {"duration": 7.0}})
+    own = scene.with_bodies(position=POSITION + 9.0, radius=0.5, density=1.0, name=["a", "b", "c"])
+    assert list(place(own).name) == ["a", "b", "c"]
+    assert own.time.duration == 7.0
+    both = own.with_bodies(keep=True, position=POSITION - 9.0, radius=0.5, density=1.0)
+    assert list(place(both).name) == ["a", "b", "c", "body 3", "body 4", "body 5"]
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"position": POSITION[:, :2]}, r"position: an array of the shape \(3, 2\)"),
+        ({"mass": [1.0, 2.0]}, r"mass: an array of the shape \(2,\); 3 bodies need the shape \(3,\)"),
+        ({"mass": [1.0, np.nan, 1.0]}, "the arrays: column mass, row 1: nan is not a finite number"),
+        ({"density": 1.0}, "a mass or a density, and not both"),
+        ({"radius": None}, "need a position and a radius"),
+        ({"mass": ["a", "b", "c"]}, "row 0: 'a' is not a number"),
+        ({"position": [[0, 0, 0], [1, 2]]}, "position: .*3"),
+        ({"bodies": []}, "bodies: the arrays are its bodies"),
+    ],
+)
+def test_wrong_arrays_are_refused_in_one_sentence(arrays: dict[str, Any], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        Scene.from_arrays(**{"position": POSITION, "radius": 0.5, "mass": MASS, **arrays})
+
+
+CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
+    "a missing column": ({"m": None}, "", ["scene.toml:3: ", "a.csv: no column for mass (usually mass or m", "x, y"]),
+    "a missing axis": ({"z": None}, "", ["no column for position (usually x, y and z"]),
+    "an empty cell": ({"vy": [0.0, None, 1.0]}, "", ["a.csv: column vy, row 1: nan is not a finite number"]),
+    "an infinite number": ({"y": [0.0, 1.0, np.inf]}, "", ["column y, row 2: inf is not a finite number"]),
+    "a word": ({"m": ["1", "two", "3"]}, "", ["column m, row 1: 'two' is not a number"]),
+    "a negative radius": ({"r": [1.0, 1.0, -1.0]}, "", ["column r, row 2: -1 must be more than 0"]),
+    "a number too large": ({"m": [1e200, 1.0, 1.0]}, "", ["column m, row 0: 1e+200 is not between 1e-100"]),
+    "two columns for one quantity": ({"mass": MASS}, "", ["two columns for mass, ", 'columns = { mass = "']),
+    "a mass and a density": ({"density": MASS}, "", ["columns for mass and for density", 'columns = { mass = "m" }']),
+    "a column that is not there": ({}, 'columns = { mass = "mas" }', ['no column "mas" for mass', "m, r"]),
+    "a column and a value": ({}, 'radius = 1\ncolumns = { radius = "r" }', ["radius and columns.radius are both"]),
+    "another count": ({}, "count = 5", ["it has 3 rows, and count = 5"]),
+    "overlaps": (
+        {"x": 0.0, "y": 0.0, "z": [0.0, 0.5, 1.0]},
+        "",
+        [
+            "row 1 of a.csv and row 2 of a.csv overlap by 0.8 m",
+            "so do row 0 of a.csv and row 1 of a.csv",
+            "allow_overlap",
+        ],
+    ),
+    "a fixed body that moves": ({"fixed": [True, False, False]}, "", ["row 0 is fixed and has a velocity"]),
+    "neither true nor false": ({"fixed": [0, 2, 0]}, "", ["column fixed, row 1: ", "neither true nor false"]),
+    "no rows": ({name: np.array([]) for name in columns()}, "", ["a.csv: it has no rows"]),
+}
+
+
+@pytest.mark.parametrize("case", CONTENTS)
+def test_wrong_columns_are_refused_by_file_column_and_row(tmp_path: Path, case: str) -> None:
+    changed, more, expected = CONTENTS[case]
+    whole = {name: np.full(3, values) if isinstance(values, float) else values for name, values in changed.items()}
+    write_csv(tmp_path / "a.csv", **whole)
+    message = complaint(tmp_path, "a.csv", more)
+    for part in expected:
+        assert part in message
+
+
+def test_overlaps_are_allowed_where_the_scene_says_so(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", x=np.zeros(3), y=np.zeros(3))
+    assert len(place(scene_of(tmp_path, "a.csv", top="[contact]\nallow_overlap = true\n")).mass) == 3
+
+
+def pickled(path: Path) -> None:
+    write_npz(path, mass=np.array([1.0, None, 2.0], dtype=object))
+
+
+def overstated(path: Path) -> None:
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (40000000, 3), }".ljust(117) + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("position.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+
+
+def too_many(path: Path) -> None:
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (900000000000, 3), }".ljust(117) + b"\n"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("position.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+
+
+def noise(path: Path) -> None:
+    path.write_bytes(b"\x00\xff noise \x80" * 99)
+
+
+def nothing(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def ragged(path: Path) -> None:
+    path.write_text("x,y,z\n1,2\n3,4,5\n", encoding="utf-8")
+
+
+def repeated(path: Path) -> None:
+    path.write_text("x,y,z,x,m,r\n1,2,3,4,5,6\n", encoding="utf-8")
+
+
+def unlike(path: Path) -> None:
+    write_npz(path, mass=np.ones(2))
+
+
+def flat(path: Path) -> None:
+    write_npz(path, position=POSITION.ravel())
+
+
+FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
+    "a pickle": ("a.npz", pickled, "array mass holds Python objects"),
+    "an array shorter than it says": ("a.npz", overstated, "says that it has 960000000 bytes"),
+    "an array of 10¹² rows": ("a.npz", too_many, "says that it has 21600000000000 bytes"),
+    "noise in an archive": ("a.npz", noise, "not an .npz file"),
+    "noise in a table": ("a.parquet", noise, "not a Parquet file"),
+    "noise in an Arrow file": ("a.arrow", noise, "not an Arrow file"),
+    "noise in an HDF5 file": ("a.h5", noise, "not an HDF5 file"),
+    "noise in a Simulationarchive": ("a.bin", noise, "not a Simulationarchive"),
+    "an empty text": ("a.csv", nothing, "not a table of values"),
+    "an empty archive": ("a.npz", nothing, "not an .npz file"),
+    "an empty table": ("a.parquet", nothing, "not a Parquet file"),
+    "rows of different lengths": ("a.csv", ragged, "Expected 3 columns, got 2"),
+    "two columns of one name": ("a.csv", repeated, "two columns for position"),
+    "arrays of different lengths": ("a.npz", unlike, "mass has 2 rows, and position has 3"),
+    "an array of another shape": ("a.npz", flat, "position has the shape (9,), and position needs (n, 3)"),
+    "an unknown format": ("a.xlsx", noise, 'no format has the ending ".xlsx"; t'),
+    "a folder": ("folder.npz", Path.mkdir, "a folder, not a data file"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, case: str) -> None:
+    file, write, expected = FILES[case]
+    write(tmp_path / file)
+    assert expected in complaint(tmp_path, file, "radius = 1\nmass = 1" if "bytes" in expected else "")
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    assert "nowhere.csv: cannot be read: No such file" in complaint(tmp_path, "nowhere.csv")
+
+
+def test_a_table_of_too_many_rows_is_refused_before_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "MOST_ROWS", 2)
+    for file in ("a.parquet", "a.feather", "a.npz", "a.csv"):
+        WRITERS[file](tmp_path / file)
+        assert "3 rows are too many; at most 2" in complaint(tmp_path, file)
+
+
+@pytest.mark.parametrize(("file", "package", "extra"), [("a.h5", "h5py", "hdf5"), ("a.bin", "rebound", "rebound")])
+def test_a_format_whose_package_is_missing_names_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, file: str, package: str, extra: str
+) -> None:
+    noise(tmp_path / file)
+    monkeypatch.setitem(sys.modules, package, None)
+    assert f'pip install "carom[{extra}]"' in complaint(tmp_path, file)
+
+
+def test_names_are_written_only_when_they_are_asked_for() -> None:
+    numbered: NumberedNames = NumberedNames("body", 10**12, 5)
+    names = JoinedNames([["sun"], numbered])
+    assert (names[0], names[1], names[-1], len(names)) == ("sun", "body 5", f"body {10**12 + 4}", 10**12 + 1)
+    assert names[:2] == ["sun", "body 5"]
+    assert NumberedNames("a", 2) == ["a 0", "a 1"]
+    with pytest.raises(IndexError):
+        names[10**13]
+
+
+def test_many_bodies_need_no_object_each() -> None:
+    grid: NDArray[np.float64] = np.stack(np.meshgrid(*3 * [np.arange(40.0)], indexing="ij"), axis=-1).reshape(-1, 3)
+    scene = Scene.from_arrays(position=grid, radius=0.4, density=1.0, contact={"enabled": False})
+    assert scene.count == 64_000
+    assert len(scene.toml) < 1000
+    assert place(scene).name[-1] == "body 63999"
