@@ -1,4 +1,7 @@
-"""Many steps in one call have the bits of single steps, in every number that a run yields."""
+"""Many steps in one call have the bits of single steps, in every number that a run yields.
+
+A flight of one step is a call, too: runs are compared with steps that no flight takes.
+"""
 
 from __future__ import annotations
 
@@ -45,21 +48,36 @@ def few_bodies(count: int = 3, **sections: dict[str, Any]) -> Scene:
 
 def bits(frame: Frame) -> tuple[Any, ...]:
     """Return all that a frame holds; arrays as bytes."""
-    energy = frame.energy
+    energy, memory = frame.energy, frame.memory
+    arrays = (
+        *(frame.momentum, frame.angular_momentum, frame.position, frame.velocity, frame.acceleration),
+        *(frame.orientation, frame.angular_velocity, frame.torque, frame.angular_acceleration),
+        *(frame.contacts.pairs, frame.contacts.normals, frame.contacts.overlaps, frame.contacts.colours),
+    )
     return (
         *(frame.step, frame.time, frame.dt, frame.dt_limit, frame.previous_dt, frame.fingerprint, frame.phase),
         *(energy.translational, energy.gravitational, energy.field, energy.integration_error, energy.scale),
-        *(frame.momentum.tobytes(), frame.angular_momentum.tobytes(), frame.acceleration.tobytes()),
-        *(frame.momentum_error, frame.angular_momentum_error, frame.expected_error, frame.events, frame.books),
-        None if frame.orientation is None else frame.orientation.tobytes(),
+        *(energy.ledger, frame.momentum_error, frame.angular_momentum_error, frame.expected_error),
+        *(frame.events, frame.books, frame.sweeps),
+        None if memory is None else (memory.dt, memory.kick, memory.pairs.tobytes(), memory.impulse.tobytes()),
+        *(None if array is None else array.tobytes() for array in arrays),
+        *(None if rows is None else rows.tolist() for rows in (frame.contact_rows, frame.impacts)),  # not their padding
     )
 
 
-def assert_same_run(scene: Scene, least: float = 5.0) -> None:
+def space_of(scene: Scene, flies: bool) -> Space:
+    """Make a space that records contacts; one that does not fly takes each step by its parts."""
+    space = Space(scene, threads=1, record_contacts=True)
+    if not flies:
+        setattr(space._stepper, "_flight", None)  # noqa: B010 - a stepper has no such option
+    return space
+
+
+def assert_same_run(scene: Scene, least: float = 5.0) -> Space:
     """Compare the frames of a run with those of single steps; a call takes at least so many steps on average."""
     interval = scene.record.every
     assert isinstance(interval, float)
-    together, alone, calls = Space(scene, threads=1), Space(scene, threads=1), 0
+    together, alone, calls = space_of(scene, flies=True), space_of(scene, flies=False), 0
     advance = together._stepper.advance
 
     def counted(*asked: Any) -> bool:
@@ -68,11 +86,17 @@ def assert_same_run(scene: Scene, least: float = 5.0) -> None:
         return advance(*asked)
 
     setattr(together._stepper, "advance", counted)  # noqa: B010 - mypy knows no methods that are replaced
-    frames = list(together.run(schedule=every(interval)))
-    singly = list(alone.run(schedule=one_by_one(every(interval))))
-    assert [bits(frame) for frame in frames] == [bits(frame) for frame in singly]
+    frames = [bits(frame) for frame in together.run(schedule=every(interval))]
+    assert frames == [bits(frame) for frame in alone.run(schedule=every(interval))]
     assert together.extremes == alone.extremes
     assert calls * least < together.step, "many steps in a call"
+    return together
+
+
+def assert_same_steps(scene: Scene) -> None:
+    """Compare the frames of all steps with those of steps that no flight takes."""
+    frames = [bits(frame) for frame in space_of(scene, flies=True).run(schedule=one_by_one(every(0.0)))]
+    assert frames == [bits(frame) for frame in space_of(scene, flies=False).run(schedule=every(0.0))]
 
 
 @pytest.mark.parametrize("integrator", ["euler", "leapfrog", "leapfrog-dkd", "yoshida4"])
@@ -124,3 +148,59 @@ def test_a_run_that_is_continued_from_a_frame_between_calls_has_the_same_bits() 
     resumed = Space(scene, threads=1)
     resumed.restore(whole[2].checkpoint)
     assert [bits(frame) for frame in resumed.run(schedule=every(0.7))][1:] == [bits(frame) for frame in whole[3:]]
+
+
+WALLS = {"boundary": "walls", "size": [5.0, 5.0, 5.0]}
+
+
+def billiards(count: int = 5, domain: dict[str, Any] = WALLS, **sections: dict[str, Any]) -> Scene:
+    """Let spheres collide with each other, and with what the domain has around them."""
+    velocities = (3.0 * np.random.default_rng(3).normal(size=(5, 3))).tolist()
+    places = [[-1.5, -1.5, 0.0], [1.5, -1.4, 0.1], [0.0, 0.1, 0.2], [-1.5, 1.5, -0.2], [1.4, 1.5, 0.0]]
+    body = [
+        {"mass": 1.0 + k, "position": x, "velocity": v, "radius": 0.2 + 0.1 * (k % 3)}
+        for k, (x, v) in enumerate(zip(places, velocities, strict=True))
+    ]
+    document: dict[str, Any] = {
+        "time": {"duration": 1.5, "max_dt": 0.004},
+        "gravity": {"constant": 0.0},
+        "contact": {"restitution": 0.9},
+        "record": {"every": 0.11, "check_every": 50},
+    }
+    merged = {key: part | sections.get(key, {}) for key, part in document.items()}
+    return Scene.from_dict({**merged, "domain": domain, "body": body[:count]})
+
+
+@pytest.mark.parametrize("timing", ["time-of-impact", "end-of-step"])
+@pytest.mark.parametrize("boundary", ["walls", "periodic"])
+def test_steps_between_collisions_are_those_of_single_steps(boundary: str, timing: str) -> None:
+    scene = billiards(domain=WALLS | {"boundary": boundary}, contact={"timing": timing})
+    assert assert_same_run(scene, least=3.0).extremes.contacts is not None
+
+
+@pytest.mark.parametrize("integrator", ["euler", "leapfrog", "yoshida4"])
+def test_steps_of_bodies_that_fall_onto_each_other_are_those_of_single_steps(integrator: str) -> None:
+    scene = billiards(
+        domain={"boundary": "open"}, gravity={"constant": 20.0}, time={"integrator": integrator, "target_dx": 1e-3}
+    )
+    assert assert_same_run(scene, least=1.0).extremes.contacts is not None
+
+
+@pytest.mark.parametrize("solver", ["lasting", "staged"])
+def test_steps_of_balls_that_come_to_rest_on_a_floor_are_those_of_single_steps(solver: str) -> None:
+    time = {"max_dt": 0.02, "target_dx": 1e-3, "duration": 4.0}
+    scene = billiards(
+        3, gravity={"uniform": [0.0, 0.0, -9.81]}, contact={"restitution": 0.3, "solver": solver}, time=time
+    )
+    assert_same_run(scene, least=1.0)
+
+
+@pytest.mark.parametrize("domain", [WALLS, WALLS | {"boundary": "periodic"}, {"boundary": "open"}], ids=str)
+def test_a_call_that_takes_one_step_has_its_bits(domain: dict[str, Any]) -> None:
+    assert_same_steps(billiards(domain=domain, time={"duration": 0.6}))
+
+
+def test_a_scene_with_a_fast_small_body_meets_all_that_single_steps_meet() -> None:
+    scene = billiards()
+    fast = scene.body[0].model_copy(update={"velocity": (190.0, 41.0, 13.0), "radius": 0.01, "mass": 1e-3})
+    assert_same_run(scene.model_copy(update={"body": (fast, *scene.body[1:])}), least=1.0)

@@ -25,7 +25,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.forces.gravity.direct import FEW, DirectGravity
+from carom.physics.forces.gravity.direct import FEW
 from carom.physics.parallel.thread_team import SOLO, load_helpers
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
@@ -38,7 +38,7 @@ from carom.scene.schema import Scene
 _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
 POINTS: dict[str, Any] = {
     "title": "points that pull each other",
-    "body": [_SPINNING, {"position": [1.0, 0.0, 0.0], "mass": 1.0}],
+    "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, FEW + 1))],
     "gravity": {"constant": 1.0},
     "contact": {"enabled": False},
     "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
@@ -54,9 +54,6 @@ def compile_ahead() -> None:
     Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
     HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
-    crowd, centre = np.ones(FEW + 1), np.zeros((FEW + 1, 3))
-    for potential in (True, False):
-        DirectGravity(crowd, 1.0, 0.0).accelerate(centre, np.empty_like(centre), potential)
     Space(scene, threads=1).energy()
     frictionless, open_space = materials_of(np.zeros((1, 3))), np.zeros(3)
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)

@@ -2,22 +2,30 @@
 
 A step of three bodies takes 80 ns in a kernel, and ten microseconds where Python calls a kernel for each of its
 parts. `KickDriftStepper` therefore hands over the steps up to the next frame or check. They choose dt, kick, drift and
-turn by the same kernels in the same order, so the bits are those of single steps. A step that the flight cannot take is
-left to `KickDriftStepper`.
+turn by the same kernels, so the bits are those of single steps.
+
+Where bodies can touch, a step is taken only if nothing comes near in it: within the rounding, and the distance of a
+fall from rest in a step, up to which `contact.pipeline` looks for contacts. Paths are straight, so two bodies come
+nearer by |v_j - v_i| dt at most. All pairs and planes are looked at again only when the bodies may have moved by half
+the smallest gap. A step in which something may touch is undone and left to `KickDriftStepper`, like one that would not
+move the clock.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.solver.contact_solver import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
+from carom.physics.diagnostics.activity import remembered
 from carom.physics.forces.gravity.direct import FEW, pull_few
 from carom.physics.forces.uniform_field import add
-from carom.physics.integrators.kick_drift import advance
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.integrators.kick_drift import advance, wrap_rows
+from carom.physics.parallel.jit import kernel, long_kernel, unowned
+from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, chosen, ends_run
 from carom.physics.time_step import Timestep
@@ -28,6 +36,11 @@ FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
+NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the gap that counts as contact
+ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit, of which the search allows four
+GRAIN = 2.0**-50  # of the coordinates, more than a drift is rounded by
+PART_OF_BOX = 0.25  # of the smallest side, that bodies may move before they are looked at again
+FAR = 1e150  # m, the gap where there are no pairs
 
 PLAN = np.dtype(
     [
@@ -38,6 +51,8 @@ PLAN = np.dtype(
         ("softening_squared", np.float64),  # m²
         ("is_uniform", np.bool_),  # whether there is a uniform field
         ("ends_with_forces", np.bool_),
+        ("touches", np.bool_),  # whether contacts are possible
+        ("field", np.float64),  # m/s², magnitude of the uniform field
     ]
 )
 
@@ -50,10 +65,11 @@ class Flight(NamedTuple):
     time: float  # s, time after it
     dt: float  # s, its length
     limit: str  # what set it
+    struck: float  # J, the energy of recent impacts, see `Activity`, before the last step
 
 
 class FreeFlight:
-    """Takes many steps of a world in which no contact is possible.
+    """Takes steps of a world in which nothing touches.
 
     Parameters
     ----------
@@ -66,49 +82,48 @@ class FreeFlight:
     def __init__(self, world: World, timestep: Timestep) -> None:
         pull, chosen = world.forces.few, integrator(world.scene)
         assert pull is not None, "the forces are known"
-        self._bodies = world.bodies
+        bodies, planes = world.bodies, world.planes
         self._timestep = timestep
         self._substeps = np.array(chosen.substeps)
-        self._uniform = pull.uniform
-        self._potential = np.empty(len(world.bodies))
         self._plan = np.zeros(1, PLAN)
         plan = self._plan[0]
         plan["fixed_dt"], plan["pulls"] = timestep.fixed_dt or 0.0, world.needs.pulls
         plan["attracts"], plan["constant"] = pull.attracts, pull.constant
         plan["softening_squared"] = pull.softening * pull.softening
         plan["is_uniform"], plan["ends_with_forces"] = pull.is_uniform, chosen.ends_with_forces
+        plan["touches"] = world.contact is not None
+        plan["field"] = np.sqrt(pull.uniform @ pull.uniform)
+        moved = bodies.position, bodies.velocity, bodies.acceleration, bodies.orientation, bodies.angular_velocity
+        kept = bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field
+        around = world.box, planes.normal, planes.offset
+        room = timestep.room(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))
+        self._laws: tuple[Any, ...] = self._plan, self._substeps, pull.uniform, timestep.rule
+        self._arrays: tuple[Any, ...] = *moved, *kept, *around, *room
 
-    def take(self, time: float, end: float, until: float, most: int) -> Flight:
-        """Take steps until a time is reached, the run ends, or the number of steps is reached.
+    def take(self, time: float, end: float, until: float, most: int, struck: float = 0.0) -> Flight:
+        """Take steps until a time is reached, the run ends, the number of steps is reached, or something may touch.
 
         Parameters
         ----------
         time, end, until
             s; the last step is cut to end at ``end``, but not at ``until``.
         most
-            Steps; none are taken if the first one would not move the clock.
+            Steps.
+        struck
+            J, the energy of recent impacts.
         """
-        bodies, timestep = self._bodies, self._timestep
-        moved = bodies.position, bodies.velocity, bodies.acceleration, bodies.orientation, bodies.angular_velocity
-        kept = bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field
-        clock = time, end, until, min(most, MOST_STEPS), timestep.previous
-        room = timestep.room(bodies), self._potential
-        steps, before, time, dt, limit, timestep.previous = _fly(
-            self._plan, self._substeps, self._uniform, timestep.rule, *clock, *moved, *kept, *room
-        )
-        return Flight(steps, before, time, dt, LIMIT_NAMES[limit])
+        timestep = self._timestep
+        clock: tuple[Any, ...] = time, end, until, min(most, MOST_STEPS), timestep.previous, struck
+        steps, before, time, dt, limit, timestep.previous, struck = _fly(*self._laws, *clock, *self._arrays)
+        return Flight(steps, before, time, dt, LIMIT_NAMES[limit], struck)
 
 
 def can_fly(world: World) -> bool:
-    """Tell whether the steps of a world can be taken many at a time."""
-    is_audited = world.scene.expect.contact_audit is not None
-    return (
-        len(world.bodies) <= FEW
-        and world.contact is None
-        and world.forces.few is not None
-        and not world.is_periodic
-        and not is_audited
-    )
+    """Tell whether a world has few enough bodies and only forces that are known here."""
+    is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
+    loses_turns = world.is_periodic and world.contact is None  # which a step refuses; contacts are nearer
+    known = world.forces.few is not None
+    return len(world.bodies) <= FEW and known and not is_audited and not loses_turns
 
 
 @long_kernel
@@ -122,6 +137,7 @@ def _fly(
     until: float,
     most: int,
     average: float,
+    struck: float,
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
@@ -132,12 +148,17 @@ def _fly(
     inverse_mass: FloatArray,
     borne: FloatArray,
     field: FloatArray,
+    box: FloatArray,
+    normal: FloatArray,
+    offset: FloatArray,
     found: Records,
     potential: FloatArray,
-) -> tuple[int, float, float, float, int, float]:
-    """Take steps; return their number, the time before and after the last one, its length and limit, the average."""
+    saved: FloatArray,
+) -> tuple[int, float, float, float, int, float, float]:
+    """Take steps; return their number, the time before and after the last one, its length and limit, the averages."""
     P, n, last = plan[0], len(mass), len(substeps) - 1
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
+    slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
         if P.fixed_dt > 0.0:
             length, why, following = P.fixed_dt, FIXED, average
@@ -151,13 +172,28 @@ def _fly(
         after = end if why == END else time + length
         if not after > time:
             break
-        before, time, dt, limit, average = time, after, length, why, following
-        turn(0, len(orientation), orientation, angular_velocity, dt)
+        if P.touches:
+            _copy(position, velocity, acceleration, saved[0], saved[1], saved[2])
+        is_free = True
         for s in range(len(substeps)):
-            first_kick, last_kick = substeps[s, 0] * dt, substeps[s, 2] * dt
+            first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
             if P.pulls and first_kick != 0.0:
                 advance(0, n, velocity, acceleration, first_kick)
-            advance(0, n, position, velocity, substeps[s, 1] * dt)
+            if P.touches:
+                fastest, pull = _fastest(velocity, acceleration)
+                skin = (pull + P.field) * length * length
+                if not 2.0 * (gone + fastest * abs(drift) + grain) + skin < slack:
+                    slack, grain = _smallest_gap(
+                        position, velocity, radius, inverse_mass, box, normal, offset, abs(drift), skin
+                    )
+                    gone = 0.0
+                    is_free = slack > 0.0
+                    if not is_free:
+                        break
+                gone += fastest * abs(drift) + grain
+            advance(0, n, position, velocity, drift)
+            if box[0] > 0.0:
+                wrap_rows(0, n, position, box)
             if P.pulls and (s < last or P.ends_with_forces):
                 if P.attracts:
                     pull_few(position, mass, P.constant, P.softening_squared, acceleration, potential)
@@ -173,5 +209,87 @@ def _fly(
                             acceleration[i, k] = 0.0
             if P.pulls and last_kick != 0.0:
                 advance(0, n, velocity, acceleration, last_kick)
+        if not is_free:
+            _copy(saved[0], saved[1], saved[2], position, velocity, acceleration)
+            break
+        turn(0, len(orientation), orientation, angular_velocity, length)
+        if steps > 0:
+            struck = remembered(struck, 0.0)
+        before, time, dt, limit, average = time, after, length, why, following
         steps += 1
-    return steps, before, time, dt, limit, average
+    return steps, before, time, dt, limit, average, struck
+
+
+@kernel
+def _copy(x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray) -> None:
+    """Copy positions, velocities and accelerations, (n, 3) each."""
+    for i in range(len(x)):
+        for k in range(3):
+            to_x[i, k], to_v[i, k], to_a[i, k] = x[i, k], v[i, k], a[i, k]
+
+
+@unowned
+def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, float]:
+    """Return the largest speed, m/s, and acceleration, m/s²; not a number if one is not finite."""
+    v2_max, a2_max, rest = 0.0, 0.0, 0.0
+    for i in range(len(velocity)):
+        v2 = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1] + velocity[i, 2] * velocity[i, 2]
+        a2 = (
+            acceleration[i, 0] * acceleration[i, 0]
+            + acceleration[i, 1] * acceleration[i, 1]
+            + acceleration[i, 2] * acceleration[i, 2]
+        )
+        v2_max, a2_max = max(v2_max, v2), max(a2_max, a2)
+        rest += (v2 - v2) + (a2 - a2)  # 0, or not a number
+    return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
+
+
+@unowned
+def _smallest_gap(
+    x: FloatArray,
+    v: FloatArray,
+    radius: FloatArray,
+    inverse_mass: FloatArray,
+    box: FloatArray,
+    normal: FloatArray,
+    offset: FloatArray,
+    dt: float,
+    skin: float,
+) -> tuple[float, float]:
+    """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and by how much a drift rounds.
+
+    All are in m.
+    """
+    size = 0.0  # m, of the coordinates
+    for i in range(len(x)):
+        size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
+    for p in range(len(offset)):
+        size = max(size, abs(offset[p]))
+    smallest = PART_OF_BOX * min(box[0], box[1], box[2]) if box[0] > 0.0 else FAR
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:
+                continue
+            d2, u2 = 0.0, 0.0
+            for k in range(3):
+                d, u = x[j, k] - x[i, k], v[j, k] - v[i, k]
+                if box[k] > 0.0:
+                    d = minimum_image(d, box[k])
+                d2 += d * d
+                u2 += u * u
+            gap = np.sqrt(d2) - (radius[i] + radius[j]) * (1.0 + NEAR) - ROUNDING * size
+            if not gap > np.sqrt(u2) * dt + skin:
+                return 0.0, 0.0
+            smallest = min(smallest, gap)
+        for p in range(len(offset)):
+            if inverse_mass[i] == 0.0:
+                continue
+            height, rise = -offset[p], 0.0
+            for k in range(3):
+                height += normal[p, k] * x[i, k]
+                rise += normal[p, k] * v[i, k]
+            gap = height - radius[i] * (1.0 + NEAR) - ROUNDING * size
+            if not gap > abs(rise) * dt + skin:
+                return 0.0, 0.0
+            smallest = min(smallest, gap)
+    return smallest, GRAIN * (size + smallest)

@@ -74,6 +74,8 @@ class KickDriftStepper:
         """Take a few steps of dt seconds, which also find the accelerations that a step begins with."""
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # one loads the kernels
             self._step(dt, with_potential=False)
+        if self._flight:
+            self._flight.take(0.0, np.inf, np.inf, most=0)  # loads the kernel
         self._exchanges.clear()
 
     def begin(self) -> None:
@@ -97,27 +99,35 @@ class KickDriftStepper:
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal, checked: bool) -> bool:
-        """Do a step, or many without contacts; return whether a frame is due."""
-        world, clock = self._world, self._world.clock
-        if self._flight and goal.most > 1:
+        """Do a step, or many if nothing touches; return whether a frame is due."""
+        contact, clock, flight = self._world.contact, self._world.clock, self._flight
+        if flight is None or not (contact is None or contact.is_quiet):
+            return self._advance_once(goal, checked)
+        most, until = goal.most, np.inf
+        if most > 1:
+            every = self._world.scene.record.check_every
             steps, until = quiet(goal.schedule, clock.step, clock.time)
-            every = world.scene.record.check_every
-            most = int(min(goal.most, steps, every - clock.step % every))
-            if most > 1:
-                until = min(until, self._books.kept_until)
-                flight = self._flight.take(clock.time, goal.end, until, most)
-                if flight.steps:
-                    return self._land(flight, goal)
-        return self._advance_once(goal, checked)
+            most, until = int(min(most, steps, every - clock.step % every)), min(until, self._books.kept_until)
+        taken = flight.take(clock.time, goal.end, until, most, self._books.activity.impact_energy)
+        return self._land(taken, goal, checked) if taken.steps else self._advance_once(goal, checked)
 
-    def _land(self, flight: Flight, goal: Goal) -> bool:
-        """Book steps that were taken in one call; return whether a frame is due."""
-        world, clock = self._world, self._world.clock
-        clock.advance(*flight)
+    def _land(self, taken: Flight, goal: Goal, checked: bool) -> bool:
+        """Book steps in which nothing touched; return whether a frame is due.
+
+        ``checked`` says whether to check the first of them; a check ends the others.
+        """
+        world, books, clock = self._world, self._books, self._world.clock
+        clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
         due = goal.is_reached(clock)
-        checked = due or clock.step % world.scene.record.check_every == 0
+        checked = (checked if taken.steps == 1 else clock.step % world.scene.record.check_every == 0) or due
+        if world.contact:
+            world.contact.rest()
+            books.activity.impact_energy = taken.struck
+            if checked:
+                books.suspect_contacts(clock.step - 1)
+            books.begin_contacts()
         world.profile.mark("integrate")
-        self._finish(self._sum_forces(True, checked) if checked else {}, checked)
+        self._finish(self._sum_forces(True, checked) if checked and world.needs.pulls else {}, checked)
         return due
 
     def _advance_once(self, goal: Goal, checked: bool) -> bool:

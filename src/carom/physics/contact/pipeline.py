@@ -53,6 +53,7 @@ ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap
 MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
 SWEEPS = 8  # iterations before conjugate gradients, with `contact.sweeps = "auto"`
 LARGEST_SKIN = 0.1  # of the smallest radius
+NOTHING_HELD: FloatArray = np.zeros((0, 3))
 
 
 class ContactPipeline:
@@ -126,7 +127,7 @@ class ContactPipeline:
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
             self._spin[:] = self._bodies.angular_velocity
-        self.held: FloatArray = np.zeros((0, 3))  # J, the ledger of the first kick, in sums over pieces
+        self.held = NOTHING_HELD  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # made at the first access to `seen`
@@ -185,7 +186,7 @@ class ContactPipeline:
         """
         if self._needs.torque.modelled:
             self._remember_spins()
-        self.held = np.zeros((0, 3))
+        self.held = NOTHING_HELD
         if self._guard:
             self._guard.remember()
         if self._is_at_rest():
@@ -205,6 +206,16 @@ class ContactPipeline:
         self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
         if self.tap:
             self.tap.see_drift(self.impacts)
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether nothing touched in the last step and nothing is held as the next one begins."""
+        return not (len(self._pairs) or self.statistics.contacts or len(self._hold.pairs) or self._is_at_rest())
+
+    def rest(self) -> None:
+        """Note steps in which nothing touched, after a step that was quiet."""
+        self.held, self.impacts, self.statistics = NOTHING_HELD, NO_IMPACTS, NO_CONTACTS
+        self._seen = None
 
     def begin_flight(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
@@ -336,6 +347,7 @@ class ContactPipeline:
             return 1.0, 0.0
         fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
         if fall == 0.0:  # all contacts are impacts, for which near pairs do not count
+            self._rounding = 0.0
             return 1.0, 0.0
         self._rounding = ROUNDING * float(np.spacing(largest_coordinate(self._bodies.position)))
         return 1.0 + TOUCHING, self._rounding + min(fall, LARGEST_SKIN * self._smallest)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from carom.physics.diagnostics.energy import Energy
+from carom.physics.parallel.jit import kernel
 
 STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if its recent impacts sum to less
@@ -37,7 +38,8 @@ class Activity:
 
     def see(self, contacts: int, impact_energy: float) -> None:
         """Add a step: the number of its contacts, and Σ ½ μ v_n² of its impacts, in J."""
-        self.impact_energy += impact_energy - self.impact_energy / STEPS_REMEMBERED
+        if impact_energy or self.impact_energy:
+            self.impact_energy = remembered(self.impact_energy, impact_energy)
         self._contacts = contacts
 
     def judge(self, energy: Energy) -> None:
@@ -50,3 +52,9 @@ class Activity:
         quiet = self.impact_energy <= SETTLED_BELOW * energy.scale
         still = not self._from_rest or energy.translational + energy.rotational <= STILL_BELOW * energy.scale
         self.phase = "settled" if quiet and still and 2 * self._contacts >= self._bodies else "colliding"
+
+
+@kernel
+def remembered(energy: float, struck: float) -> float:
+    """Return the energy of recent impacts after a step, given that before it and that of its impacts, all in J."""
+    return energy + (struck - energy / STEPS_REMEMBERED)

@@ -26,7 +26,7 @@ def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SO
 
 def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
     """Bring every centre back into the periodic box about the origin."""
-    team.divide(len(position), MIN_BODIES_PER_TASK, _wrap, position, box)
+    team.divide(len(position), MIN_BODIES_PER_TASK, wrap_rows, position, box)
 
 
 @long_kernel
@@ -39,7 +39,8 @@ def advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> 
 
 
 @long_kernel
-def _wrap(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
+def wrap_rows(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
+    """Bring the centres [lo, hi) back into the box."""
     for i in range(lo, hi):
         for k in range(3):
             position[i, k] = minimum_image(position[i, k], box[k])
