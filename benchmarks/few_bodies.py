@@ -1,11 +1,19 @@
-"""Gauss–Radau integration beside REBOUND's IAS15: time and error of whole runs, on one thread.
+"""Few bodies beside REBOUND, on one thread: the time of a step, and time and error of whole runs.
 
-    python benchmarks/few_bodies.py [--repeats N] [--periods N] [--output FILE.json]
+    python benchmarks/few_bodies.py steps [--repeats N] [--output FILE.json]
+    python benchmarks/few_bodies.py errors [--repeats N] [--periods N] [--output FILE.json]
 
-Both take the same scenes and run in turns; times are medians over the repeats, without the start of the program. The
-error of a binary is that of its phase, as a time over the period: the root mean square over 24 places on the orbit at
-which it begins, since a single run may err little by luck. Elsewhere it is the relative error of the energy, summed in
-extended precision; of the planets, the root mean square over nine systems with other phases.
+Both programs take the same scenes and run in turns; times are medians over the repeats, without the start of the
+program.
+
+*steps* is the CPU time of a step of a star and its planets: leapfrog with a constant step, leapfrog with the step by
+the shortest time of a pair, which REBOUND does not have, and Gauss–Radau integration beside IAS15, both at their
+defaults.
+
+*errors* compares Gauss–Radau integration with IAS15. The error of a binary is that of its phase, as a time over the
+period: the root mean square over 24 places on the orbit at which it begins, since a single run may err little by luck.
+Elsewhere it is the relative error of the energy, summed in extended precision; of the planets, the root mean square
+over nine systems with other phases.
 """
 
 from __future__ import annotations
@@ -32,6 +40,11 @@ PHASES = np.linspace(0.3, 6.0, 24)  # rad, true anomalies
 SYSTEMS = 9  # of planets, each with other phases
 AXES = (0.387, 0.723, 1.0, 1.524, 5.203, 9.537, 19.19, 30.07)  # of the planets, in au
 MASSES = (1.66e-7, 2.447e-6, 3.04e-6, 3.22e-7, 9.55e-4, 2.86e-4, 4.37e-5, 5.15e-5)  # of the Sun's
+COUNTS = (2, 3, 5, 10, 20)
+LEAP = 0.006  # of leapfrog: a thousandth of the innermost period, and the fraction of the shortest time of a pair
+SPANS = {"leapfrog": 200.0, "gauss-radau15": 3000.0, "ias15": 3000.0}  # of simulated time in a turn
+
+Steps = Callable[[float], float]
 
 
 class Problem(NamedTuple):
@@ -104,18 +117,96 @@ def with_carom(problem: Problem) -> Run:
     return Run(time.perf_counter() - began, space.step, space.state.position.copy(), space.state.velocity.copy())
 
 
-def with_rebound(problem: Problem) -> Run:
-    """Run it with IAS15 at its defaults."""
+def rebound_simulation(problem: Problem, integrator: str) -> rebound.Simulation:
+    """Set it up for REBOUND."""
     simulation = rebound.Simulation()
-    simulation.integrator = "ias15"
+    simulation.integrator = integrator
     for m, (x, y, z), (vx, vy, vz) in zip(problem.mass, problem.position, problem.velocity, strict=True):
         simulation.add(m=m, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+    return simulation
+
+
+def with_rebound(problem: Problem) -> Run:
+    """Run it with IAS15 at its defaults."""
+    simulation = rebound_simulation(problem, "ias15")
     began = time.perf_counter()
     simulation.integrate(problem.duration)
     seconds = time.perf_counter() - began
     position = np.array([particle.xyz for particle in simulation.particles])
     velocity = np.array([particle.vxyz for particle in simulation.particles])
     return Run(seconds, simulation.steps_done, position, velocity)
+
+
+def chain(count: int) -> Problem:
+    """Put planets of 10⁻⁶ on circles around a star, each a third farther out than the one before."""
+    axes = 1.3 ** np.arange(count - 1)[:, None]
+    angle = np.random.default_rng(count).uniform(0.0, 2.0 * np.pi, count - 1)
+    ray = np.stack((np.cos(angle), np.sin(angle), 0.01 * np.sin(3.0 * angle)), axis=1)
+    ahead = np.stack((-np.sin(angle), np.cos(angle), np.zeros_like(angle)), axis=1)
+    position, velocity = np.vstack((np.zeros(3), axes * ray)), np.vstack((np.zeros(3), ahead / np.sqrt(axes)))
+    return Problem(f"{count} bodies", np.array([1.0] + [1e-6] * (count - 1)), position, velocity, np.inf)
+
+
+def carom_steps(problem: Problem, **time_keys: Any) -> Steps:
+    """Return a function that takes steps of carom and returns the CPU time of one in s."""
+    space = Space(scene_of(problem._replace(duration=1e12), **time_keys), threads=1)
+
+    def take(span: float) -> float:
+        first, began = space.step, time.process_time()
+        for _ in space.run(until=space.time + span, schedule=at(())):
+            pass
+        return (time.process_time() - began) / (space.step - first)
+
+    return take
+
+
+def rebound_steps(problem: Problem, integrator: str) -> Steps:
+    """Return the same for REBOUND."""
+    simulation = rebound_simulation(problem, integrator)
+    simulation.dt = LEAP
+
+    def take(span: float) -> float:
+        first, began = simulation.steps_done, time.process_time()
+        simulation.integrate(simulation.t + span, exact_finish_time=0)
+        return (time.process_time() - began) / (simulation.steps_done - first)
+
+    return take
+
+
+def measure_steps(repeats: int) -> list[dict[str, Any]]:
+    """Return the time of a step in ns for each number of bodies and each integrator."""
+    rows = []
+    for count in COUNTS:
+        problem = chain(count)
+        takers = {
+            "carom, leapfrog": carom_steps(problem, integrator="leapfrog", fixed_dt=LEAP),
+            "carom, adaptive leapfrog": carom_steps(problem, integrator="leapfrog", pull_fraction=LEAP),
+            "REBOUND, leapfrog": rebound_steps(problem, "leapfrog"),
+            "carom, gauss-radau15": carom_steps(problem, integrator="gauss-radau15"),
+            "REBOUND, ias15": rebound_steps(problem, "ias15"),
+        }
+        taken: dict[str, list[float]] = {name: [] for name in takers}
+        for turn in range(repeats + 1):
+            for name, take in takers.items():
+                spent = take(SPANS[name.split()[-1]])
+                if turn:  # the first one loads the kernels
+                    taken[name].append(1e9 * spent)
+        rows.append({"bodies": count, **{name: statistics.median(times) for name, times in taken.items()}})
+    return rows
+
+
+def print_steps(rows: list[dict[str, Any]]) -> None:
+    """Print the time of a step as a table."""
+    print("| bodies | leapfrog: carom | REBOUND | ratio | adaptive | gauss-radau15 | IAS15 | ratio |")
+    print("|---|---|---|---|---|---|---|---|")
+    for row in rows:
+        leap, peer = row["carom, leapfrog"], row["REBOUND, leapfrog"]
+        radau, ias = row["carom, gauss-radau15"], row["REBOUND, ias15"]
+        adaptive = row["carom, adaptive leapfrog"]
+        print(
+            f"| {row['bodies']} | {leap:.0f} ns | {peer:.0f} ns | {leap / peer:.2f} | {adaptive:.0f} ns | "
+            f"{radau / 1e3:.1f} µs | {ias / 1e3:.1f} µs | {radau / ias:.2f} |"
+        )
 
 
 def phase_error(problem: Problem, run: Run) -> float:
@@ -160,20 +251,21 @@ def compare(problems: list[Problem], error: Callable[[Problem, Run], float], rep
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--periods", type=float, default=1e4, help="of the innermost planet")
-    parser.add_argument("--output", type=Path)
-    asked = parser.parse_args()
+def measure_errors(repeats: int, periods: float) -> list[dict[str, Any]]:
+    """Return times and errors of whole runs."""
     rows = [
         compare([binary(e, phase, 100.0) for phase in PHASES], phase_error, 1) for e in (0.1, 0.5, 0.9, 0.999, 0.9999)
     ]
-    rows.append(compare([pythagorean()], energy_error, asked.repeats))
+    rows.append(compare([pythagorean()], energy_error, repeats))
     rows += [
-        compare([planets(periods, seed) for seed in range(SYSTEMS)], energy_error, 1)
-        for periods in (asked.periods / 1000, asked.periods / 100, asked.periods / 10, asked.periods)
+        compare([planets(span, seed) for seed in range(SYSTEMS)], energy_error, 1)
+        for span in (periods / 1000, periods / 100, periods / 10, periods)
     ]
+    return rows
+
+
+def print_errors(rows: list[dict[str, Any]]) -> None:
+    """Print times and errors as a table."""
     print("| problem | steps: carom, IAS15 | error: carom | IAS15 | time: carom | IAS15 | ratio |")
     print("|---|---|---|---|---|---|---|")
     for row in rows:
@@ -182,6 +274,21 @@ def main() -> None:
             f"| {row['problem']} | {own['steps']}, {peer['steps']} | {own['error']:.1e} | {peer['error']:.1e} | "
             f"{own['seconds']:.4f} s | {peer['seconds']:.4f} s | {own['seconds'] / peer['seconds']:.2f} |"
         )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("steps", "errors"))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--periods", type=float, default=1e4, help="of the innermost planet")
+    parser.add_argument("--output", type=Path)
+    asked = parser.parse_args()
+    if asked.what == "steps":
+        rows = measure_steps(asked.repeats)
+        print_steps(rows)
+    else:
+        rows = measure_errors(asked.repeats, asked.periods)
+        print_errors(rows)
     if asked.output:
         asked.output.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
