@@ -27,6 +27,7 @@ from carom.cli import (
     resume,
     run,
     scenes,
+    shrink,
     stress,
     sweep,
     tradeoff,
@@ -76,7 +77,13 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
         "warmup": warmup.warmup,
     },
     "Look": {"view": view.view, "picture": view.picture, "movie": movie.movie},
-    "Ask": {"inspect": inspect.inspect, "contacts": contacts.contacts, "replay": replay.replay, "diff": diff.diff},
+    "Ask": {
+        "inspect": inspect.inspect,
+        "contacts": contacts.contacts,
+        "replay": replay.replay,
+        "diff": diff.diff,
+        "shrink": shrink.shrink,
+    },
     "Measure": {"tradeoff": tradeoff.tradeoff, "tune": tune.tune, "stress": stress.stress},
     "Keep and share": {
         "clip": clip.clip,

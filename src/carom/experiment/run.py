@@ -200,7 +200,7 @@ def _simulate(
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
         reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
-    summary = {"wall_time": time.perf_counter() - began, **_summary(space, extremes, verdicts)}
+    summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
     try:
         recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
     except RecordingError as error:
@@ -337,7 +337,7 @@ def _impacts_counted(space: Space) -> str:
     return EACH if space.requirements.impact_time.modelled else ONCE_A_STEP
 
 
-def _summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[str, Scalar]:
+def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[str, Scalar]:
     """Return the recording's closing properties, under dotted keys."""
     summary: dict[str, Scalar] = {
         "steps": space.step,

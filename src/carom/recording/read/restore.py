@@ -89,7 +89,7 @@ def space_of(
         If the bodies in it cannot be simulated.
     """
     try:
-        space = Space(scene, threads, _start(recording, scene, checkpoint), record_contacts=record_contacts)
+        space = Space(scene, threads, start_of(recording, scene, checkpoint), record_contacts=record_contacts)
         needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
         if (needs.spin.modelled, needs.orientation.modelled) != kept:
             raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
@@ -115,7 +115,8 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
     return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
 
 
-def _start(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
+def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
+    """Return the recorded bodies in the state of a checkpoint."""
     bodies, n = recording.bodies, scene.count
     given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
     fixed = np.concatenate(given)

@@ -1,0 +1,162 @@
+"""`carom shrink`: the smallest scene that still fails in the same way."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, SetOption
+from carom.cli.text import say
+from carom.scene.command import command
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carom.experiment.shrink.reducer import Progress, Reducer, Reduction
+    from carom.experiment.shrink.source import Source
+
+_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_DURATION = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
+
+
+def budget(text: str) -> float:
+    """Read a time such as 60s, 10min or 2h."""
+    matched = _DURATION.fullmatch(text)
+    try:
+        if matched and float(matched[1]) > 0:
+            return float(matched[1]) * _UNITS[matched[2]]
+    except ValueError:
+        pass
+    raise typer.BadParameter(f"{text}: expected a time such as 60s, 10min or 2h")
+
+
+def shrink(
+    source: Annotated[
+        str, typer.Argument(metavar="SCENE|FILE", help="A scene, or a recording (.rrd) or report (.zip) to run again.")
+    ],
+    condition: Annotated[
+        str | None,
+        typer.Option(
+            "--while",
+            metavar="CONDITION",
+            help="What the scene has to show. Default: the error that ends the run, or the promise of \\[expect] that "
+            'it misses. Otherwise expect.NAME, PhysicsError, "impact of A and B", "warning KIND", or an expression '
+            'such as "energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Scene file to write. Default: SCENE-small.toml."),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(
+            "--budget", parser=budget, metavar="TIME", help="Stop after this time, such as 60s or 10min. Default: none."
+        ),
+    ] = None,
+    overrides: SetOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the smallest scene that still fails in the same way, and write it as a scene file.
+
+    It leaves out time, bodies, parts of the model, keys and digits, as long as the failure stays. Ctrl-C and the end
+    of the budget keep the smallest scene so far; the same command continues from it.
+    """
+    import json
+    from dataclasses import asdict
+
+    from carom.experiment.output import refuse_output
+    from carom.experiment.shrink.condition import condition_from
+    from carom.experiment.shrink.result import key_of, state_of
+    from carom.experiment.shrink.source import source_of
+
+    asked = condition_from(condition)
+    path = output or Path(f"{Path(source).stem}-small.toml")
+    given = source_of(source, list(overrides or []))
+    key = key_of(given.scene.toml, asked.text)
+    state = "" if force else state_of(path, key)
+    if state == "minimal":
+        say(f"{path} is the smallest scene already; give --force to find it again.")
+        return
+    if state:
+        given = source_of(str(path), [])
+    else:
+        refuse_output(path, force)
+    reducer = _reducer(asked, seconds)
+    result = _reduced(reducer, given, path, key, _command(source, condition, overrides), quiet=as_json)
+    if as_json:
+        document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
+        say(json.dumps(document, indent=2, ensure_ascii=False))
+    else:
+        _print(result, path)
+
+
+def _reducer(asked: Any, seconds: float | None) -> Reducer:
+    from math import inf
+
+    from carom.experiment.shrink.reducer import Reducer
+
+    return Reducer(asked, inf if seconds is None else seconds)
+
+
+def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
+    """Reduce, print the progress, and leave the smallest scene so far in the file."""
+    from carom.experiment.shrink.result import text_of, write
+
+    asked = reducer.condition.text
+    reducer.keep = lambda document, said: write(path, text_of(document, asked, None, said, key, command))
+    if quiet:
+        result = reducer.reduce(given.scene, given.start)
+    else:
+        result = _watched(reducer, lambda: reducer.reduce(given.scene, given.start))
+    write(path, text_of(result.document, asked, result, result.said, key, command))
+    return result
+
+
+def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
+    """Show the progress on a terminal, or a line for each stage elsewhere."""
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(stderr=True)
+    announce_compilation()
+    if console.is_terminal:
+        with console.status("running the scene") as status:
+            reducer.watch = lambda progress: status.update(_line(progress))
+            return work()
+    said: list[str] = []
+
+    def watch(progress: Progress) -> None:
+        if said[-1:] != [progress.stage]:
+            said.append(progress.stage)
+            console.print(_line(progress), soft_wrap=True)
+
+    reducer.watch = watch
+    return work()
+
+
+def _line(progress: Progress) -> str:
+    return (
+        f"{progress.stage}: {progress.bodies} bodies, {progress.steps} steps; {progress.candidates} candidates, "
+        f"{progress.seconds:.1f} s"
+    )
+
+
+def _print(result: Reduction, path: Path) -> None:
+    bodies, steps = result.before
+    say(f"{result.bodies} of {bodies} bodies and {result.steps} of {steps} steps are left: {result.said}")
+    if result.stopped:
+        say(f"Not finished: {result.stopped}. The same command goes on.")
+    say(f"Written to {path} after {result.candidates} candidates in {result.seconds:.3g} s; {command('run', path)}")
+
+
+def _command(source: str, condition: str | None, overrides: list[str] | None) -> str:
+    """Write the command line for the comments of the result."""
+    words = ["shrink", source, *(["--while", condition] if condition else [])]
+    for override in overrides or []:
+        words += ["--set", override]
+    return command(*words)

@@ -1,0 +1,128 @@
+"""Scenes as documents whose bodies are all written out, at the state of some moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+from carom.scene.half_space import half_spaces
+from carom.scene.placement import Start
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
+Path = tuple[str | int, ...]  # of keys and places in lists
+
+BODIES = "body"
+_NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # of a scene
+_FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The state of all bodies at one step of a run."""
+
+    step: int
+    time: float  # s
+    dt: float  # s, the step that led here
+    position: FloatArray  # (n, 3) m
+    velocity: FloatArray  # (n, 3) m/s
+    spin: FloatArray | None  # (n, 3) rad/s
+
+    @classmethod
+    def of(cls, frame: Frame) -> Moment:
+        """Return the state of a frame that owns its arrays."""
+        return cls(frame.step, frame.time, frame.dt, frame.position, frame.velocity, frame.angular_velocity)
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.position.nbytes * (2 if self.spin is None else 3)
+
+
+def literal(scene: Scene, start: Start) -> Document:
+    """Return a scene with each body written out, named as it was, in the units of the simulation."""
+    given = scene.model_dump(mode="python", exclude_defaults=True, exclude_none=True, exclude=_NOT_COPIED)
+    document: Document = _plain(given)
+    if isinstance(scene.units, str):  # the scene is simulated in them
+        document["units"] = scene.units
+        document["gravity"] = {"constant": scene.gravity.constant} | document.get("gravity", {})
+    if names := half_spaces(scene).name[: len(scene.plane)]:
+        document["plane"] = [{"name": name} | plane for name, plane in zip(names, document["plane"], strict=True)]
+    document[BODIES] = [_body(start, k) for k in range(len(start.name))]
+    return document
+
+
+def at_moment(document: Document, moment: Moment, duration: float) -> Document:
+    """Return a document that begins with the state of a moment and lasts for so many seconds."""
+    bodies = []
+    for k, body in enumerate(document[BODIES]):
+        state = {"position": _list(moment.position[k])}
+        if not body.get("fixed"):
+            state["velocity"] = _list(moment.velocity[k])
+            if moment.spin is not None:
+                state["angular_velocity"] = _list(moment.spin[k])
+        bodies.append({key: value for key, value in (body | state).items() if value != [0.0, 0.0, 0.0]})
+    return with_value(document | {BODIES: bodies}, ("time", "duration"), duration)
+
+
+def with_bodies(document: Document, kept: list[int]) -> Document:
+    """Return a document with some of its bodies."""
+    return document | {BODIES: [document[BODIES][k] for k in kept]}
+
+
+def with_value(document: Document, path: Path, value: Any) -> Document:
+    """Return a document with another value at a path; None removes the key."""
+    return cast(Document, _with(document, path, value))
+
+
+def value_at(document: Document, path: Path) -> Any:
+    """Return the value at a path; None if there is none."""
+    node: Any = document
+    for key in path:
+        try:
+            node = node[key]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return node
+
+
+def _with(node: Any, path: Path, value: Any) -> Any:
+    key: Any = path[0]
+    rest = path[1:]
+    if rest:
+        value = _with(node[key] if isinstance(node, list) else node.get(key, {}), rest, value)
+    if isinstance(node, list):
+        return [value if k == key else item for k, item in enumerate(node)]
+    kept = {name: item for name, item in node.items() if name != key or value is not None}
+    return kept if value is None else kept | {key: value}
+
+
+def _body(start: Start, k: int) -> Document:
+    mass, radius = float(start.mass[k]), float(start.radius[k])
+    body: Document = {"name": start.name[k], "position": _list(start.position[k])}
+    for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
+        if vector.any():
+            body[key] = _list(vector)
+    body |= {"radius": radius, "mass": mass}
+    factor = float(start.inertia[k]) / (mass * radius * radius)
+    if abs(factor - _FACTOR) > 1e-12 * _FACTOR:
+        body["inertia_factor"] = min(factor, 2 / 3)
+    if start.fixed[k]:
+        body["fixed"] = True
+    return body
+
+
+def _list(vector: FloatArray) -> list[float]:
+    return [float(value) for value in vector]
+
+
+def _plain(value: Any) -> Any:
+    """Turn tuples into lists, as TOML has them."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,191 @@
+"""Reduces a scene to the smallest one that still shows a failure: the passes and their order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.interrupts import Interrupts
+from carom.experiment.shrink.bodies import leave_out_bodies
+from carom.experiment.shrink.budget import Budget, OutOfTime
+from carom.experiment.shrink.condition import Condition
+from carom.experiment.shrink.literal import Document, at_moment, literal
+from carom.experiment.shrink.numbers import round_numbers
+from carom.experiment.shrink.parts import drop_parts, set_defaults
+from carom.experiment.shrink.smallest import Smallest
+from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_time
+from carom.experiment.shrink.trials import Trials
+from carom.physics.space import Space
+from carom.scene.placement import Start, place
+from carom.scene.schema import Scene
+
+MOST_ROUNDS = 6  # of all passes; a scene that still changes then is left as it is
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a pass left."""
+
+    name: str
+    bodies: int
+    steps: int
+    candidates: int  # so far
+
+
+@dataclass(slots=True)
+class Progress:
+    """What a watcher sees."""
+
+    stage: str = "running the scene"
+    bodies: int = 0
+    steps: int = 0
+    candidates: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """The result of a reduction."""
+
+    document: Document
+    said: str  # what the reduced run shows
+    bodies: int
+    steps: int
+    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene as given
+    stages: list[Stage]
+    seconds: float
+    candidates: int
+    stopped: str = ""  # why it ended early; empty if nothing more can be left out
+
+    @property
+    def minimal(self) -> bool:
+        """Whether nothing more can be left out."""
+        return not self.stopped
+
+
+@dataclass(slots=True)
+class Reducer:
+    """Reduces a scene.
+
+    Parameters
+    ----------
+    condition
+        The failure to keep.
+    seconds
+        s, the budget; infinite without a limit.
+    watch
+        Called before each candidate, and when a smaller scene is found.
+    keep
+        Called with each smaller scene.
+    """
+
+    condition: Condition
+    seconds: float = math.inf
+    watch: Callable[[Progress], None] = lambda progress: None
+    keep: Callable[[Document, str], None] = lambda document, said: None
+    _progress: Progress = field(default_factory=Progress)
+    _stages: list[Stage] = field(default_factory=list)
+
+    def reduce(self, scene: Scene, start: Start | None = None) -> Reduction:
+        """Return the smallest scene that shows the failure.
+
+        Parameters
+        ----------
+        scene
+            The scene that shows it.
+        start
+            Its bodies; by default those that it places.
+
+        Raises
+        ------
+        ExperimentError
+            If the scene does not show the failure, or the time ended before that was known.
+        SceneError
+            If the scene cannot run.
+        """
+        with Interrupts() as interrupts:
+            budget = Budget(self.seconds, interrupts)
+            trials = Trials(self.condition, budget)
+            trials.watch = lambda: self._look(trials)
+            try:
+                smallest, before = self._begin(scene, start or place(scene), trials)
+            except OutOfTime as ended:
+                raise ExperimentError(f"{ended} before the failure was seen; nothing is written") from None
+            stopped = self._pass_all(smallest, trials)
+            return Reduction(
+                document=smallest.document,
+                said=smallest.said,
+                bodies=smallest.bodies,
+                steps=smallest.steps,
+                before=before,
+                stages=self._stages,
+                seconds=budget.spent,
+                candidates=trials.count,
+                stopped=stopped,
+            )
+
+    def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, tuple[int, int]]:
+        """Run the scene up to the failure, write its bodies out, and begin as late as that allows."""
+        trials.budget.check()
+        space = Space(scene, start=start, record_contacts=trials.condition.needs_impacts)
+        kept, seen = chronicle(space, trials, first=trials.condition.check)
+        trials.condition = trials.condition.pinned(seen)
+        before = len(start.name), space.step
+        self._progress.bodies, self._progress.steps = before
+        whole = literal(scene, start)
+        smallest = Smallest(whole, seen, trials, self._taken(trials))
+        self._progress.stage = "cutting time"
+        if not begin_late(smallest, whole, kept):
+            self._write_out(smallest, whole, kept, trials)
+        self._end_stage("cut time", smallest, trials)
+        return smallest, before
+
+    def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
+        """Begin at the start of the run, with every body written out."""
+        assert kept.end is not None
+        duration = kept.end.time if kept.shown else 0.0
+        ends = [duration, duration + kept.end.dt] if duration else []
+        candidates = [at_moment(whole, kept.moments[0], end) for end in ends]
+        if not any(smallest.takes(candidate) for candidate in candidates) and trials.shows(whole) is None:
+            raise ExperimentError("the failure goes away when every body is written out, so it cannot be shrunk")
+
+    def _pass_all(self, smallest: Smallest, trials: Trials) -> str:
+        """Make all passes until none finds anything; return why they ended early, or an empty text."""
+        passes: dict[str, Callable[[], bool]] = {
+            "left out bodies": lambda: leave_out_bodies(smallest, trials),
+            "cut time": lambda: cut_time(smallest, trials),
+            "dropped parts of the model": lambda: drop_parts(smallest),
+            "set constants to defaults": lambda: set_defaults(smallest),
+            "rounded numbers": lambda: round_numbers(smallest),
+        }
+        try:
+            for _ in range(MOST_ROUNDS):
+                changed = False
+                for name, work in passes.items():
+                    self._progress.stage = name
+                    found = work()
+                    if found:
+                        self._end_stage(name, smallest, trials)
+                    changed |= found
+                if not changed:
+                    return ""
+        except OutOfTime as ended:
+            return str(ended)
+        return f"it still changed after {MOST_ROUNDS} rounds"
+
+    def _taken(self, trials: Trials) -> Callable[[Smallest], None]:
+        def taken(smallest: Smallest) -> None:
+            self._progress.bodies, self._progress.steps = smallest.bodies, smallest.steps
+            self._look(trials)
+            self.keep(smallest.document, smallest.said)
+
+        return taken
+
+    def _look(self, trials: Trials) -> None:
+        self._progress.candidates, self._progress.seconds = trials.count, trials.budget.spent
+        self.watch(self._progress)
+
+    def _end_stage(self, name: str, smallest: Smallest, trials: Trials) -> None:
+        self._stages.append(Stage(name, smallest.bodies, smallest.steps, trials.count))

@@ -1,0 +1,68 @@
+"""The smallest scene so far that shows the failure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from carom.experiment.shrink.literal import BODIES, Document
+from carom.experiment.shrink.observation import Observation
+from carom.experiment.shrink.trials import Trials
+from carom.scene.load import scene_from_dict
+from carom.scene.schema import Scene
+
+
+class Smallest:
+    """Takes over every candidate that still shows the failure.
+
+    Parameters
+    ----------
+    document
+        A scene that shows it.
+    seen
+        What was seen of its run.
+    trials
+        Judges candidates.
+    taken
+        Called after a candidate was taken over.
+    """
+
+    def __init__(
+        self, document: Document, seen: Observation, trials: Trials, taken: Callable[[Smallest], None] = lambda _: None
+    ) -> None:
+        self._trials = trials
+        self._taken = taken
+        self._keep(document, seen)
+
+    def _keep(self, document: Document, seen: Observation) -> None:
+        self.document = document
+        self.steps = seen.space.step
+        self.said = self._trials.condition.said(seen)
+        self.suspects = self._trials.condition.bodies(seen)
+        self._trials.steps = self.steps
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, validated."""
+        return scene_from_dict(self.document)
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.document[BODIES])
+
+    def takes(self, document: Document) -> bool:
+        """Take over a candidate if it shows the failure.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        if document == self.document:
+            return False
+        seen = self._trials.shows(document)
+        if seen is None:
+            return False
+        self._keep(document, seen)
+        self._taken(self)
+        return True

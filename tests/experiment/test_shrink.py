@@ -1,0 +1,176 @@
+"""Reduction of a scene to the smallest that still fails: conditions, passes, the whole."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.shrink.bodies import cones
+from carom.experiment.shrink.budget import OutOfTime
+from carom.experiment.shrink.condition import condition_from
+from carom.experiment.shrink.delta_debugging import fewest
+from carom.experiment.shrink.expression import Expression, UnknownNameError
+from carom.experiment.shrink.literal import Document
+from carom.experiment.shrink.numbers import digits_of, rounded
+from carom.experiment.shrink.observation import Observation
+from carom.experiment.shrink.reducer import Reducer, Reduction
+from carom.experiment.shrink.text import commented
+from carom.experiment.shrink.trials import Trials
+from carom.physics.diagnostics.audit import Audit
+from carom.physics.space import Space
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
+from command import carom
+
+GAS: dict[str, Any] = {  # a dozen spheres that meet within a second
+    "title": "Twelve spheres",
+    "group": [{"count": 12, "radius": 0.3, "region": {"radius": 1.5}, "velocity": {"dispersion": 1.0}}],
+    "gravity": {"constant": 0.0},
+    "contact": {"restitution": 0.7, "static_friction": 0.0},
+    "time": {"duration": 1.0},
+    "expect": {"energy_error": 1e-6},
+}
+
+
+@pytest.fixture
+def ledger_without_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plant a fault: the ledger forgets what contacts take out."""
+    monkeypatch.setattr(Audit, "book", lambda audit, work: None)
+
+
+def reduced(scene: dict[str, Any], condition: str | None = None) -> Reduction:
+    return Reducer(condition_from(condition)).reduce(Scene.from_dict(scene))
+
+
+@pytest.mark.usefixtures("ledger_without_contacts")
+def test_a_missed_promise_shrinks_to_two_bodies_and_few_steps() -> None:
+    result = reduced(GAS)
+    assert result.minimal
+    assert result.bodies == 2 and result.steps <= 2
+    assert "energy_error" in result.said
+    assert result.document["expect"] == GAS["expect"]
+    assert len(commented(result.document, ["x"]).splitlines()) <= 25
+
+
+@pytest.mark.usefixtures("ledger_without_contacts")
+def test_the_reduced_file_runs_and_misses_the_same_promise(tmp_path: Path) -> None:
+    (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
+    made = carom("shrink", "gas.toml", "--while", "energy.max_error > 1e-6", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    text = (tmp_path / "gas-small.toml").read_text()
+    assert "# Asked for: energy.max_error > 1e-6" in text and ", minimal" in text
+    assert scene_from_text(text, "gas-small.toml").count == 2
+    ran = carom("run", "gas-small.toml", "-o", "small.rrd", "--json", cwd=tmp_path)
+    assert '"energy_error"' in ran.stdout
+    again = carom("shrink", "gas.toml", "--while", "energy.max_error > 1e-6", cwd=tmp_path)
+    assert "the smallest scene already" in again.stdout
+
+
+@pytest.mark.usefixtures("ledger_without_contacts")
+def test_a_recording_shrinks_like_its_scene(tmp_path: Path) -> None:
+    (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
+    carom("run", "gas.toml", "-o", "gas.rrd", cwd=tmp_path)
+    made = carom("shrink", "gas.rrd", "-o", "small.toml", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert len(tomllib.loads((tmp_path / "small.toml").read_text())["body"]) == 2
+
+
+@pytest.mark.usefixtures("ledger_without_contacts")
+def test_a_spent_budget_leaves_a_scene_from_which_the_same_command_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
+    shows = Trials.shows
+
+    def shows_a_few(trials: Trials, document: Document) -> Observation | None:
+        if trials.count == 5:
+            raise OutOfTime("the budget was spent")
+        return shows(trials, document)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trials, "shows", shows_a_few)
+        cut = carom("shrink", "gas.toml", cwd=tmp_path)
+    assert "Not finished" in cut.stdout and ", unfinished" in (tmp_path / "gas-small.toml").read_text()
+    carom("shrink", "gas.toml", cwd=tmp_path)
+    assert ", minimal" in (tmp_path / "gas-small.toml").read_text()
+
+
+def test_an_impact_keeps_the_two_bodies_by_their_names() -> None:
+    scene = GAS | {"group": [GAS["group"][0] | {"name": "ball"}]}
+    space = Space(Scene.from_dict(scene), threads=1, record_contacts=True)
+    rows = np.concatenate([frame.impacts for frame in space.run() if frame.impacts is not None])
+    i, j = int(rows["i"][-1]), int(rows["j"][-1])
+    result = reduced(scene, f"impact of {i} and ball {j}")
+    assert [body["name"] for body in result.document["body"]] == [f"ball {i}", f"ball {j}"]
+
+
+def test_an_exception_of_the_engine_shrinks_to_what_raises_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    book = Audit.book
+
+    def raises_at_an_impact(audit: Audit, work: Any) -> None:
+        if np.any(work):
+            raise IndexError("index 7 is out of bounds")
+        book(audit, work)
+
+    monkeypatch.setattr(Audit, "book", raises_at_an_impact)
+    result = reduced(GAS)
+    assert result.bodies == 2 and result.said == "PhysicsError: IndexError: index 7 is out of bounds"
+
+
+@pytest.mark.parametrize(
+    ("condition", "said"),
+    [
+        (None, r"nothing to shrink: every promise is kept: energy_error: .* \(at most 1e-06\)"),
+        ("energy.max_error > 1e-3", r"nothing to shrink: energy.max_error is \d"),
+        ("energy.max_eror > 1e-3", r'the summary has no energy.max_eror; did you mean "energy.max_error"\?'),
+        ("expect.energy_eror", r'no promise energy_eror; did you mean "energy_error"\?'),
+        ("impact of 3 and 99", "no body 99; there are 12, from 0 on"),
+        ("impact of 3 and group 0 x", 'no body "group 0 x"; did you mean "group 0'),
+        ("PhysicsError", "nothing to shrink: the run went to its end"),
+        ("warning energy-rose", 'no warning energy-rose; did you mean "energy-rise"'),
+        ("warning limit", "nothing to shrink: of such warnings the run gave none"),
+    ],
+)
+def test_a_condition_that_does_not_hold_is_refused_with_what_the_run_shows(condition: str | None, said: str) -> None:
+    with pytest.raises(ExperimentError, match=said):
+        reduced(GAS, condition)
+
+
+@pytest.mark.parametrize("text", ["__import__('os')", "energy.max_error >", "1 < 2", "a.b[0] > 1", "(lambda: 1)() > x"])
+def test_an_expression_is_a_comparison_of_names_and_nothing_else(text: str) -> None:
+    with pytest.raises(ExperimentError, match=r"expected a condition such as energy\.max_error > 1e-3"):
+        Expression(text)
+
+
+def test_an_expression_compares_and_joins_the_numbers_of_a_summary() -> None:
+    summary = {"energy": {"max_error": 2e-3}, "bodies": 4, "momentum": {"max_error": None}, "outcome": "completed"}
+    assert Expression("energy.max_error > 1e-3 and not bodies == 5").holds(summary)
+    assert Expression("1 < bodies <= 2 * 2 or false").holds(summary)
+    assert Expression('outcome == "completed"').holds(summary)
+    assert not Expression("momentum.max_error > 0").holds(summary)
+    assert Expression("energy.max_error / bodies > 1").measured(summary) == "energy.max_error is 0.002, bodies is 4"
+    with pytest.raises(UnknownNameError):
+        Expression("energy.gain > 0").holds(summary)
+
+
+def test_delta_debugging_leaves_items_of_which_none_can_be_left_out() -> None:
+    def fails(items: list[int]) -> bool:
+        return {3, 17, 40} <= set(items)
+
+    assert fewest(range(64), fails) == [3, 17, 40]
+
+
+def test_the_backward_cone_has_what_led_to_a_contact_and_not_what_followed() -> None:
+    steps = [[(0, 1)], [(1, 2), (5, 6)], [(2, 3)], [(3, 4)]]
+    *_, cone = cones({2, 3}, steps[:3], count=7)
+    assert cone == {0, 1, 2, 3}
+
+
+def test_rounding_finds_the_digits_that_a_number_needs() -> None:
+    assert [digits_of(value) for value in (0.0, 1.0, -2.5, 0.1, 1 / 3)] == [0, 1, 2, 1, 16]
+    assert rounded(1234.5, 2) == 1200.0 and rounded(-0.04, 0) == 0.0
