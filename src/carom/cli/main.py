@@ -34,6 +34,7 @@ from carom.cli import (
     tune,
     view,
     warmup,
+    why,
 )
 from carom.cli.flags import Command, Group
 from carom.experiment.memory import keep_freed_memory
@@ -80,6 +81,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
     "Ask": {
         "inspect": inspect.inspect,
         "contacts": contacts.contacts,
+        "why": why.why,
         "replay": replay.replay,
         "diff": diff.diff,
         "shrink": shrink.shrink,

@@ -13,6 +13,7 @@ from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.contact.contact_tap import Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.energy import Energy
@@ -187,6 +188,18 @@ class Space:
     def bodies(self) -> list[BodyProxy]:
         """One view for each body, in the order of the scene."""
         return [BodyProxy(self.state, index) for index in range(len(self.state))]
+
+    def impulses(self) -> Iterator[Impulses]:
+        """Yield the impulses of the last step in the order in which they acted; only where contacts are recorded."""
+        return self._contact.impulses() if self._contact else iter(())
+
+    def kicks(self) -> list[FloatArray]:
+        """Return the changes of the velocities by forces in the last step, in order, each (n, 3) m/s.
+
+        Empty unless the scene has ``expect.contact_audit``.
+        """
+        audit = self._books.impulse_audit
+        return [] if audit is None else audit.kicks
 
     def compute_dynamics(self, iteration: int) -> None:
         """Compute one step.

@@ -42,7 +42,9 @@ class Impulses(NamedTuple):
     normal: FloatArray  # (k, 3) from i to j
     arms: FloatArray  # (k, 2) m
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
+    time: FloatArray  # (k,) s, when
     turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
+    holds: bool = False  # whether they hold contacts at rest
 
 
 class _Ends(NamedTuple):
@@ -154,17 +156,19 @@ class ContactTap:
             contacts = self._held.contacts
             pairs = np.empty_like(self._held.pairs)
             pairs[self._held.place] = self._held.pairs
-            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES))
+            began = np.full(len(pairs), self._began)
+            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES), began, holds=True)
         if len(self._drift):
-            yield Impulses(self._drift.pairs, *_geometry(self._drift.log), columns(self._drift.log, IMPULSES))
+            time = np.minimum(self._began + self._drift.time, self._ended)
+            yield Impulses(self._drift.pairs, *_geometry(self._drift.log), columns(self._drift.log, IMPULSES), time)
         if len(solver.order.pairs):
             pairs, recorded = solver.order.pairs, solver.recorded
             corrections = np.zeros((len(pairs), 4))
             corrections[:, 1:] = columns(recorded, ("correction_x", "correction_y", "correction_z"))
-            geometry = _geometry(solver.contacts)
-            yield Impulses(pairs, *geometry, corrections, turns=False)
-            yield Impulses(pairs, *geometry, columns(recorded, IMPULSES))
-            yield Impulses(pairs, *geometry, solver.impulses)
+            geometry, ended = _geometry(solver.contacts), np.full(len(pairs), self._ended)
+            yield Impulses(pairs, *geometry, corrections, ended, turns=False, holds=True)
+            yield Impulses(pairs, *geometry, columns(recorded, IMPULSES), ended)
+            yield Impulses(pairs, *geometry, solver.impulses, ended, holds=True)
 
     def work(self, solver: ContactSolver) -> FloatArray:
         """Return the ledger of each contact of the step, (k, 3) J."""

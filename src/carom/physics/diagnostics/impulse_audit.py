@@ -41,8 +41,13 @@ class ImpulseAudit:
         bodies = self._bodies
         self._ledger = _terms(ledger)
         self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
-        self._kicked = np.zeros_like(self._velocity)  # m/s, by forces
+        self._kicks: list[FloatArray] = []  # m/s, by forces
         self._fastest = _largest(self._velocity)  # m/s
+
+    @property
+    def kicks(self) -> list[FloatArray]:
+        """The changes of the velocities by forces in this step so far, in order, each (n, 3) m/s."""
+        return self._kicks
 
     def see_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick, (n, 3) m/s² for dt s."""
@@ -53,7 +58,7 @@ class ImpulseAudit:
         self._force(self._bodies.velocity - before)
 
     def _force(self, change: FloatArray) -> None:
-        self._kicked += change
+        self._kicks.append(change)
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
@@ -74,7 +79,8 @@ class ImpulseAudit:
         """
         bodies = self._bodies
         given = _Given.of(impulses, bodies)
-        velocity = bodies.velocity - self._velocity - self._kicked - given.velocity
+        kicked = sum(self._kicks, np.zeros_like(self._velocity))
+        velocity = bodies.velocity - self._velocity - kicked - given.velocity
         spin = (bodies.angular_velocity - self._spin - given.spin) * bodies.radius[: len(self._spin), np.newaxis]
         errors = np.sqrt((velocity * velocity).sum(axis=1))
         errors[: len(spin)] = np.maximum(errors[: len(spin)], np.sqrt((spin * spin).sum(axis=1)))

@@ -1,0 +1,288 @@
+"""`carom why`: which impacts, contacts and forces gave a body its velocity, and what is behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.text import say
+from carom.scene.command import command
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carom.experiment.why.account import Account, Cause, FloatArray
+    from carom.experiment.why.answer import Answer
+    from carom.scene.names import Names
+
+MOST_CAUSES = 12  # of a body that are printed for people
+MOST_EDGES = 8
+
+Seconds = float | None
+
+
+def why(
+    file: RecordingArgument,
+    body: Annotated[
+        str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
+    ] = None,
+    at: Annotated[
+        Seconds, typer.Option("--at", parser=seconds, metavar="T", help="When (s). Default: at the end.")
+    ] = None,
+    event: Annotated[
+        str | None,
+        typer.Option(
+            "--event",
+            metavar="EVENT",
+            help="Ask why two bodies touch: a moment that `carom inspect` lists, or impact:N for the Nth impact.",
+        ),
+    ] = None,
+    start: Annotated[
+        Seconds,
+        typer.Option(
+            "--from", parser=seconds, metavar="T", help="Go back to this time (s). Default: as far as is cheap."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="WHY.rrd", help="Write the bodies and contacts behind it for the viewer."
+        ),
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Say why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
+
+    The steps before the moment are run again, so any recording can be asked. FILE may be the zip that `carom report`
+    made.
+    """
+    import json
+
+    from carom.cli.replaying import replaying
+    from carom.experiment.output import refuse_output
+    from carom.experiment.why.question import question_of
+    from carom.experiment.why.why import why as answer_to
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.names import names_of
+    from carom.recording.read.recording import Recording
+
+    if output is not None:
+        refuse_output(output, force)
+    with opened(file) as path:
+        recording = Recording.open(path)
+        recording.refuse_overlay()
+        question = question_of(recording, body, at, event)
+        with replaying(recording) as watch:
+            answer = answer_to(recording, question, start, watch)
+        names = names_of(recording)
+        if as_json:
+            say(json.dumps(_document(answer, names), indent=2, ensure_ascii=False))
+        else:
+            _print(answer, names, file)
+
+
+def _document(answer: Answer, names: Names) -> dict[str, Any]:
+    question, cone = answer.question, answer.cone
+    return {
+        "question": {
+            "text": question.text,
+            "bodies": list(question.bodies),
+            "ends": None if question.ends is None else list(question.ends),
+            "event": question.event,
+            "time": answer.time,
+            "step": answer.step,
+        },
+        "window": {"begin": answer.begin, "begin_step": answer.begin_step, "source": answer.source},
+        "answer": "flow" if answer.is_flow else "impacts",
+        "accounts": [_account_document(account, names) for account in answer.accounts],
+        "chain": [
+            {
+                "time": link.time,
+                "step": link.step,
+                "body": link.body,
+                "by": link.by,
+                "between": [names.of(link.by), names.of(link.body)],
+                "impulse": link.impulse,
+                "share": link.share,
+            }
+            for link in answer.chain
+        ],
+        "first_cause": {"body": answer.first_cause, "name": names.of(answer.first_cause)},
+        "cone": {
+            "closed": answer.closed.tolist(),
+            "bodies": [
+                {
+                    "body": int(b),
+                    "since": float(cone.since[b]),
+                    "start_share": float(cone.shares[b]),
+                    "forces_share": float(cone.from_forces[b]),
+                }
+                for b in answer.bodies
+            ],
+            "edges": [
+                {
+                    "i": edge.i,
+                    "j": edge.j,
+                    "first": edge.first,
+                    "last": edge.last,
+                    "impulse": edge.impulse,
+                    "impulses": edge.count,
+                    "share": edge.share,
+                }
+                for edge in answer.edges
+            ],
+        },
+    }
+
+
+def _account_document(account: Account, names: Names) -> dict[str, Any]:
+    return {
+        "body": account.body,
+        "name": names.of(account.body),
+        "mass": account.mass,
+        "velocity": account.velocity.tolist(),
+        "start_velocity": account.start_velocity.tolist(),
+        "by_contacts": account.by_contacts.tolist(),
+        "by_forces": account.by_forces.tolist(),
+        "unexplained": account.unexplained,
+        "start_share": account.start_share,
+        "forces_share": account.forces_share,
+        "causes": [
+            {
+                "with": cause.partner,
+                "name": names.of(cause.partner),
+                "kind": "contact" if cause.holds else "impact",
+                "first": cause.first,
+                "last": cause.last,
+                "step": cause.step,
+                "moment": cause.moment,
+                "impulse": cause.impulse.tolist(),
+                "impulse_size": cause.size,
+                "work": cause.work,
+                "share": cause.share,
+                "approach_speed": cause.approach_speed,
+                "energy_lost": cause.energy_lost,
+            }
+            for cause in account.causes
+        ],
+    }
+
+
+def _print(answer: Answer, names: Names, file: Path) -> None:
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(soft_wrap=True)
+    console.print(answer.question.text, style="bold")
+    for account in answer.accounts:
+        say("")
+        for line in _summary(account, answer, names):
+            say(line)
+        _print_causes(account, names)
+    say("")
+    for line in _behind(answer, names):
+        say(line)
+    say(f"From t = {answer.begin:.9g} s on, {answer.source}.")
+    if answer.begin_step > 0:
+        say("What is older is not looked at; --from 0 goes back to the beginning.")
+    best = _to_look_at(answer)
+    if best is not None:
+        time, ends = best
+        pair = f"--bodies {ends[0]},{ends[1]}" if max(ends) < len(names.bodies) else ""
+        say(f"Look: {command('view', file, '--at', f'{time:.9g}', *pair.split())}")
+
+
+def _summary(account: Account, answer: Answer, names: Names) -> Iterator[str]:
+    """Say what the velocity is and what it is the sum of."""
+    yield f"{names.of(account.body)}: {_speed(account.velocity)} at t = {answer.time:.9g} s, which is"
+    parts = (
+        (account.start_velocity, account.start_share, f"it had at t = {answer.begin:.9g} s"),
+        (account.by_forces, account.forces_share, "forces gave it"),
+        (account.by_contacts, sum(cause.share for cause in account.causes), _contacts_text(account)),
+    )
+    for velocity, share, text in parts:
+        if velocity.any() or share:
+            yield f"  {_speed(velocity)}  {share:5.0%}  {text}"
+
+
+def _speed(velocity: FloatArray) -> str:
+    x, y, z = velocity.tolist()
+    return f"{(x * x + y * y + z * z) ** 0.5:.4g} m/s ({x:.3g}, {y:.3g}, {z:.3g})"
+
+
+def _contacts_text(account: Account) -> str:
+    impacts = sum(not cause.holds for cause in account.causes)
+    contacts = len(account.causes) - impacts
+    counts = [f"{n} {what}{'' if n == 1 else 's'}" for n, what in ((impacts, "impact"), (contacts, "contact")) if n]
+    return f"{' and '.join(counts)} gave it"
+
+
+def _print_causes(account: Account, names: Names) -> None:
+    from rich.table import Table
+
+    from carom.cli.terminal import Terminal
+
+    if not account.causes:
+        return
+    table = Table(box=None, padding=(0, 1), header_style="bold")
+    table.add_column("look at t (s)", justify="right", no_wrap=True)
+    table.add_column("with", no_wrap=True)
+    table.add_column("kind", no_wrap=True)
+    for column in ("impulse (N s)", "work (J)", "lost (J)", "share"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_CAUSES]:
+        lost = "" if cause.energy_lost is None else f"{cause.energy_lost:.4g}"
+        numbers = (f"{cause.size:.4g}", f"{cause.work:+.4g}", lost, f"{cause.share:.1%}")
+        table.add_row(f"{cause.moment:.9g}", names.of(cause.partner), _kind(cause), *numbers)
+    console = Terminal()
+    console.width = max(console.width, 160)
+    console.print(table)
+    if len(account.causes) > MOST_CAUSES:
+        say(f"  … and {len(account.causes) - MOST_CAUSES} more; --json has all.")
+
+
+def _kind(cause: Cause) -> str:
+    if not cause.holds:
+        return "impact"
+    return f"contact for {cause.last - cause.first:.3g} s"
+
+
+def _behind(answer: Answer, names: Names) -> Iterator[str]:
+    """Say what is behind the impulses: a chain of impacts, or a flow over contacts."""
+    cone = answer.cone
+    others = len(answer.bodies) - len(answer.question.bodies)
+    if answer.is_flow:
+        yield (
+            "Contacts at rest gave it more than impacts, so no single impact is the cause: "
+            "the answer is a flow of impulse over contacts."
+        )
+        for edge in answer.edges[:MOST_EDGES]:
+            between = names.pair((edge.i, edge.j))
+            yield f"  {edge.share:6.1%}  {between}: {edge.impulse:.4g} N s in {edge.count} impulses"
+    elif answer.chain:
+        yield "The chain of causes, backwards:"
+        for link in answer.chain:
+            yield (
+                f"  t = {link.time:.9g} s: {names.of(link.by)} hits {names.of(link.body)}, "
+                f"{link.impulse:.4g} N s, share {link.share:.1%}"
+            )
+        first = answer.first_cause
+        given = "had its velocity before, or forces gave it"
+        yield f"  {names.of(first)} {given}: it is the first cause."
+    forces = float(cone.from_forces.sum())
+    left = float(cone.shares.sum())
+    bodies = f"{others} other {'body' if others == 1 else 'bodies'}" if others else "no other body"
+    yield f"In all, {bodies} of {cone.count - 1} could have had an effect by contacts."
+    yield f"Behind it all: velocities at t = {answer.begin:.9g} s {left:.0%}, forces since then {forces:.0%}."
+
+
+def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:
+    causes = [(cause, account) for account in answer.accounts for cause in account.causes]
+    if not causes:
+        return None
+    cause, account = max(causes, key=lambda found: found[0].share)
+    low, high = sorted((account.body, cause.partner))
+    return cause.moment, (low, high)

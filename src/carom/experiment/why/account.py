@@ -1,0 +1,173 @@
+"""`Account`: the velocity of a body as the sum of what it began with, the impulses of contacts, and forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.why.history import History, Step
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+
+@dataclass(slots=True)
+class Cause:
+    """An impact, or a contact that held for some steps in a row."""
+
+    partner: int  # the other end; from n on planes and walls
+    holds: bool  # whether it is a contact at rest
+    first: float  # s
+    last: float  # s; equal to `first` for an impact
+    step: int  # the last one
+    impulse: FloatArray  # (3,) N s, on the body
+    size: float  # N s, Σ |J|
+    work: float  # J, on the body
+    moment: float  # s, to look at: of the impact, or of the largest impulse
+    hardest: float  # N s, the largest impulse of a step
+    approach_speed: float | None = None  # m/s, of an impact
+    energy_lost: float | None = None  # J, of an impact
+    share: float = 0.0  # of the velocity; those of an account, with its start and the forces, sum to 1
+
+    def takes(self, earlier: Cause, gap: int) -> bool:
+        """Whether an earlier contact with the same partner is a part of this one, `gap` steps before."""
+        return self.holds and earlier.holds and earlier.partner == self.partner and gap <= 1
+
+    def join(self, earlier: Cause) -> None:
+        """Add an earlier part."""
+        self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
+        self.size, self.work = self.size + earlier.size, self.work + earlier.work
+        self.share += earlier.share
+        if earlier.hardest > self.hardest:
+            self.hardest, self.moment = earlier.hardest, earlier.moment
+
+
+@dataclass(slots=True)
+class Account:
+    """Where the velocity of a body comes from, since the beginning of a window.
+
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares divide as in `Cone`, but nothing passes
+    on to other bodies.
+    """
+
+    body: int
+    mass: float  # kg
+    velocity: FloatArray  # (3,) m/s, at the moment asked about
+    start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
+    by_contacts: FloatArray  # (3,) m/s, Σ J / m
+    by_forces: FloatArray  # (3,) m/s
+    fastest: float  # m/s, the largest speed, or change of velocity, on the way
+    start_share: float = 1.0  # of the velocity, that it had at the beginning
+    forces_share: float = 0.0
+    causes: list[Cause] = field(default_factory=list)  # the latest first
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
+
+    @classmethod
+    def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
+        """Begin with the velocity at the moment asked about."""
+        none = np.zeros(3)
+        return cls(body, mass, velocity.copy(), velocity.copy(), none, none.copy(), float(np.linalg.norm(velocity)))
+
+    @property
+    def unexplained(self) -> float:
+        """What the sum leaves over, relative to the largest speed or change of velocity on the way."""
+        rest = self.velocity - self.start_velocity - self.by_contacts - self.by_forces
+        return float(np.linalg.norm(rest)) / self.fastest if self.fastest > 0.0 else 0.0
+
+    @property
+    def is_held(self) -> bool:
+        """Whether contacts at rest gave it more than impacts did."""
+        held = sum(cause.size for cause in self.causes if cause.holds)
+        return held > sum(cause.size for cause in self.causes if not cause.holds)
+
+    def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows) -> None:
+        """Go back over a step, or its beginning.
+
+        Parameters
+        ----------
+        step
+            What happened in it.
+        rows
+            Its impulses on this body up to the moment, in order.
+        kicks
+            (3,) m/s each, those that forces gave this body up to the moment.
+        impacts
+            (k,) `CONTACT_ROW`, of this step.
+        """
+        now = self._velocity_after(step, rows, kicks)
+        keys = list(zip(rows["instant"].tolist(), rows["holds"].tolist(), strict=True))
+        end = len(rows)
+        while end > 0:
+            begin = end - 1
+            while begin > 0 and keys[begin - 1] == keys[end - 1]:
+                begin -= 1
+            now = self._undo(rows[begin:end], now, impacts)
+            end = begin
+        kicked = sum(kicks, np.zeros(3))
+        self.by_forces = self.by_forces + kicked
+        self.start_velocity = step.before[self.body].copy()
+        change, had = float(np.linalg.norm(kicked)), float(np.linalg.norm(self.start_velocity))
+        if change > 0.0:
+            self.forces_share += self.start_share * change / (change + had)
+            self.start_share *= had / (change + had)
+
+    def _undo(self, rows: Rows, after: FloatArray, impacts: Rows) -> FloatArray:
+        """Undo impulses that act together; return the velocity before them."""
+        impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+        impulses[rows["i"] == self.body] *= -1.0
+        sizes = np.sqrt((impulses * impulses).sum(axis=1))
+        change = impulses.sum(axis=0) / self.mass
+        before: FloatArray = after - change
+        self.by_contacts = self.by_contacts + change
+        given, had = float(sizes.sum()) / self.mass, float(np.linalg.norm(before))
+        self.fastest = max(self.fastest, given, had)
+        for row, impulse, size in zip(rows, impulses, sizes.tolist(), strict=True):
+            if size > 0.0:
+                share = self.start_share * size / self.mass / (given + had)
+                self._add(row, impulse, size, 0.5 * float(impulse @ (after + before)), share, impacts)
+        if given > 0.0:
+            self.start_share *= had / (given + had)
+        return before
+
+    def _velocity_after(self, step: Step, rows: Rows, kicks: list[FloatArray]) -> FloatArray:
+        """Return the velocity right after the last of the impulses: the first kick comes before, the others after."""
+        now: FloatArray = step.before[self.body] + (kicks[0] if kicks else np.zeros(3))
+        for row in rows:
+            sign = 1.0 if row["j"] == self.body else -1.0
+            now = now + sign * np.array([row["x"], row["y"], row["z"]]) / self.mass
+        late = len(rows) > 0 and rows[-1]["time"] >= step.time
+        return now + sum(kicks[1:], np.zeros(3)) if late else now
+
+    def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:
+        partner = int(row["i"]) if row["j"] == self.body else int(row["j"])
+        time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
+        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
+        known = self._held.get(partner)
+        if holds and known is not None and known[0].takes(cause, known[1] - step):
+            known[0].join(cause)
+            self._held[partner] = known[0], step
+            return
+        if holds:
+            self._held[partner] = cause, step
+        else:
+            low, high = min(self.body, partner), max(self.body, partner)
+            own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
+            if len(own):
+                cause.approach_speed = float(own["approach_speed"].max())
+                cause.energy_lost = float((own["restitution_loss"] + own["friction_loss"]).sum())
+        self.causes.append(cause)
+
+
+def impulses_on(body: int, rows: Rows) -> Rows:
+    """Return the impulses on a body."""
+    own: Rows = rows[(rows["i"] == body) | (rows["j"] == body)]
+    return own
+
+
+def impacts_by_step(history: History) -> dict[int, Rows]:
+    """Return the impacts of a window by their steps."""
+    impacts = history.impacts
+    steps, first = np.unique(impacts["step"], return_index=True)
+    return dict(zip(steps.tolist(), np.split(impacts, first[1:]), strict=True)) if len(impacts) else {}

@@ -1,0 +1,133 @@
+"""`History`: every impulse of a window of a recording, found by running its steps again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.contact.contact_table import CONTACT_ROW, OPEN
+from carom.physics.schedule import every
+from carom.physics.space import Space
+from carom.physics.status import StepStatus
+from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene, space_of
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+Watcher = Callable[[StepStatus], None]
+
+IMPULSE = np.dtype(
+    [
+        ("step", np.int64),
+        ("instant", np.int64),  # number within the step; impulses of one instant act together
+        ("time", np.float64),  # s
+        ("i", np.int64),  # i < j
+        ("j", np.int64),  # from n on: planes and walls
+        ("x", np.float64),  # N s, the impulse on j; i takes the opposite
+        ("y", np.float64),
+        ("z", np.float64),
+        ("holds", np.bool_),  # whether it holds a contact at rest; if not, it is of an impact
+    ]
+)
+
+_AUDIT = 1e-12  # asks the run for its kicks; nothing is expected of a replay
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What happened in one step."""
+
+    step: int
+    time: float  # s, at its end
+    began: float  # s
+    before: FloatArray  # (n, 3) m/s, velocities at its beginning
+    after: FloatArray  # (n, 3) m/s, and at its end
+    impulses: Rows  # (k,) `IMPULSE`, in order
+    kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies asked about
+
+
+@dataclass(slots=True)
+class History:
+    """The steps between two moments of a run, and the impacts in them."""
+
+    begin: Checkpoint
+    inverse_mass: FloatArray  # (n + p,) 1/kg
+    steps: list[Step] = field(default_factory=list)
+    impacts: Rows = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
+    differs: int | None = None  # the first recorded step whose bits are others
+
+    @classmethod
+    def replay(
+        cls, recording: Recording, begin: Checkpoint, end: float, bodies: tuple[int, ...], watch: Watcher
+    ) -> History:
+        """Run a recording again from a checkpoint up to the step that a time (s) is in.
+
+        Raises
+        ------
+        RecordingError, SceneError
+            If it cannot be run again.
+        """
+        space = space_of(recording, _audited(recorded_scene(recording)), begin, None, begin.step > 0, True)
+        history = cls(begin, space.state.ends.inverse_mass.copy())
+        table = recording.fingerprints()
+        recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
+        before, began, found = space.state.velocity.copy(), space.time, [history.impacts]
+        for frame in space.run(schedule=every(0.0)):
+            if history.differs is None and recorded.get(frame.step, frame.fingerprint) != frame.fingerprint:
+                history.differs = frame.step
+            if frame.step > begin.step:
+                kicks = [kick[list(bodies)] for kick in space.kicks()]
+                touching = frame.contact_rows if frame.contact_rows is not None else history.impacts
+                rows = _impulses(space, touching)
+                history.steps.append(Step(frame.step, frame.time, began, before, frame.velocity, rows, kicks))
+                if frame.impacts is not None and len(frame.impacts):
+                    found.append(frame.impacts)
+                before, began = frame.velocity, frame.time
+            watch(space.status)
+            if frame.time >= end:
+                break
+        history.impacts = np.concatenate(found)
+        return history
+
+
+def _audited(scene: Scene) -> Scene:
+    """Ask for the audit of impulses, which notes the kicks of forces."""
+    return scene.model_copy(update={"expect": scene.expect.model_copy(update={"contact_audit": _AUDIT})})
+
+
+def _impulses(space: Space, touching: Rows) -> Rows:
+    """Return the impulses of the last step, and at its end the contacts that touch and gave none."""
+    parts = [*_given(space)]
+    last = max((int(part["instant"][-1]) for part in parts if len(part)), default=0)
+    silent = touching[(touching["mode"] == OPEN) & (touching["normal_impulse"] == 0.0)]
+    rows = np.zeros(len(silent), IMPULSE)
+    for name in ("i", "j", "time"):
+        rows[name] = silent[name]
+    rows["instant"], rows["holds"] = last, True
+    parts.append(rows)
+    joined = np.concatenate(parts)
+    joined["step"] = space.step
+    return joined
+
+
+def _given(space: Space) -> Iterator[Rows]:
+    """Yield the impulses that are not zero. Those at the end of a step belong to one instant."""
+    instant, time = -1, -np.inf
+    for some in space.impulses():
+        J = some.values[:, :1] * some.normal + some.values[:, 1:]
+        chosen = np.flatnonzero(J.any(axis=1))
+        if not len(chosen):
+            continue
+        rows = np.zeros(len(chosen), IMPULSE)
+        rows["i"], rows["j"], rows["time"] = some.pairs[chosen, 0], some.pairs[chosen, 1], some.time[chosen]
+        rows["x"], rows["y"], rows["z"] = J[chosen].T
+        rows["holds"] = some.holds
+        later = np.diff(rows["time"], prepend=time) > 0.0
+        rows["instant"] = instant + np.cumsum(later)
+        instant, time = int(rows["instant"][-1]), float(rows["time"][-1])
+        yield rows

@@ -1,0 +1,62 @@
+"""`carom why`: what it prints and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import carom as library
+from command import carom
+from examples import pair
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recording of two spheres that collide once, at 1 s."""
+    folder = tmp_path_factory.mktemp("run")
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
+    library.run(scene, folder / "run.rrd")
+    return folder
+
+
+def test_the_answer_names_the_impact_and_the_command_to_look_at_it(folder: Path) -> None:
+    done = carom("why", "run.rrd", "--body", "0", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Why does body 0 move as it does at t = 2 s?")
+    assert "body 1 hits body 0" in done.stdout
+    assert "carom view run.rrd --at 1" in done.stdout
+
+
+def test_json_has_the_sum_the_causes_the_chain_and_the_cone(folder: Path) -> None:
+    told = json.loads(carom("why", "run.rrd", "--event", "impact:1", "--json", cwd=folder).stdout)
+    assert told["question"]["ends"] == [0, 1] and told["question"]["event"] == "impact:1"
+    assert [account["velocity"] for account in told["accounts"]] == [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
+    told = json.loads(carom("why", "run.rrd", "--body", "1", "--json", cwd=folder).stdout)
+    (cause,) = told["accounts"][0]["causes"]
+    assert cause["with"] == 0 and cause["kind"] == "impact" and cause["approach_speed"] == pytest.approx(2.0)
+    assert told["accounts"][0]["unexplained"] <= 1e-15
+    assert told["chain"][0]["by"] == told["first_cause"]["body"] == 0
+    assert [entry["body"] for entry in told["cone"]["bodies"]] == told["cone"]["closed"] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "give one of them"),
+        (("--body", "0", "--event", "impact"), "give one of them"),
+        (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
+        (("--body", "0", "--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
+        (("--body", "0", "--at", "0"), "nothing happened before"),
+        (("--body", "0", "--at", "1", "--from", "1.5"), "is after 1 s, the moment asked about"),
+        (("--event", "bang"), 'has no event "bang"; it has'),
+        (("--event", "first-contact"), "ask about one with --body"),
+        (("--event", "impact:1", "--at", "1"), "give --at or --event, not both"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(folder: Path, options: tuple[str, ...], message: str) -> None:
+    done = carom("why", "run.rrd", *options, cwd=folder)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
