@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.options import JsonOption, RecordingArgument, seconds
 from carom.cli.text import say
 from carom.scene.command import command
 
@@ -46,13 +46,6 @@ def why(
             "--from", parser=seconds, metavar="T", help="Go back to this time (s). Default: as far as is cheap."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--output", metavar="WHY.rrd", help="Write the bodies and contacts behind it for the viewer."
-        ),
-    ] = None,
-    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
@@ -63,15 +56,12 @@ def why(
     import json
 
     from carom.cli.replaying import replaying
-    from carom.experiment.output import refuse_output
     from carom.experiment.why.question import question_of
     from carom.experiment.why.why import why as answer_to
     from carom.recording.edit.bundle import opened
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
-    if output is not None:
-        refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
