@@ -27,6 +27,7 @@ from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
+from carom.scene.materials import PairCoefficients
 from carom.scene.placement import Start
 from measurement import medians, save
 
@@ -81,8 +82,9 @@ def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSo
         fixed=np.zeros(n, dtype=np.bool_),
     )
     bodies = Bodies.at_start(start, spins=True, torques=True)
-    no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
-    solver = ContactSolver(bodies, no_planes, materials_of(np.array([[0.5, 0.6, 0.4]])), OPEN, True, team)
+    no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))
+    materials = materials_of(PairCoefficients(np.array([[0.5, 0.6, 0.4]]), n))
+    solver = ContactSolver(bodies, no_planes, materials, OPEN, True, team)
     pairs = HierarchicalGrid(radius, OPEN).pairs(position)
     solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     solver.rest_speed[:] = np.inf

@@ -14,6 +14,7 @@ from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
+from carom.scene.materials import PairCoefficients
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
 
@@ -77,13 +78,18 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
 
 
 def solver_of(
-    bodies: Bodies, pairs: NDArray[np.int64], law: list[float], box: FloatArray | None = None, threads: int = 1
+    bodies: Bodies,
+    pairs: NDArray[np.int64],
+    law: list[float] | PairCoefficients,
+    box: FloatArray | None = None,
+    threads: int = 1,
 ) -> ContactSolver:
-    """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction."""
-    no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0), np.empty((0, 3)))
+    """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction of all or of pairs."""
+    no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))
     box = np.zeros(3) if box is None else box
     spins = len(bodies.orientation) > 0
-    solver = ContactSolver(bodies, no_planes, materials_of(np.array([law])), box, spins, Team(threads))
+    laws = law if isinstance(law, PairCoefficients) else PairCoefficients(np.array([law]), len(bodies))
+    solver = ContactSolver(bodies, no_planes, materials_of(laws), box, spins, Team(threads))
     solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     return solver
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from carom.scene.materials import pair_coefficients
 
 FloatArray = NDArray[np.float64]
 
@@ -74,17 +75,15 @@ def _first(bodies: Bodies, space: Space, kick: float, span: float) -> tuple[floa
 
 
 def _strike(bodies: Bodies, space: Space, i: int, j: int, n: FloatArray, since_kick: float) -> None:
-    contact, change = space.scene.contact, bodies.acceleration * since_kick
+    change = bodies.acceleration * since_kick
     bodies.velocity[:] += change
     if j >= len(bodies):
-        e = space.planes.material[j - len(bodies), 0]
+        e = pair_coefficients(space.scene).of(i, j).restitution
         bodies.velocity[i] -= (1 + e) * (bodies.velocity[i] @ n) * n
     else:
         b1, b2 = BodyProxy(bodies, i), BodyProxy(bodies, j)
         r1_vec, r2_vec = n * b1.radius, -n * b2.radius
         v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
         v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
-        CollisionContext(b1, b2, n, r1_vec, r2_vec, v2 - v1, 0.0).resolve(
-            contact.restitution, contact.static_friction, contact.kinetic_friction
-        )
+        CollisionContext(b1, b2, n, r1_vec, r2_vec, v2 - v1, 0.0).resolve(*pair_coefficients(space.scene).of(i, j))
     bodies.velocity[:] -= change

@@ -103,7 +103,7 @@ def test_a_coefficient_that_a_plane_gives_alone_draws_the_other_along() -> None:
         (1.0, 0.6, 0.2): {"restitution": 1.0, "kinetic_friction": 0.2},
     }
     scene = scene_of([{"position": [0, 0, 5]}], plane=list(laws.values()), contact=contact)
-    assert [plane.material(scene.contact) for plane in scene.plane] == list(laws)
+    assert [plane.completed(scene.contact.coefficients) for plane in scene.plane] == list(laws)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.7])

@@ -69,7 +69,7 @@ def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
     n = 40_000
     position, fixed = rng.uniform(0.0, 60.0, (n, 3)), rng.random(n) < 0.1
     position[5000:9000] += 1e3 * np.arange(1, 4001)[:, None]
-    planes = HalfSpaces(["floor", "wall"], np.eye(3)[[2, 0]], np.array([0.5, 0.0]), np.zeros((2, 3)))
+    planes = HalfSpaces(["floor", "wall"], np.eye(3)[[2, 0]], np.array([0.5, 0.0]))
     pairs = HierarchicalGrid(np.ones(n), np.zeros(3)).pairs(position)
     found = [
         PlaneSearch(np.ones(n), np.where(fixed, 0.0, 1.0), planes, Team(threads)).merged(pairs, position, 1.0, 0.0)

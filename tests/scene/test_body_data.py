@@ -21,6 +21,7 @@ from carom.plan.hierarchy import heaviest
 from carom.scene.body_names import JoinedNames, NumberedNames
 from carom.scene.data import table
 from carom.scene.error import SceneError
+from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 
@@ -398,3 +399,24 @@ def test_many_bodies_need_no_object_each() -> None:
     assert scene.count == 64_000
     assert len(scene.toml) < 1000
     assert place(scene).name[-1] == "body 63999"
+
+
+def test_bodies_from_a_file_take_the_density_of_their_material_unless_the_file_has_masses(tmp_path: Path) -> None:
+    (tmp_path / "bare.csv").write_text("x,y,z\n0,0,0\n3,0,0\n")
+    (tmp_path / "heavy.csv").write_text("x,y,z,mass\n0,9,0,5.0\n3,9,0,7.0\n")
+    text = (
+        "[[material]]\nname = 'shell'\ndensity = 2000.0\ninertia_factor = 0.6\nrestitution = 0.9\n"
+        "[[bodies]]\nfile = 'bare.csv'\nradius = 1.0\nmaterial = 'shell'\n"
+        "[[bodies]]\nfile = 'heavy.csv'\nradius = 1.0\nmaterial = 'shell'\n"
+        "[[body]]\nposition = [0, 20, 0]\n"
+    )
+    (tmp_path / "scene.toml").write_text(text)
+    scene = Scene.load(tmp_path / "scene.toml")
+    start = place(scene)
+    volume = 4.0 / 3.0 * np.pi
+    assert start.mass.tolist() == pytest.approx([1000 * volume, 2000 * volume, 2000 * volume, 5.0, 7.0])
+    assert (start.inertia / start.mass).tolist() == pytest.approx([0.4, 0.6, 0.6, 0.6, 0.6])
+    found = pair_coefficients(scene)
+    assert [found.of(0, 1).restitution, found.of(1, 4).restitution] == [0.5, 0.9]
+    heavier = scene.changed(["material.0.density=4000.0"])
+    assert place(heavier).mass[1] == pytest.approx(4000 * volume)

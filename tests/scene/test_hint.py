@@ -11,12 +11,21 @@ from carom.scene.load import scene_from_text
 ONE_BODY = "[[body]]\nradius = 1.0\n"
 
 
+RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "material.0.restitution" or "pair.0.restitution"?'
+
+
 @pytest.mark.parametrize(
     ("key", "meant"),
     [
-        ("restitution", '"contact.restitution" or "plane.0.restitution"?'),
+        (
+            "restitution",
+            RESTITUTIONS,
+        ),
         ("contact.restitutoin", '"restitution"?'),
-        ("restitutoin", '"contact.restitution" or "plane.0.restitution"?'),
+        (
+            "restitutoin",
+            RESTITUTIONS,
+        ),
         ("sphere", '"body"?'),
         ("particles", '"group"?'),
         ("body.0.pos", '"position"?'),
@@ -40,12 +49,12 @@ def test_a_key_is_looked_for_in_every_section(key: str, meant: str) -> None:
     assert said == f"; did you mean {expected}"
 
 
-def test_a_body_is_told_that_it_has_no_restitution_of_its_own_yet() -> None:
+def test_a_body_is_told_that_a_material_has_its_restitution() -> None:
     with pytest.raises(SceneError) as caught:
         scene_from_text(ONE_BODY, "x.toml", ["body.0.restitution=0.5"])
     assert str(caught.value) == (
-        "--set body.0.restitution=0.5: unknown key body.0.restitution; a body has no restitution of its own yet: "
-        "contact.restitution holds for all, plane.0.restitution for one plane"
+        "--set body.0.restitution=0.5: unknown key body.0.restitution; give it to a [[material]] that the body "
+        "names, or to all by contact.restitution"
     )
 
 

@@ -113,6 +113,78 @@ MISTAKES = {
         "[[body]]\nfixed = true\nangular_velocity = [0, 0, 1]\n",
         ["body.0", "fixed = true with a velocity or an angular_velocity"],
     ),
+    "a material that there is not": (
+        "[[material]]\nname = 'steel'\n[[body]]\nradius = 1.0\nmaterial = 'steal'\n",
+        [":5:", 'body.0.material: no material "steal"', 'did you mean "steel"?', "default, steel"],
+    ),
+    "a group of a material that there is not": (
+        "[[group]]\nmaterial = 'steel'\n",
+        [":2:", 'group.0.material: no material "steel"', "here are default"],
+    ),
+    "a plane of a material that there is not": (
+        "[[plane]]\nmaterial = ''\n" + ONE_BODY,
+        [":2:", 'plane.0.material: no material ""'],
+    ),
+    "two materials of one name": (
+        "[[material]]\nname = 'steel'\n[[material]]\nname = 'steel'\n" + ONE_BODY,
+        [":4:", 'material.1.name: a second material "steel"', "rename"],
+    ),
+    "a material without a name": ("[[material]]\ndensity = 1.0\n" + ONE_BODY, [":1:", "material.0.name is missing"]),
+    "a material called default": (
+        "[[material]]\nname = 'default'\n" + ONE_BODY,
+        ["material.0", "is the material of [contact]; choose another"],
+    ),
+    "a material whose sliding is harder than its sticking": (
+        "[[material]]\nname = 'steel'\nstatic_friction = 0.2\nkinetic_friction = 0.5\n" + ONE_BODY,
+        [":1:", "material.0", "kinetic_friction = 0.5 is above static_friction = 0.2"],
+    ),
+    "a colour that is none": (
+        "[[material]]\nname = 'steel'\ncolour = 'gray'\n" + ONE_BODY,
+        [":3:", 'material.0.colour: "gray" is not "#rrggbb"', 'did you mean "grey"?'],
+    ),
+    "a density of the body and of its material": (
+        "[[material]]\nname = 'steel'\ndensity = 7800.0\n[[body]]\nmaterial = 'steel'\ndensity = 7900.0\n",
+        [":6:", "body.0.density", 'material = "steel" has one; leave one of the two out'],
+    ),
+    "an inertia factor of the group and of its material": (
+        "[[material]]\nname = 'shell'\ninertia_factor = 0.6\n[[group]]\nmaterial = 'shell'\ninertia_factor = 0.4\n",
+        [":6:", "group.0.inertia_factor", "leave one of the two out"],
+    ),
+    "a plane with a material and a coefficient": (
+        "[[material]]\nname = 'steel'\n[[plane]]\nmaterial = 'steel'\nrestitution = 0.3\n" + ONE_BODY,
+        [":5:", "plane.0.restitution", 'material = "steel"', "leave one of the two out"],
+    ),
+    "a pair of a material that there is not": (
+        "[[material]]\nname = 'steel'\n[[pair]]\nmaterials = ['steel', 'ruber']\nrestitution = 0.3\n" + ONE_BODY,
+        [":4:", 'pair.0.materials: no material "ruber"'],
+    ),
+    "a pair given twice": (
+        "[[material]]\nname = 'a'\n[[pair]]\nmaterials = ['a', 'default']\nrestitution = 0.3\n"
+        "[[pair]]\nmaterials = ['default', 'a']\nstatic_friction = 0.3\n" + ONE_BODY,
+        [":7:", "pair.1.materials: a second pair of default and a", "merge the two"],
+    ),
+    "a pair that says nothing": (
+        "[[material]]\nname = 'a'\n[[pair]]\nmaterials = ['a', 'a']\n" + ONE_BODY,
+        ["pair.0", "gives none of restitution, static_friction, kinetic_friction"],
+    ),
+    "a pair whose sliding is harder than its sticking": (
+        "[[material]]\nname = 'a'\n[[pair]]\nmaterials = ['a', 'a']\nstatic_friction = 0.1\nkinetic_friction = 0.2\n"
+        + ONE_BODY,
+        ["pair.0", "kinetic_friction = 0.2 is above static_friction = 0.1"],
+    ),
+    "a pair of three": (
+        "[[material]]\nname = 'a'\n[[pair]]\nmaterials = ['a', 'a', 'a']\nrestitution = 0.1\n" + ONE_BODY,
+        ["pair.0.materials", "two"],
+    ),
+    "walls of a material where there are none": (
+        "[domain]\nmaterial = 'default'\n" + ONE_BODY,
+        ["domain", "without walls"],
+    ),
+    "colours of materials that there are not": (
+        "[record]\ncolour_by = 'material'\n" + ONE_BODY,
+        ['record.colour_by = "material"', "without a [[material]]"],
+    ),
+    "a coefficient of a body": ("[[body]]\nrestitution = 0.3\n", [":2:", "give it to a [[material]]"]),
     "a body in a plane": (
         "[[body]]\nposition = [0, 0, 0.75]\n[[plane]]\nname = 'floor'\n",
         ["body.0 reaches 0.25 m into floor", "allow_overlap"],

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.placement import packing_fraction, place
 from carom.scene.schema import Scene
@@ -140,7 +141,7 @@ def test_half_spaces_are_the_planes_and_then_the_walls_with_unit_normals_and_law
     assert np.allclose(np.linalg.norm(solids.normal, axis=1), 1.0, rtol=0, atol=2e-16)
     assert np.allclose(solids.normal[0], [0.6, 0.0, 0.8], rtol=0, atol=2e-16)
     assert np.allclose(solids.offset, [0.8, -1, -1, -2, -2, -3, -3], rtol=0, atol=2e-16)
-    assert solids.material.tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
+    assert pair_coefficients(scene).rows[1:].tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
 
 
 def test_what_is_written_outside_a_periodic_box_begins_inside_it() -> None:

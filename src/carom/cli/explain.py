@@ -34,20 +34,27 @@ def explain(
     from carom.cli.compiling import announce_compilation
     from carom.cli.units import bytes_text, duration_text
     from carom.experiment.estimate import estimate
+    from carom.recording.schema.materials import ShownMaterials
 
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()
-    found = estimate(loaded)
+    found, materials = estimate(loaded), ShownMaterials.of(loaded)
     if as_json:
         document = {"title": loaded.title, "bodies": loaded.count, **asdict(found)}
+        if materials:
+            document["materials"] = materials.described
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
         return
+    from carom.cli.materials import materials_table
     from carom.cli.terminal import Terminal
 
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
     console.print(f": {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
     console.print(_parts(found.parts))
+    if materials:
+        console.print()
+        console.print(materials_table(materials.described))
     console.print()
     console.print(_entities(found.entities))
     seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"

@@ -31,11 +31,15 @@ def inspect(
     if as_json:
         say(json.dumps(summary, indent=2, ensure_ascii=False))
         return
+    from carom.cli.materials import materials_table
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
     console.print(_overview(summary))
     console.print()
+    if "materials" in summary:
+        console.print(materials_table(summary["materials"]))
+        console.print()
     for line in _warnings(summary):
         console.print(line)
     for line in _moments(summary, file):

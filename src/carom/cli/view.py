@@ -49,6 +49,7 @@ class ColourBy(StrEnum):
     """What tells bodies apart."""
 
     GROUP = "group"
+    MATERIAL = "material"
     SPEED = "speed"
     GRAPH = "graph"
     ISLAND = "island"

@@ -32,6 +32,7 @@ from carom.physics.time_step import Timestep
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.scene.half_space import half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 
@@ -55,7 +56,7 @@ def compile_ahead() -> None:
     count = ALL_PAIRS_UP_TO + 1
     HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
     Space(scene, threads=1).energy()
-    frictionless, open_space = materials_of(np.zeros((1, 3))), np.zeros(3)
+    frictionless, open_space = materials_of(pair_coefficients(scene)), np.zeros(3)
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
     solver.lay(solver.order)
     tap = ContactTap(bodies, frictionless, open_space, friction=True)

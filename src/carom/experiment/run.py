@@ -28,6 +28,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember
 from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.materials import ShownMaterials
 from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
 from carom.scene.half_space import planes_of
@@ -317,6 +318,7 @@ def header_of(space: Space) -> Header:
         planes=planes_of(scene) if scene.plane else None,
         colour_by=scene.record.colour_by,
         data=scene.data,
+        materials=ShownMaterials.of(scene),
         properties=dict(environment(space.threads)),
     )
 

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.clock import Clock
+from carom.physics.contact.law import materials_of
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.forces.total import TotalForce
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements, require
 from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.names import Names
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
@@ -57,7 +59,9 @@ class World:
         falling = np.zeros(3) if scene.anchored else forces.uniform
         contact = None
         if needs.contact.modelled:
-            contact = ContactPipeline(scene.contact, bodies, planes, needs, box, falling, team, records_contacts)
+            materials = materials_of(pair_coefficients(scene))
+            ends = bodies, planes, materials
+            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, team, records_contacts)
         return cls(
             scene=scene,
             needs=needs,

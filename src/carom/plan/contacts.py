@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from carom.plan.pulls import differing, pushing
+from carom.scene.materials import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -92,19 +93,25 @@ def resting(scene: Scene, contact: Part) -> Part:
 
 def restitution(scene: Scene, contact: Part) -> Part:
     """Decide whether anything bounces."""
-    name, e = "restitution", scene.contact.restitution
-    if contact.modelled and e == 0 and all(plane.material(scene.contact).restitution == 0 for plane in scene.plane):
+    name, kinds = "restitution", kinds_of_contacts(scene)
+    if contact.modelled and all(kind.coefficients.restitution == 0 for kind in kinds):
         return Part(name, False, "every coefficient is 0: no bounce")
-    return where_bodies_meet(name, contact, f"e = {e:g}")
+    return where_bodies_meet(name, contact, f"e = {_range(kinds, 'restitution')}")
 
 
 def friction(scene: Scene, contact: Part) -> Part:
     """Decide whether contacts resist sliding."""
-    name, law = "friction", scene.contact
-    planes_are_smooth = all(plane.material(law).static_friction == 0 for plane in scene.plane)
-    if contact.modelled and law.static_friction == 0 and planes_are_smooth:
+    name, kinds = "friction", kinds_of_contacts(scene)
+    if contact.modelled and all(kind.coefficients.static_friction == 0 for kind in kinds):
         return Part(name, False, "both coefficients are 0")
-    return where_bodies_meet(name, contact, f"μs = {law.static_friction:g}, μk = {law.kinetic_friction:g}")
+    why = f"μs = {_range(kinds, 'static_friction')}, μk = {_range(kinds, 'kinetic_friction')}"
+    return where_bodies_meet(name, contact, why)
+
+
+def _range(kinds: list[KindOfContact], coefficient: str) -> str:
+    """Return the value that a coefficient has in all kinds of contacts, or its range."""
+    values = [getattr(kind.coefficients, coefficient) for kind in kinds]
+    return f"{min(values):g}" if min(values) == max(values) else f"{min(values):g} to {max(values):g}"
 
 
 def torque(friction: Part) -> Part:

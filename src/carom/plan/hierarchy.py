@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from carom.plan import contacts, pulls
+from carom.scene.materials import made_of
 from carom.scene.names import body_called
 from carom.scene.placement import body_mass, mean_mass
 from carom.scene.schema import Scene
@@ -44,8 +45,8 @@ class Orbit(NamedTuple):
 
 def heaviest(scene: Scene) -> Heaviest:
     """Find the heaviest body, and its share of the expected mass of all."""
-    masses = [body_mass(body) for body in scene.body]
-    groups = [mean_mass(group) for group in scene.group]
+    masses = [body_mass(made_of(scene, body)) for body in scene.body]
+    groups = [mean_mass(made_of(scene, group)) for group in scene.group]
     total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
     names, first = {number: body.name for number, body in enumerate(scene.body)}, len(masses)
     heavy = dict(enumerate(masses))
@@ -102,7 +103,7 @@ def orbits_often(scene: Scene) -> float:
 
 def _orbits(scene: Scene) -> list[Orbit] | None:
     """Return the orbits about the heaviest body by their pericentres; None if a body is not bound."""
-    points = [_Point(body_mass(body), body.position, body.velocity) for body in scene.body]
+    points = [_Point(body_mass(made_of(scene, body)), body.position, body.velocity) for body in scene.body]
     for columns in scene.data:
         state = columns.mass.tolist(), columns.position.tolist(), columns.velocity.tolist()
         points += itertools.starmap(_Point, zip(*state, strict=True))

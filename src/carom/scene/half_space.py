@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.schema import Material, Scene
+from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,6 @@ class HalfSpaces:
     name: list[str]
     normal: FloatArray  # (p, 3) unit vectors, out of the solid
     offset: FloatArray  # (p,) m
-    material: FloatArray  # (p, k) the coefficients of `Material`
 
     def __len__(self) -> int:
         return len(self.offset)
@@ -45,7 +44,6 @@ def planes_of(scene: Scene) -> HalfSpaces:
         name=[plane.name or f"plane {index}" for index, plane in enumerate(scene.plane)],
         normal=np.array(normals).reshape(-1, 3),
         offset=np.array([n @ np.array(plane.point) for n, plane in zip(normals, scene.plane, strict=True)]),
-        material=np.array([plane.material(scene.contact) for plane in scene.plane]).reshape(-1, len(Material._fields)),
     )
 
 
@@ -58,7 +56,6 @@ def half_spaces(scene: Scene) -> HalfSpaces:
         name=[*planes.name, *(name for name, _ in WALLS)],
         normal=np.vstack((planes.normal, [inward for _, inward in WALLS])),
         offset=np.concatenate((planes.offset, -0.5 * np.repeat(size, 2))),
-        material=np.vstack((planes.material, [scene.contact.material] * len(WALLS))),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from carom.scene.lines import KeyPath
-from carom.scene.schema import Material, Scene
+from carom.scene.schema import Coefficients, Scene
 
 LONGEST = 80  # characters of a key that are compared
 MOST = 4  # places that are named
@@ -43,8 +43,8 @@ def hint(path: KeyPath) -> str:
     if model is None:
         return ""
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
-    if path[0] in ("body", "group") and key in Material._fields:
-        return f"; a body has no {key} of its own yet: contact.{key} holds for all, plane.0.{key} for one plane"
+    if path[0] in ("body", "group") and key in Coefficients._fields:
+        return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
     places = _places(Scene)

@@ -23,10 +23,12 @@ from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, W
 from carom.scene.error import SceneError
 from carom.scene.hint import hint, model_in
 from carom.scene.lines import KeyPath, line_of
+from carom.scene.materials import material_called
 from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, other_name
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.expect import ABOUT_THE_END
+from carom.scene.schema.section_error import SectionError
 from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
 
@@ -312,7 +314,8 @@ def _with_bodies(
     found, row = list[Found](), 0
     for index, section in enumerate(scene.bodies):
         try:
-            found.append(source.find(Wanted(section, index, len(scene.body) + row, row, units)))
+            material = material_called(scene, section.material) if section.material else None
+            found.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material)))
         except SceneError as error:
             raise SceneError(f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}") from None
         row += len(found[-1].columns)
@@ -357,6 +360,9 @@ def _is_union_member(key: str | int) -> bool:
 def _written_path(detail: Any, data: Any) -> KeyPath:
     """Return the path as it was written: a radius given as a number has no `min`, a vector no `2`."""
     path: KeyPath = tuple(key for key in detail["loc"] if not _is_union_member(key))
+    error = detail.get("ctx", {}).get("error")
+    if isinstance(error, SectionError):
+        path = (*path, *error.path)
     node = data
     for depth, key in enumerate(path):
         if isinstance(node, dict):

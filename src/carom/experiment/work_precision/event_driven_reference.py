@@ -27,6 +27,7 @@ from carom.experiment.work_precision.trajectory import Trajectory
 from carom.physics.bodies import Bodies
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from carom.scene.materials import pair_coefficients
 from carom.scene.names import bodies_called
 from carom.scene.schema import Scene
 
@@ -92,6 +93,7 @@ class _Solver:
     def __init__(self, space: Space, times: FloatArray, tolerance: float, twin: int, budget: float) -> None:
         scene, start = space.scene, space.state
         self._scene, self._tolerance, self._times = scene, tolerance, times
+        self._coefficients = pair_coefficients(scene)
         self._budget, self._deadline = budget, clock.perf_counter() + budget
         self._bodies = _copy(start)
         self._n, self._names = len(start), space.names
@@ -281,10 +283,7 @@ class _Solver:
         r1_vec, r2_vec = normal * b1.radius, -normal * b2.radius
         v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
         v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
-        contact = self._scene.contact
-        CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0).resolve(
-            contact.restitution, contact.static_friction, contact.kinetic_friction
-        )
+        CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0).resolve(*self._coefficients.of(i, j))
         self._met.setdefault((i, j), self._time)
         self._struck.append(self._time)
 

@@ -136,7 +136,8 @@ class ConstraintSystem(NamedTuple):
     surface: FloatArray  # (p, 3) normals of the planes
     offset: FloatArray  # (p,) m
     bodies: Records  # (n + p,) BODY_STATE
-    materials: Records  # (1 + p,) MATERIAL: between bodies, then of each plane
+    materials: Records  # (k,) MATERIAL, coefficients by `law.material_index`
+    places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
     island: IntArray  # (n + p,) workspace
     islands: Records  # (n + p,) ISLAND, workspace
     active: IntArray  # (b,) bodies and planes with a contact

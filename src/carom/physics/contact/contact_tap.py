@@ -23,7 +23,7 @@ from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
-from carom.physics.contact.law import IMPULSES, LAW, material_index
+from carom.physics.contact.law import IMPULSES, LAW, Materials, material_index
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.periodic_box import minimum_image
@@ -52,7 +52,7 @@ class _Ends(NamedTuple):
 
     position: FloatArray  # (n, 3) m
     box: FloatArray  # (3,) m, zeros in open space
-    materials: Records  # (1 + p,) MATERIAL
+    materials: Materials
     friction: bool
 
 
@@ -86,14 +86,14 @@ class ContactTap:
     bodies
         What touches.
     materials
-        (1 + p,) `MATERIAL`: between bodies, then of each plane.
+        Coefficients of the contact law.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     friction
         Whether friction is modelled.
     """
 
-    def __init__(self, bodies: Bodies, materials: Records, box: FloatArray, friction: bool) -> None:
+    def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
         self._ends = _Ends(bodies.position, box, materials, friction)
         self._room = Room(CONTACT_ROW)
         self.forget()
@@ -254,7 +254,8 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
     """
     held_pairs, held_place, held_contacts, terms = held.pairs, held.place, held.contacts, held.terms
     pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
-    position, box, materials, friction, n = ends.position, ends.box, ends.materials, ends.friction, len(ends.position)
+    position, box, friction, n = ends.position, ends.box, ends.friction, len(ends.position)
+    materials, places = ends.materials.rows, ends.materials.places
     a, b, c, count = 0, 0, 0, 0
     while a < len(held_pairs) or b < len(struck) or c < len(pairs):
         i, j = n, 0  # the first pair of the three lists
@@ -271,7 +272,7 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
             k = held_place[a]
             _add(row, held_contacts[k])
             _add_losses(row, terms[k, 0], terms[k, 1], terms[k, 2])
-            row.mode = _mode(held_contacts[k], materials, j, n, friction)
+            row.mode = _mode(held_contacts[k], materials[material_index(i, j, n, places)], friction)
             if not touches:
                 _place(row, held_contacts[k], position, box)
             a += 1
@@ -296,9 +297,9 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
             if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
                 row.mode = IMPACT_MODE
             elif row.mode != IMPACT_MODE and contact.normal_impulse > 0.0:
-                row.mode = _mode(contact, materials, j, n, friction)
+                row.mode = _mode(contact, materials[material_index(i, j, n, places)], friction)
             elif row.mode != IMPACT_MODE and given.normal_impulse > 0.0:
-                row.mode = _mode(given, materials, j, n, friction)
+                row.mode = _mode(given, materials[material_index(i, j, n, places)], friction)
             seen = not state.apart
             c += 1
         if seen or row.normal_impulse > 0.0 or row.stabilisation_gain != 0.0:
@@ -309,7 +310,8 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
 @kernel
 def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float, rows: Records) -> None:
     """Write a row for each impact on the way, in order of time."""
-    box, materials, friction, n = ends.box, ends.materials, ends.friction, len(ends.position)
+    box, friction, n = ends.box, ends.friction, len(ends.position)
+    materials, places = ends.materials.rows, ends.materials.places
     for k in range(len(log)):
         entry, row = log[k], rows[k]
         _begin(row, step, min(began + entry.time, ended), entry.i, entry.j)
@@ -320,7 +322,8 @@ def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float,
         _add(row, entry)
         _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
         row.approach_speed = entry.approach
-        row.mode = IMPACT_MODE if entry.approach > entry.rest_speed else _mode(entry, materials, entry.j, n, friction)
+        material = materials[material_index(entry.i, entry.j, n, places)]
+        row.mode = IMPACT_MODE if entry.approach > entry.rest_speed else _mode(entry, material, friction)
 
 
 @inline
@@ -332,13 +335,12 @@ def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
 
 
 @inline
-def _mode(given: Any, materials: Records, j: int, n: int, friction: bool) -> int:
+def _mode(given: Any, material: Any, friction: bool) -> int:
     """Return the mode of a contact that was no impact."""
     if not given.normal_impulse > 0.0:
         return OPEN
     if not friction:
         return RESTING
-    material = materials[material_index(j, n)]
     slides = LAW.slides(material, given.normal_impulse, given.friction_x, given.friction_y, given.friction_z)
     return SLIDING if slides else STICKING
 

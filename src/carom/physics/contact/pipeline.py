@@ -28,7 +28,7 @@ from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.islands import largest_coordinate, largest_square
-from carom.physics.contact.law import materials_of
+from carom.physics.contact.law import Materials
 from carom.physics.contact.plane_guard import PlaneGuard
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
@@ -65,6 +65,8 @@ class ContactPipeline:
         The scene's section.
     bodies, planes
         The possible ends of a contact.
+    materials
+        Coefficients of the contact law.
     requirements
         Which parts of the model the scene requires.
     box
@@ -82,6 +84,7 @@ class ContactPipeline:
         contact: Contact,
         bodies: Bodies,
         planes: HalfSpaces,
+        materials: Materials,
         requirements: Requirements,
         box: FloatArray,
         field: FloatArray,
@@ -102,7 +105,6 @@ class ContactPipeline:
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
         self._has_statics = len(planes) > 0 or bool(fixed.any())
-        materials = materials_of(np.vstack((np.array(contact.material), planes.material)))
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
         self._was_crossed = False  # whether a body would have passed through a plane in this step
         self._needs = requirements

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from carom.recording.errors import DamageError
 from carom.recording.read.impacts import impacts_until
+from carom.recording.read.materials import materials_of
 from carom.scene.names import body_called
 
 if TYPE_CHECKING:
@@ -47,6 +48,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         **_of_engine(recording),
         "expect": _complete(_below(recording.closing, "expect"), ("measured", "limit", "met")),
     }
+    if materials := materials_of(recording):
+        found["materials"] = materials.described
     if clip:
         steps = clip["first_step"], found["steps"]
         inside = {name: moment for name, moment in found["moments"].items() if steps[0] <= moment["step"] <= steps[1]}

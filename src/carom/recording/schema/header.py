@@ -9,6 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.recording.schema import palette
+from carom.recording.schema.materials import ShownMaterials
 from carom.scene.data.columns import BodyColumns
 from carom.scene.forces import FORCES
 from carom.scene.half_space import HalfSpaces
@@ -73,6 +75,7 @@ class Header:
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
     data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene
+    materials: ShownMaterials | None = None  # None in a scene without [[material]]
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the other engine that it was recorded from; empty for carom's own runs
@@ -84,10 +87,18 @@ class Header:
 
     @property
     def coloured_by(self) -> str:
-        """What the bodies' recorded colours tell: "group", which is static, "speed", "graph" or "island"."""
+        """What the bodies' recorded colours tell: "group" or "material", both static, "speed", "graph" or "island"."""
         if self.colour_by != "auto":
             return self.colour_by
-        return "graph" if self.body_colouring else "group"
+        if self.body_colouring:
+            return "graph"
+        return "material" if self.materials and self.materials.has_colours else "group"
+
+    def static_colours(self, by: str) -> NDArray[np.uint32]:
+        """Return the colours of all bodies by group or by material, (n,)."""
+        if by == "material" and self.materials:
+            return self.materials.body_colours()
+        return palette.body_colours(self.group)
 
     @property
     def records_contacts(self) -> bool:

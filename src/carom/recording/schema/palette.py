@@ -6,6 +6,9 @@ the theme. Their curves use `LINES`: each colour has a contrast of at least 3 to
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +39,17 @@ STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
 SERIAL_STAGE = 64  # contacts beyond this many colours are solved serially, last; drawn white
 
+NAMED = {
+    "orange": ORANGE,
+    "sky-blue": SKY,
+    "green": GREEN,
+    "yellow": YELLOW,
+    "blue": BLUE,
+    "vermilion": VERMILION,
+    "purple": PURPLE,
+    "grey": GREY,
+    "white": WHITE,
+}
 BODIES = (SKY, ORANGE, GREEN, YELLOW, PURPLE, BLUE, VERMILION)
 
 PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
@@ -74,6 +88,19 @@ def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
     hue = np.array(BODIES, dtype=np.uint32)[(np.arange(count) if few else group) % len(BODIES)]
     darker = np.zeros(count) if few else _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
     return _shaded(hue, np.asarray(1.0 - darker))
+
+
+def material_colours(given: Sequence[str | None]) -> list[int]:
+    """Return the colours of materials: as given by name or as "#rrggbb", the others from those that are left."""
+    chosen = [None if colour is None else NAMED.get(colour) or int(f"{colour[1:]}ff", 16) for colour in given]
+    left = itertools.cycle([hue for hue in BODIES if hue not in chosen] or BODIES)
+    return [next(left) if colour is None else colour for colour in chosen]
+
+
+def name_of(colour: int) -> str:
+    """Name a colour, or write it as #rrggbb."""
+    names = {value: name.replace("-", " ") for name, value in NAMED.items()}
+    return names.get(colour, f"#{colour >> 8:06x}")
 
 
 def _shaded(colours: NDArray[np.uint32], shade: NDArray[np.float64]) -> NDArray[np.uint32]:

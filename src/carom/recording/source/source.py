@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
 from carom.scene.half_space import HalfSpaces
-from carom.scene.schema import Material
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -211,5 +210,4 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
         name=[plane.name or f"plane {k}" for k, plane in enumerate(planes)],
         normal=normal / length[:, None],
         offset=np.array([plane.offset for plane in planes], dtype=np.float64),
-        material=np.zeros((len(planes), len(Material._fields))),
     )

@@ -14,7 +14,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Colours = NDArray[np.uint32]
 
-COLOUR_BY = ("group", "speed", "graph", "island")  # the first is static
+STATIC = ("group", "material")
+COLOUR_BY = (*STATIC, "speed", "graph", "island")
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 _SPEEDS = np.array(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carom.recording.errors import RecordingError
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema import palette, paths
+from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.recording.view import colouring
@@ -38,9 +38,11 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
     n = len(header.radius)
     if n * recording.frames > _MOST:
         raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
-    if by == "group":
+    if by == "material" and header.materials is None:
+        raise RecordingError(f"{recording.path} has no [[material]] to colour by; take group")
+    if by in colouring.STATIC:
         first = recording.fingerprints()
-        fixed = palette.body_colours(header.group[recording.shown])
+        fixed = header.static_colours(by)[recording.shown]
         found = iter([(int(first[STEP][0].as_py()), float(first["time"][0].as_py()), fixed)])
     elif by == "speed":
         found = _by_speed(recording, header, step)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.recording.read.materials import materials_of
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
@@ -19,7 +20,7 @@ def header_of_recording(recording: Recording) -> Header:
     """Return the header of a recorded run, as far as the file has it."""
     info, bodies = recording.info, recording.bodies
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
-    nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
+    nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0))
     return Header(
         title=recording.title,
         description="",
@@ -40,6 +41,7 @@ def header_of_recording(recording: Recording) -> Header:
         stabilises=bool(info.get("stabilises", info["collides"])),
         body_colouring=bool(info["body_colouring"]),
         colour_by=_colour_by(info),
+        materials=materials_of(recording),
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         promises=bool(info.get("promises", False)),

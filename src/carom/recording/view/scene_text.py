@@ -15,7 +15,7 @@ from carom.scene.names import in_series
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
     """Return the document."""
     parts = [f"# {header.title}", header.description.strip(), _run(header), _scales(header, clock, origin)]
-    return "\n\n".join(part for part in [*parts, _legend(header)] if part) + "\n"
+    return "\n\n".join(part for part in [*parts, _legend(header), _contacts(header)] if part) + "\n"
 
 
 def _run(header: Header) -> str:
@@ -76,6 +76,17 @@ def _legend(header: Header) -> str:
     return "\n".join(lines)
 
 
+def _contacts(header: Header) -> str:
+    """Give the coefficients of the contacts of each two materials; empty without [[material]]."""
+    if header.materials is None or not header.collides:
+        return ""
+    lines = ["## Contacts", "| | e | μs | μk |", "|---|---|---|---|"]
+    for kind in header.materials.contacts:
+        values = " | ".join(f"{value:.4g}" for value in kind.coefficients)
+        lines.append(f"| {kind} | {values} |")
+    return "\n".join(lines)
+
+
 def _impulse_legend(header: Header) -> list[str]:
     """Explain how impulses and impacts are drawn."""
     longest = arrow_length(header, FORCE_NORMAL)
@@ -96,6 +107,9 @@ def _body_colours(header: Header) -> str:
     if shape(header) == "mesh":
         return "one colour for all of them, since there are so many"
     match header.coloured_by:
+        case "material" if header.materials:
+            pairs = zip(header.materials.names, header.materials.colours, strict=True)
+            return "by material, " + ", ".join(f"{name} {palette.name_of(colour)}" for name, colour in pairs)
         case "graph":
             return "the body's colour in the collision graph, or grey without contacts"
         case "island":

@@ -12,10 +12,10 @@ from rerun.encodings import EntityPathLike
 
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema import palette
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.view.camera import CameraFit
+from carom.recording.view.colouring import STATIC
 from carom.recording.view.supplement import Static
 from carom.recording.write.rows import Rows
 
@@ -37,7 +37,8 @@ class Trails:
         self._times = table["time"].to_numpy()[rows][::every]
         self._position = drawn.position[::every]
         self._box = header.box
-        self._group = header.group[recording.shown]
+        by = header.coloured_by
+        self._colours = header.static_colours(by if by in STATIC else "group")[recording.shown]
 
     def show(self, camera: CameraFit, until: float) -> None:
         """Make the camera include the paths up to a time (s)."""
@@ -46,8 +47,7 @@ class Trails:
 
     def statics(self) -> Iterable[Static]:
         """Yield their colours, those of the bodies."""
-        colours = palette.body_colours(self._group)
-        yield TRAILS, rr.LineStrips3D.from_fields(colors=colours, radii=rr.Radius.ui_points(0.75))
+        yield TRAILS, rr.LineStrips3D.from_fields(colors=self._colours, radii=rr.Radius.ui_points(0.75))
 
     def rows(self) -> Iterable[Rows]:
         """Yield the pieces, each at the frame where it ends; pieces through the border of a box have no length."""

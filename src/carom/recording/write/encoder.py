@@ -206,7 +206,7 @@ class BatchEncoder:
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
         match self.header.coloured_by:
-            case "group":
+            case "group" | "material":
                 return None
             case "speed":
                 return self._speed_colours(batch)

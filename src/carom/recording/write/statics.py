@@ -15,6 +15,7 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.given_bodies import encode
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import THIN, recorded
+from carom.recording.view import colouring
 from carom.recording.view.scene_text import scene_document
 from carom.recording.write import encoder as entities
 
@@ -64,7 +65,8 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
 
 
 def _bodies(header: Header) -> Iterable[Static]:
-    colours = None if header.coloured_by != "group" else palette.body_colours(header.group)
+    is_static = header.coloured_by in colouring.STATIC
+    colours = header.static_colours(header.coloured_by) if is_static else None
     radius = header.radius.astype(np.float32)
     match entities.shape(header):
         case "ellipsoids":

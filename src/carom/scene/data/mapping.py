@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.schema.bodies import BodyData
+from carom.scene.schema.material import Material
 
 QUANTITIES = ("position", "velocity", "angular_velocity", "mass", "density", "radius", "inertia", "fixed", "name")
 VECTORS = ("position", "velocity", "angular_velocity")
@@ -55,6 +56,21 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> Mapping:
         _refuse_rivals(section, found, first, second, called)
     _refuse_missing(section, found, names, called)
     return found
+
+
+def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
+    """Return a section with what its material gives and neither the section nor a column does."""
+
+    def is_known(*quantities: str) -> bool:
+        return any(
+            getattr(section.columns, quantity) is not None or _is_given(section, quantity) or _usual(quantity, names)
+            for quantity in quantities
+        )
+
+    density = material.density if material.density is not None and not is_known("mass", "density") else None
+    factor = material.inertia_factor if material.inertia_factor is not None and not is_known("inertia") else None
+    given = {"density": density, "inertia_factor": factor}
+    return section.model_copy(update={key: value for key, value in given.items() if value is not None})
 
 
 def _several(asked: str | tuple[str, ...]) -> tuple[str, ...]:

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.scene.data.columns import BodyColumns
-from carom.scene.data.mapping import VECTORS, Mapping, mapping_of
+from carom.scene.data.mapping import VECTORS, Mapping, mapping_of, with_material
 from carom.scene.data.table import Raw, Table, flags_of, numbers_of, texts_of
 from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
+from carom.scene.schema.material import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
 from carom.scene.units.system import UnitSystem
@@ -30,7 +31,7 @@ _DIMENSIONS = {  # whose product a quantity has
 }
 
 
-def read_columns(section: BodyData, table: Table, units: UnitSystem) -> BodyColumns:
+def read_columns(section: BodyData, table: Table, units: UnitSystem, material: Material | None = None) -> BodyColumns:
     """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
 
     Raises
@@ -38,6 +39,8 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem) -> BodyColu
     SceneError
         Naming the table, the column and the row.
     """
+    if material is not None:
+        section = with_material(section, material, table.names)
     mapping = mapping_of(section, table.names, table.called)
     raw = table.read(list(dict.fromkeys(column for columns in mapping.values() for column in columns)))
     reader = _Reader(section, table.called, mapping, raw, units)
@@ -51,7 +54,7 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem) -> BodyColu
     volume = (4.0 / 3.0) * math.pi * radius * radius * radius
     with np.errstate(over="ignore"):
         mass = reader.numbers("density") * volume if reader.has_density else reader.numbers("mass")
-        inertia = section.inertia_factor * mass * radius * radius if not reader.has_inertia else None
+        inertia = section.inertia_ratio * mass * radius * radius if not reader.has_inertia else None
     columns = BodyColumns(
         position=position,
         velocity=reader.vectors("velocity"),

@@ -12,6 +12,7 @@ from carom.scene.data.formats import open_table
 from carom.scene.data.read import read_columns
 from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
+from carom.scene.schema.material import Material
 from carom.scene.units.system import SI, UnitSystem
 
 
@@ -20,6 +21,7 @@ class Found(NamedTuple):
 
     columns: BodyColumns
     sha256: str
+    material: Material | None = None  # that gave them a density, if that is known
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Wanted:
     first: int  # number of its first body in the scene
     row: int  # likewise, among the bodies of all [[bodies]]
     units: UnitSystem  # of the numbers in files
+    material: Material | None = None  # of the section
 
 
 class BodySource(Protocol):
@@ -65,8 +68,8 @@ class DataFiles:
                 f"{section.file} has changed: its sha256 is {digest[:12]}… and that of the scene "
                 f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
             )
-        columns = read_columns(section, open_table(path, section.file, section.snapshot), wanted.units)
-        return Found(columns, digest)
+        table = open_table(path, section.file, section.snapshot)
+        return Found(read_columns(section, table, wanted.units, wanted.material), digest, wanted.material)
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,9 @@ class HeldBodies:
         """Return the bodies, or read the file again if the scene says something else about it now."""
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
-            return self.found[wanted.index]
+            found = self.found[wanted.index]
+            if found.material in (None, wanted.material):
+                return found
         if self.files is None:
             raise SceneError("it cannot be changed, because its file is not at hand: only its name can")
         return self.files.find(wanted)

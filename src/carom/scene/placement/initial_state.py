@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from carom.scene.body_names import NumberedNames
 from carom.scene.data.columns import BodyColumns
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.materials import made_of
 from carom.scene.placement.check import (
     key_of,
     refuse_immersion,
@@ -53,7 +55,8 @@ def place(scene: Scene) -> Start:
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
     _refuse_full_box(scene)
     for index, group in enumerate(scene.group):
-        parts.append(_group(index, group, parts, solids, box, np.random.default_rng(streams[index])))
+        made = made_of(scene, group)
+        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index])))
     start = join(parts)
     refuse_overflow(start)
     return start if box is None else replace(start, position=_inside(start.position, box))
@@ -67,7 +70,7 @@ def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
 
 def _given(scene: Scene) -> Start:
     """Return the bodies whose positions are given, in the order of the scene."""
-    parts = [_explicit(scene.body)] if scene.body else []
+    parts = [_explicit([made_of(scene, body) for body in scene.body])] if scene.body else []
     for index, columns in enumerate(scene.data):
         first = sum(len(part.mass) for part in parts)
         parts.append(_from_data(-2 - index, scene.bodies[index].name, columns, first))
@@ -91,9 +94,9 @@ def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> Start
     )
 
 
-def _explicit(bodies: tuple[Body, ...]) -> Start:
+def _explicit(bodies: Sequence[Body]) -> Start:
     radius = np.array([body.radius for body in bodies])
-    factor = np.array([body.inertia_factor for body in bodies])
+    factor = np.array([body.inertia_ratio for body in bodies])
     mass = np.array([mass_of(body, np.array(body.radius)) for body in bodies])
     return Start(
         name=[body.name or f"body {index}" for index, body in enumerate(bodies)],
@@ -141,7 +144,7 @@ def _group(
         angular_velocity=rotation + group.spin.dispersion * rng.standard_normal((n, 3)),
         mass=mass,
         radius=radius,
-        inertia=group.inertia_factor * mass * radius * radius,
+        inertia=group.inertia_ratio * mass * radius * radius,
         fixed=np.zeros(n, dtype=bool),
     )
 

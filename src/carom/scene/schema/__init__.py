@@ -6,11 +6,12 @@ a group. Unknown keys are refused.
 
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.body import Body
-from carom.scene.schema.contact import Contact, Material
+from carom.scene.schema.contact import Contact
 from carom.scene.schema.domain import Domain
 from carom.scene.schema.expect import Expect
 from carom.scene.schema.forces import Drag, Gravity
 from carom.scene.schema.group import Group, RadiusRange, Region, Spin, Velocity
+from carom.scene.schema.material import Coefficients, Material, Pair
 from carom.scene.schema.model import Model
 from carom.scene.schema.plane import Plane
 from carom.scene.schema.promise import Promise
@@ -25,6 +26,7 @@ __all__ = [
     "LARGEST",
     "Body",
     "BodyData",
+    "Coefficients",
     "Contact",
     "Domain",
     "Drag",
@@ -33,6 +35,7 @@ __all__ = [
     "Group",
     "Material",
     "Model",
+    "Pair",
     "Plane",
     "Promise",
     "RadiusRange",

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, NamedTuple, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from carom.scene.schema.material import Coefficients
 from carom.scene.schema.quantity import AnyReal, Count, Friction, Section
-
-
-class Material(NamedTuple):
-    """Coefficients of the contact law: from [contact] between bodies, from [[plane]] at that plane."""
-
-    restitution: float
-    static_friction: float
-    kinetic_friction: float
 
 
 class Contact(Section):
@@ -79,6 +72,6 @@ class Contact(Section):
         return self
 
     @property
-    def material(self) -> Material:
-        """The coefficients between bodies."""
-        return Material(self.restitution, self.static_friction, self.kinetic_friction)
+    def coefficients(self) -> Coefficients:
+        """Those of bodies and planes without a material."""
+        return Coefficients(self.restitution, self.static_friction, self.kinetic_friction)

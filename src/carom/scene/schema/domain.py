@@ -20,6 +20,14 @@ class Domain(Section):
         None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
     )
 
+    material: str | None = Field(None, description="name of a [[material]], that of the walls")
+
+    @model_validator(mode="after")
+    def _walls_have_a_material(self) -> Self:
+        if self.material is not None and self.boundary != "walls":
+            raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or leave it out')
+        return self
+
     @model_validator(mode="after")
     def _a_box_has_a_size(self) -> Self:
         if self.boundary != "open" and self.size is None:

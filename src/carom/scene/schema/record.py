@@ -17,10 +17,11 @@ class Record(Section):
     every: Literal["auto", "step"] | Annotated[Positive, TIME] = Field(
         "auto", description='"auto", "step", or seconds of simulated time between frames'
     )
-    colour_by: Literal["auto", "group", "speed", "graph", "island"] = Field(
+    colour_by: Literal["auto", "group", "material", "speed", "graph", "island"] = Field(
         "auto",
-        description="what tells bodies apart in the viewer: group, speed, their colour in the collision graph, or the "
-        'bodies that touch each other; "auto": group, or graph with contact.colouring = "bodies"',
+        description="what tells bodies apart in the viewer: group, material, speed, their colour in the collision "
+        'graph, or the bodies that touch each other; "auto": material if one has a colour, else group; graph with '
+        'contact.colouring = "bodies"',
     )
     impacts: Literal["auto", "all", "none"] = Field(
         "auto",

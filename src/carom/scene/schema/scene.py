@@ -14,6 +14,8 @@ from carom.scene.schema.domain import Domain
 from carom.scene.schema.expect import Expect
 from carom.scene.schema.forces import Drag, Gravity
 from carom.scene.schema.group import Group
+from carom.scene.schema.material import Material, Pair
+from carom.scene.schema.material_names import check_materials
 from carom.scene.schema.model import Model
 from carom.scene.schema.plane import Plane
 from carom.scene.schema.promise import Promise
@@ -62,6 +64,8 @@ class Scene(Section):
     body: tuple[Body, ...] = Field((), description="single bodies")
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
     plane: tuple[Plane, ...] = Field((), description="static half-spaces")
+    material: tuple[Material, ...] = Field((), description="what bodies, groups and planes may be made of")
+    pair: tuple[Pair, ...] = Field((), description="how two materials meet, in place of the rule")
     expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
     promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
@@ -196,6 +200,13 @@ class Scene(Section):
     def _has_a_body(self) -> Self:
         if not (self.body or self.bodies or self.group):
             raise ValueError("no bodies; add a [[body]], a [[group]] or a [[bodies]] with a file")
+        return self
+
+    @model_validator(mode="after")
+    def _names_its_materials(self) -> Self:
+        check_materials(self)
+        if self.record.colour_by == "material" and not self.material:
+            raise ValueError('record.colour_by = "material" without a [[material]]; add one, or take "group"')
         return self
 
     @model_validator(mode="after")

@@ -30,6 +30,7 @@ from carom.physics.contact.continuous.trajectories import (
     write_reaches,
 )
 from carom.physics.contact.islands import island_rest_speeds
+from carom.physics.contact.law import Materials
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.parallel.jit import kernel
@@ -97,7 +98,7 @@ class EventDrivenDrift:
     bodies, planes
         The bodies and planes that may meet.
     materials
-        (1 + p,) `MATERIAL`: between bodies, then of each plane.
+        Coefficients of the contact law.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     field
@@ -112,7 +113,7 @@ class EventDrivenDrift:
         self,
         bodies: Bodies,
         planes: HalfSpaces,
-        materials: Records,
+        materials: Materials,
         box: FloatArray,
         field: FloatArray,
         friction: bool,
@@ -142,7 +143,8 @@ class EventDrivenDrift:
             box=box,
             surface=planes.normal,
             offset=planes.offset,
-            materials=materials,
+            materials=materials.rows,
+            places=materials.places,
             queue=np.empty(n, dtype=np.int64),
             everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),

@@ -81,7 +81,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
         partner = T.body[known].partner
         i, j = min(known, partner), max(known, partner)
         collide(i, j, log[row], T)
-        lossy = LAW.dissipates(T.materials[material_index(j, n)])
+        lossy = LAW.dissipates(T.materials[material_index(i, j, n, T.places)])
         _count_impact(known, lossy, T)
         _count_impact(partner, lossy, T)
         if T.inverse_mass[known] > 0.0:
@@ -220,7 +220,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     vy = v[j, 1] - v[i, 1] + (a[j, 1] - a[i, 1]) * s
     vz = v[j, 2] - v[i, 2] + (a[j, 2] - a[i, 2]) * s
     vn = vx * nx + vy * ny + vz * nz
-    material = T.materials[material_index(j, n)]
+    material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
     rest_speed = max(T.rest_speed[i], T.rest_speed[j])
     e = LAW.restitution(material, -vn, rest_speed)

@@ -43,7 +43,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
         for c in range(count):
             i, j = pairs[c, 0], pairs[c, 1]
             speed, speeds = _closing(i, j, T)
-            if LAW.dissipates(T.materials[material_index(j, len(T.x))]):
+            if LAW.dissipates(T.materials[material_index(i, j, len(T.x), T.places)]):
                 speeds *= growth
             if speed > ROUNDING * speeds or (sweep == 0 and c == 0):
                 if row == len(log):

@@ -80,7 +80,8 @@ class Trajectories(NamedTuple):
     box: FloatArray  # (3,) m; zeros in open space
     surface: FloatArray  # (p, 3) normals
     offset: FloatArray  # (p,) m
-    materials: Records  # (1 + p,) `MATERIAL`: between bodies, then of each plane
+    materials: Records  # (k,) `MATERIAL`, coefficients by `law.material_index`
+    places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
     queue: IntArray  # (n,) bodies by the time of their next impact, see `event_queue`
     everyone: Neighbours  # all bodies
     strays: Neighbours  # the bodies that left their reach

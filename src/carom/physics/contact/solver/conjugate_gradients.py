@@ -37,7 +37,7 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
-    count = len(system.bodies) - (len(system.materials) - 1)
+    count = len(system.position)
     excess = 0.0
     for c in range(lo, hi):
         if not system.held[c]:
@@ -117,7 +117,7 @@ def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
     """Find the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
-    count = len(system.bodies) - (len(system.materials) - 1)
+    count, places = len(system.position), system.places
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
         search.step_normal = search.step_x = search.step_y = search.step_z = 0.0
@@ -137,7 +137,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
             search.free_normal, search.residual_normal = True, -(vn + bias)
         if spins:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
-            material = system.materials[material_index(j, count)]
+            material = system.materials[material_index(i, j, count, places)]
             if LAW.sticks(material, contact.normal_impulse, tx, ty, tz):
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True

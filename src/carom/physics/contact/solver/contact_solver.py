@@ -24,6 +24,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.islands import Islands
+from carom.physics.contact.law import Materials
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
@@ -55,7 +56,7 @@ class ContactSolver:
     bodies, planes
         The possible ends of a contact.
     materials
-        (1 + p,) `MATERIAL`: between bodies, then of each plane.
+        Coefficients of the contact law.
     box
         Size of the periodic box, (3,) m; zeros in open space.
     friction
@@ -70,7 +71,7 @@ class ContactSolver:
         self,
         bodies: Bodies,
         planes: HalfSpaces,
-        materials: Records,
+        materials: Materials,
         box: FloatArray,
         friction: bool,
         team: Team,
@@ -138,7 +139,8 @@ class ContactSolver:
             surface=planes.normal,
             offset=planes.offset,
             bodies=self._body_states,
-            materials=self._materials,
+            materials=self._materials.rows,
+            places=self._materials.places,
             island=self._island,
             islands=self._island_sums,
             active=self._active,

@@ -50,7 +50,7 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
     records = len(system.recorded) > 0
     bias_rate = settings.bias_rate
-    count = len(bodies) - (len(system.materials) - 1)
+    count, places = len(system.position), system.places
     last = len(pairs) - 1
     largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
@@ -66,7 +66,7 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
             fastest, any_rests = max(fastest, -vn), any_rests or rests
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
             continue  # `hold` takes resting contacts; an open gap may close in the next step
-        material = system.materials[material_index(j, count)]
+        material = system.materials[material_index(i, j, count, places)]
         e = LAW.restitution(material, -vn, state.rest_speed)
         overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:

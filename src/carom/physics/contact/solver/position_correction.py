@@ -65,7 +65,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
-    inverse_mass, radius = system.inverse_mass, system.radius
+    inverse_mass, radius, places = system.inverse_mass, system.radius, system.places
     n, last, again = len(x), len(pairs) - 1, 0.0
     records = len(system.recorded) > 0
     for c in range(lo, hi):
@@ -95,7 +95,8 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         state = system.states[c]
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * nx + vy * ny + vz * nz
-        rebounds = LAW.restitution(system.materials[material_index(j, n)], -vn, state.rest_speed) > 0.0
+        material = system.materials[material_index(i, j, n, places)]
+        rebounds = LAW.restitution(material, -vn, state.rest_speed) > 0.0
         if vn > LEAVING * state.rest_speed or rebounds:
             continue
         if overlap > ENOUGH * reach:

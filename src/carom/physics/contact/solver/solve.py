@@ -64,7 +64,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
-    count = len(bodies) - (len(system.materials) - 1)
+    count, places = len(system.position), system.places
     change, step_limit, slope = 0.0, np.inf, 0.0
     last = len(pairs) - 1
     for c in range(lo, hi):
@@ -98,7 +98,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
             oy = contact.friction_y + alpha * contact.delta_y
             oz = contact.friction_z + alpha * contact.delta_z
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
-            material = system.materials[material_index(j, count)]
+            material = system.materials[material_index(i, j, count, places)]
             if keeps_sliding and (system.states[c].slides or not LAW.sticks(material, normal, tx, ty, tz)):
                 system.states[c].slides = True
                 tx, ty, tz = LAW.sliding_friction(material, normal, tx, ty, tz)
