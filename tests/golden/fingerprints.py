@@ -50,6 +50,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "marbles-in-a-box": 110,
     "cloud-collapse": 35,
     "elastic-gas": 8,
+    "five-materials": 235,
     "planet-with-gravel": 10,
     "golden/bounces": 200,
     "golden/orbits": 120,
