@@ -132,7 +132,12 @@ def test_a_recording_that_lacks_bodies_of_its_scene_is_damaged(
 
 def test_arrays_are_recorded_like_files(tmp_path: Path) -> None:
     scene = Scene.from_arrays(
-        position=[[0, 0, 0], [9, 0, 0]], radius=1.0, mass=2.0, time={"duration": 0.02, "fixed_dt": 0.01}
+        position=[[0, 0, 0], [9, 0, 0]],
+        velocity=np.eye(3)[:2],
+        radius=1.0,
+        mass=2.0,
+        gravity={"constant": 0.0},
+        time={"duration": 0.02, "fixed_dt": 0.01},
     )
     recording = carom.run(scene, tmp_path / "x.rrd")
     assert replay(recording).same
@@ -153,3 +158,51 @@ def test_a_sweep_copies_the_data_files_of_its_scene(tmp_path: Path) -> None:
     for point in made.points:
         result = execute(Task(str(root.root), made.digest, versions()["carom"], "carom sweep", point))
         assert result["status"] == "done", result["reason"]
+
+
+def test_a_replay_names_a_data_file_that_has_changed(recording: Recording) -> None:
+    np.savez(recording.path.with_name("a.npz"), **grains(7, 10.0))
+    result = replay(recording)
+    assert result.same
+    assert result.changed_files == ["a.npz"]
+
+
+def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    count = 3000
+    rng = np.random.default_rng(3)
+    scene = Scene.from_arrays(
+        position=300.0 * rng.random((count, 3)),
+        velocity=rng.standard_normal((count, 3)),
+        radius=0.1,
+        mass=1.0,
+        name="grain",
+        gravity={"constant": 0.0},
+        time={"duration": 0.02, "fixed_dt": 0.01},
+    )
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.experiment.report.ROOM", 450_000)
+    made = report(recording, tmp_path / "x.zip")
+    assert not made.replays
+    assert "of 3000 bodies, those nearest" in made.replayed
+    with opened(tmp_path / "x.zip") as path:
+        small = Recording.open(path)
+        assert 1 < len(small.shown) < count
+        assert path.stat().st_size <= 450_000
+        body = small.shown[-1]
+        assert small.bodies.name[body] == f"grain {body}"
+        assert small.bodies.mass[body] == 1.0
+        assert np.isnan(np.delete(small.bodies.mass, small.shown)).all()
+        drawn, all_drawn = small.drawn_positions(0), recording.drawn_positions(0)
+        assert drawn is not None
+        assert all_drawn is not None
+        assert np.array_equal(drawn, all_drawn[small.shown])
+        assert small.summary()["clip"]["partial"]
+        with pytest.raises(RecordingError, match="of 3000 bodies without exact states: it cannot be run again"):
+            replay(small)
+        clip(path, tmp_path / "again.rrd", bodies=small.shown[:3])
+    again = Recording.open(tmp_path / "again.rrd")
+    assert again.shown == small.shown[:3]
+    assert again.bodies.name[again.shown[2]] == f"grain {again.shown[2]}"

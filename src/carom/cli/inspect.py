@@ -127,7 +127,7 @@ def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
         yield f"{moment.text}, at step {moment.step}, t = {moment.time:.6g} s"
         yield "    " + command("view", file, "--at", f"{moment.time:.9g}")
         yield "    " + command("clip", file, "--around", f"{moment.time:.9g}", "--window", f"{window:.3g}")
-        if summary["scene"].get("engine"):
+        if summary["scene"].get("engine") or summary.get("clip", {}).get("partial"):
             continue
         yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 

@@ -99,6 +99,8 @@ def _print(result: Replay) -> None:
         say(f"The first difference is at {result.difference}.")
     if result.not_compared:
         say(f"Not compared: {'; '.join(result.not_compared)}.")
+    for file in result.changed_files:
+        say(f"{file} has changed since the recording, which was replayed with its own bodies.")
     if result.ended:
         say(f"It ended early: {result.ended}.")
     if not result.same or result.recorded_with != result.replayed_with:

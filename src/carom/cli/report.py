@@ -46,5 +46,5 @@ def report(
     say(made.replayed.replace("**", ""))
     if made.picture:
         say(f"Without a picture: {made.picture}", err=True)
-    accepts = "" if recording.engine else "; `carom replay` accepts the zip"
+    accepts = "" if not made.replays else "; `carom replay` accepts the zip"
     say(f"Paste its README.md into an issue and attach the zip{accepts}.")

@@ -23,6 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header
 from carom.recording.write.recorder import Recorder
+from carom.scene.data.sources import changed_files
 from carom.scene.forces import FORCES
 from carom.scene.names import body_called
 
@@ -71,6 +72,7 @@ class Replay:
     replayed_with: dict[str, str] = field(default_factory=versions)
     dense: Path | None = None  # the recording of every step
     not_compared: list[str] = field(default_factory=list)  # descriptions of data that could not be compared
+    changed_files: list[str] = field(default_factory=list)  # data files that are no longer those of the recording
 
     @property
     def same(self) -> bool:
@@ -160,6 +162,7 @@ def replay(
         recorded_with=recording.versions,
         dense=dense,
         not_compared=list(run.check.skipped),
+        changed_files=changed_files(scene.bodies, [Path(), recording.path.parent]),
     )
 
 

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
+from carom.experiment.excerpt import excerpt
 from carom.experiment.overview import overview
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
 from carom.recording.edit import bundle
-from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.picture import try_to_render
@@ -48,6 +46,7 @@ class Report:
     frames: int
     replayed: str  # a sentence
     picture: str  # empty, or why there is none
+    replays: bool  # whether `carom replay` takes it
 
 
 def report(recording: Recording, path: Path, at: float | None = None) -> Report:
@@ -65,12 +64,12 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     Raises
     ------
     RecordingError
-        If the recording has no frame, one frame alone is too large, or the bundle cannot be written.
+        If the recording has no frame, one frame of one body is too large, or the bundle cannot be written.
     """
     moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         cut = Path(folder) / bundle.CLIP
-        _cut(recording, moment, cut)
+        excerpt(recording, moment, cut, FRAMES, ROOM)
         small = Recording.open(cut)
         replayed = _replay(small)
         picture = Path(folder) / "picture.png"
@@ -89,7 +88,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         if size > bundle.LARGEST:
             path.unlink()
             raise RecordingError(f"{recording.path}: with one frame alone the bundle would have {size / 1e6:.3g} MB")
-        return Report(path, size, moment, why, small.frames, replayed, missing)
+        return Report(path, size, moment, why, small.frames, replayed, missing, not (small.engine or small.is_partial))
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
@@ -117,21 +116,15 @@ def _warnings(recording: Recording) -> list[tuple[float, str]]:
     return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith(("energy", "law-"))]
 
 
-def _cut(recording: Recording, moment: float, path: Path) -> None:
-    """Cut as many frames around the time in question as there is room for."""
-    times = recording.fingerprints()["time"].to_numpy()
-    middle, count = int(np.argmin(np.abs(times - moment))), FRAMES
-    while True:
-        first, last = max(0, middle - count // 2), min(len(times) - 1, middle + count // 2)
-        made = clip(recording.path, path, times[first], times[last])
-        if made.size <= ROOM or count == 0:
-            return
-        count = 0 if count == 1 else max(1, min(count // 2, int(count * ROOM / made.size)))
-
-
 def _replay(recording: Recording) -> str:
     if recording.engine:
         return f"Recorded from {recording.engine}; it cannot be replayed."
+    if recording.is_partial:
+        shown, bodies = len(recording.shown), recording.info["bodies"]
+        return (
+            f"It shows {shown} of {bodies} bodies, those nearest to what happened, and has no exact states: only the "
+            "whole recording can be replayed."
+        )
     try:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
@@ -169,7 +162,11 @@ def _summary(
         "## Look at it",
         "",
         "```sh",
-        *([] if clip.engine else [f"{command('replay', name)}    # are the bits the same on your machine?"]),
+        *(
+            []
+            if clip.engine or clip.is_partial
+            else [f"{command('replay', name)}    # are the bits the same on your machine?"]
+        ),
         f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{moment:.9g}')}",
         "```",
         "",

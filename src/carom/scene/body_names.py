@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import overload
 
@@ -46,6 +46,21 @@ class NumberedNames(_Names):
 
     def _at(self, place: int) -> str:
         return f"{self.prefix} {self.first + place}"
+
+
+class SomeNames(_Names):
+    """Names of which only some are known; the others are numbered."""
+
+    def __init__(self, prefix: str, count: int, known: Mapping[int, str]) -> None:
+        self._prefix = prefix
+        self._count = count
+        self._known = known
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _at(self, place: int) -> str:
+        return self._known.get(place, f"{self._prefix} {place}")
 
 
 class JoinedNames(_Names):

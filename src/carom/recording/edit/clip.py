@@ -6,10 +6,12 @@ import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import rerun as rr
 from numpy.typing import NDArray
 
 from carom.recording.edit.selection import Selection
@@ -63,6 +65,7 @@ def clip(
     start: float = -np.inf,
     end: float = np.inf,
     bodies: Sequence[int] | None = None,
+    exact: bool = True,
 ) -> Clip:
     """Cut the frames of an interval of simulated time out of a recording.
 
@@ -79,6 +82,9 @@ def clip(
         Simulated times in seconds, both included.
     bodies
         Numbers of the bodies to show; None shows all.
+    exact
+        Whether it has the exact states of all bodies. Without them it is smaller: it has nothing of the bodies that it
+        does not show, and cannot be run again.
 
     Raises
     ------
@@ -88,17 +94,22 @@ def clip(
     recording = Recording.open(source)
     with reading(recording.path):
         cut = _cut(recording, start, end)
+        exact = exact and not recording.is_partial
         shown = recording.shown if bodies is None else sorted(set(bodies))
         selection = None if bodies is None else _selection(recording, bodies)
-        first = _start(recording, cut)
+        first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
-            for chunk in _static(recording):
+            for chunk in _static(recording, exact):
                 writer.send(chunk if selection is None else selection.of(chunk))
             if first is not None:
                 writer.send(first)
-            writer.send_property(PROPERTY, _identity(recording, cut, shown))
+            if not exact:
+                writer.log(paths.STATIC_STATE, rr.AnyValues(**_properties_of(recording, shown)))
+            writer.send_property(PROPERTY, _identity(recording, cut, shown, exact))
             numbers = list[NDArray[np.int64]]()
             for chunk in _moving(recording, cut):
+                if chunk.entity_path == paths.CHECKPOINT and not exact:
+                    continue
                 kept = chunk if selection is None else selection.of(chunk)
                 writer.send(kept)
                 if chunk.entity_path == paths.IMPACTS:
@@ -141,18 +152,31 @@ def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
     return Selection(bodies, shown, size, int(recording.info["bodies"]))
 
 
-def _identity(recording: Recording, cut: _Cut, shown: Sequence[int]) -> dict[str, Scalar | NDArray[np.int64]]:
+def _properties_of(recording: Recording, shown: Sequence[int]) -> dict[str, Any]:
+    """Return the static properties of the bodies that are shown."""
+    table = recording.bodies
+    numbers = np.asarray(shown)
+    names = [table.name[body] for body in shown]
+    values = {name: getattr(table, name)[numbers] for name in ("group", "mass", "radius", "inertia")}
+    return {"name": names, **values}
+
+
+def _identity(
+    recording: Recording, cut: _Cut, shown: Sequence[int], exact: bool
+) -> dict[str, Scalar | NDArray[np.int64]]:
     identity: dict[str, Scalar | NDArray[np.int64]] = {
         "source": recording.path.name,
         "recording_id": recording.store.store_id,
         "from": cut.start,
         "to": cut.end,
     }
+    if not exact:
+        identity["partial"] = True
     return identity if len(shown) == recording.info["bodies"] else identity | {"bodies": np.array(shown, np.int64)}
 
 
-def _static(recording: Recording) -> Iterator[Chunk]:
-    gone = (paths.START, f"__properties/{PROPERTY}")
+def _static(recording: Recording, exact: bool) -> Iterator[Chunk]:
+    gone = [paths.START, f"__properties/{PROPERTY}", *(() if exact else (paths.STATIC_STATE, paths.GIVEN_STATE))]
     return recording.chunks(e for e in recording.store.entries if e.is_static and e.entity_path not in gone)
 
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+
+from carom.scene.body_names import SomeNames
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +23,25 @@ class BodyTable:
     radius: NDArray[np.float64]  # (n,) m
     inertia: NDArray[np.float64]  # (n,) kg m²
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
+
+    def among(self, shown: Sequence[int], bodies: int) -> Self:
+        """Return a table of more bodies, of which these are ``shown``; of the others nothing is known."""
+
+        def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            found = np.full(bodies, np.nan)
+            found[shown] = values
+            return found
+
+        group = np.full(bodies, -1)
+        group[shown] = self.group
+        return replace(
+            self,
+            name=SomeNames("body", bodies, dict(zip(shown, self.name, strict=True))),
+            group=group,
+            mass=spread(self.mass),
+            radius=spread(self.radius),
+            inertia=spread(self.inertia),
+        )
 
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that a time is in, in float64.

@@ -141,6 +141,12 @@ class Recording:
 
     @property
     @_named
+    def is_partial(self) -> bool:
+        """Whether it is a clip without the exact states, and without the bodies that it does not show."""
+        return bool(self.clip.get("partial", False))
+
+    @property
+    @_named
     def is_overlay(self) -> bool:
         """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
         return bool(self._entities.properties("diff") or self._entities.properties("tradeoff"))
@@ -184,13 +190,18 @@ class Recording:
     @cached_property
     @_named
     def bodies(self) -> BodyTable:
-        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time."""
+        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time.
+
+        In a partial clip the numbers of bodies that it does not show are NaN.
+        """
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
+        n = len(self.shown) if self.is_partial else n
         names, groups = names_of(stored), np.asarray(stored["group"])
         if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
-        mass, radius, inertia = (self._positive(stored[name], name) for name in ("mass", "radius", "inertia"))
-        return BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
+        mass, radius, inertia = (self._positive(stored[name], name, n) for name in ("mass", "radius", "inertia"))
+        table = BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
+        return table.among(self.shown, int(self.info["bodies"])) if self.is_partial else table
 
     def trajectory(
         self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
@@ -291,8 +302,8 @@ class Recording:
         """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.given_bodies`."""
         return decode(self._given, index, row, place, self.bodies)
 
-    def _positive(self, values: NDArray[Any] | list[str], name: str) -> NDArray[np.float64]:
-        n, array = int(self.info["bodies"]), np.asarray(values)
+    def _positive(self, values: NDArray[Any] | list[str], name: str, n: int) -> NDArray[np.float64]:
+        array = np.asarray(values)
         if array.shape != (n,) or array.dtype != np.float64 or not np.all((array > 0.0) & np.isfinite(array)):
             raise DamageError(f"{name} of its bodies is not {n} positive numbers")
         return array

@@ -33,6 +33,11 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
         raise RecordingError(
             f"{recording.path} was recorded from {recording.engine}: carom has its states, and cannot run it again"
         )
+    if recording.is_partial:
+        raise RecordingError(
+            f"{recording.path} is a clip of {len(recording.shown)} of {recording.info['bodies']} bodies without exact "
+            "states: it cannot be run again; the recording that it was cut from can"
+        )
     text, bodies = recording.scene_toml, len(recording.bodies.mass)
     if len(text) > longest_text(bodies):
         raise RecordingError(
@@ -55,6 +60,8 @@ class RecordedBodies:
     def find(self, wanted: Wanted) -> Found:
         """Return the bodies of a section; see `BodySource`."""
         section = wanted.section
+        if self._recording.is_partial:
+            raise SceneError("its bodies are not in this clip")
         if section.count is None or section.sha256 is None:
             raise SceneError("its count and sha256 are missing: the recording is damaged")
         place = range(wanted.first, wanted.first + section.count)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -56,8 +58,7 @@ class DataFiles:
             raise SceneError("file is missing: the name of the data file")
         path = self.folder / section.file
         try:
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = _digest(path)
         except IsADirectoryError:
             raise SceneError(f"{section.file}: a folder, not a data file") from None
         except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
@@ -70,6 +71,24 @@ class DataFiles:
             )
         table = open_table(path, section.file, section.snapshot)
         return Found(read_columns(section, table, wanted.units, wanted.material), digest, wanted.material)
+
+
+def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
+    """Return the names of data files that are in one of the folders and have another digest than the scene says."""
+    found = list[str]()
+    for section in sections:
+        path = next(
+            (folder / section.file for folder in folders if section.file and (folder / section.file).is_file()), None
+        )
+        with contextlib.suppress(OSError):
+            if path is not None and _digest(path) != section.sha256:
+                found.append(str(section.file))
+    return found
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @dataclass(frozen=True)
