@@ -1,13 +1,17 @@
-"""Measures whether runs keep the accuracy that they were asked for, and what that costs.
+"""Measures whether runs keep the accuracy that they were asked for, when that ends, and what it costs.
 
-    python benchmarks/accuracy.py                        # 40 random scenes, and the bundled ones
-    python benchmarks/accuracy.py --random 8 --requests 1e-2,1e-6
+    python benchmarks/accuracy.py                        # 40 random scenes and those of docs/trade.md; goes on where it
+    python benchmarks/accuracy.py --random 8 --scenes figure-eight --requests 1e-2,1e-6       # was interrupted
+    python benchmarks/accuracy.py --table                # the table of docs/validation.md, from the rows so far
 
-Each scene runs with each request. The error is the largest rms distance from a reference over the size of the system,
-up to the horizon that the run names. The reference is the event-driven one where there is one, otherwise the same scene
-with steps four times finer than those of the run, and than 16 times refined ones. The measured horizon is where the
-distance exceeds the request. The cost is the CPU time of the run with its look ahead, over that of the cheapest run of
-a grid of plain settings that keeps the request as far.
+Each scene runs with each request, on one thread. The error is the largest rms distance from a reference over the size
+of the system, up to the horizon that the run names. The reference is that of `impact_reference`, which uses nothing of
+carom's physics. Where bodies come to rest, it ends, and a run whose steps are four times finer takes its place. The
+measured horizon is the time at which the distance exceeds the request.
+
+The cost is the CPU time of the run with its look ahead, over that of the cheapest of the settings among which `carom
+tune` searches that keeps the request as far: integrators and steps that differ by factors of two, impacts at their own
+times. Steps are halved until they keep the request, or cost more than the run.
 """
 
 from __future__ import annotations
@@ -16,48 +20,64 @@ import argparse
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.experiment.work_precision.event_driven_reference import solve, why_not
+from carom.experiment.work_precision.settings_grid import Point, knobs
 from carom.physics.error import PhysicsError
 from carom.physics.look_ahead import settled
 from carom.physics.periodic_box import minimum_images
-from carom.physics.schedule import at
+from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.scene.error import SceneError
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from impact_reference import Solution, solve
 
 FloatArray = NDArray[np.float64]
 
-BUNDLED = (
-    "kepler-orbits",
+ROOT = Path(__file__).parent
+RESULTS = ROOT / "results" / "accuracy.json"
+TRADE = (
     "figure-eight",
+    "kepler-orbits",
     "newtons-cradle",
+    "scenes/pythagorean.toml",
+    "scenes/planetary-system.toml",
+    "scenes/eccentric-triple.toml",
     "elastic-gas",
-    "two-spheres",
-    "rack-break",
     "cloud-collapse",
+    "rubble-collision",
+    "scenes/star-cluster.toml",
 )
 REQUESTS = "1e-2,1e-4,1e-6,1e-8,1e-10"
 SAMPLES = 64
-FINER = 4.0  # times as fine as the run is a reference without an event-driven one
-BUDGET = 20.0  # s, of the event-driven reference
-PLAIN = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)  # refinements that stand for what `carom tune` would try
+FINER = 4.0  # times as fine as the run is the one that it is compared with after bodies have come to rest
+BUDGET = 300.0  # s of computing for a reference
+LONGEST_RUN = 60.0  # s of computing; a longer run is compared as far as it came
+COARSEST, FINEST = 4.0, 2.0**-12  # factors on the step of the settings
+REPEATED_BELOW = 0.5  # s, runs that are timed three times
+FRAMES = 600  # of a recording; a setting with fewer than this part of the run's frames is left out, as by `carom tune`
+FEWEST_FRAMES = 0.95
 FREE = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
+TIMING = "contact.timing"
+INTEGRATOR = "time.integrator"
 
 
 def bundled(name: str) -> Scene:
-    """Load a scene without the keys that set its step."""
-    scene = Scene.load(name)
+    """Load a scene without the keys that set its step, and with impacts at their own times."""
+    where = str(ROOT / name) if name.endswith(".toml") else name
+    scene = Scene.load(where)
     given = scene.time.model_fields_set
-    return Scene.load(name, [f"time.{key}=" for key in FREE if key in given])
+    late = ["contact.timing="] if "timing" in scene.contact.model_fields_set else []
+    return Scene.load(where, [f"time.{key}=" for key in FREE if key in given] + late)
 
 
 def random_scene(index: int) -> Scene:
@@ -67,13 +87,12 @@ def random_scene(index: int) -> Scene:
     kind = index % 4  # free flights in a box, gravity without contacts, gravity with contacts, a field and a floor
     touches = kind != 1
     friction = 0.3 * float(rng.integers(2)) if touches else 0.0
-    pulls = kind in (1, 2)
-    size = 0.6 + 0.3 * count ** (1.0 / 3.0)
+    size = (0.3 + 0.2 * count ** (1.0 / 3.0)) * float(1.0 + rng.random())  # m; spheres fill up to 8 % of the ball
     scene: dict[str, Any] = {
         "title": f"random {index}",
         "seed": index,
         "time": {"duration": float(4.0 + 8.0 * rng.random()), "max_dt": 0.25},
-        "gravity": {"constant": 1.0 if pulls else 0.0},
+        "gravity": {"constant": 1.0 if kind in (1, 2) else 0.0},
         "contact": {
             "enabled": touches,
             "restitution": float(rng.choice([1.0, 0.9, 0.5])),
@@ -90,7 +109,7 @@ def random_scene(index: int) -> Scene:
             }
         ],
     }
-    if kind == 0:
+    if kind == 0 or (kind == 2 and index % 8 == 2):
         scene["domain"] = {"boundary": "walls", "size": [2.5 * size] * 3}
     if kind == 3:
         scene["gravity"]["uniform"] = [0.0, 0.0, -1.0]
@@ -98,146 +117,235 @@ def random_scene(index: int) -> Scene:
     return Scene.from_dict(scene)
 
 
-def positions(space: Space, times: FloatArray) -> Iterator[FloatArray]:
-    """Run up to each time; yield positions, (n, 3) m."""
-    for moment in times.tolist():
-        for _ in space.run(moment, schedule=at(())):
-            pass
-        yield space.state.position.copy()
+def with_step(scene: Scene, refinement: float) -> Scene:
+    """Return a settled scene with another refinement."""
+    return scene_from_text(scene.toml, scene.title, [f"promise.refinement={refinement!r}"])
 
 
-def with_step(scene: Scene, accuracy: float, refinement: float) -> Scene:
-    """Return a scene with a given refinement, without a look ahead."""
-    promise = f"{{ refinement = {refinement!r}, until = {scene.time.duration!r}, lyapunov = 0.0, error = [0.0] }}"
-    return scene_from_text(scene.toml, scene.title, [f"time.accuracy={accuracy!r}", f"promise={promise}"])
+class Run(NamedTuple):
+    """A run as far as it came."""
+
+    path: FloatArray  # (K, n, 3) m
+    cost: float  # s of CPU time, with its preparations
+    steps: int
 
 
-def run(scene: Scene, times: FloatArray) -> tuple[FloatArray, float, int]:
-    """Run a scene; return positions at times, CPU seconds and steps. Steps do not end at the times but the last."""
-    began = time.process_time()
-    space = Space(scene, 1)
-    found = []
+def follow(scene: Scene, times: FloatArray) -> Run:
+    """Run a scene to as many of the times as it reaches; steps end there."""
+    began, steps = time.process_time(), 0
+    found: list[FloatArray] = []
     try:
-        found = list(positions(space, times))
+        space = Space(scene, 1)
+        for moment in times.tolist():
+            for _ in space.run(moment, schedule=every(scene.time.duration / SAMPLES)):
+                if time.process_time() - began > LONGEST_RUN:
+                    return Run(np.array(found), time.process_time() - began, space.step)
+            found.append(space.state.position.copy())
+        steps = space.step
     except PhysicsError:
-        found += [np.full_like(space.state.position, np.nan)] * (len(times) - len(found))
-    return np.array(found), time.process_time() - began, space.step
+        pass
+    spent = time.process_time() - began
+    if spent < REPEATED_BELOW and len(found) == len(times):
+        spent = least(lambda: run_freely(scene))
+        steps = run_freely(scene)
+    return Run(np.array(found), spent, steps)
 
 
-def apart(scene: Scene, a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the largest rms distance so far over the size, (K,)."""
-    k = min(len(a), len(b))
-    d = a[:k] - b[:k]
-    if scene.domain.boundary == "periodic":
-        d = minimum_images(d, np.array(scene.domain.size))
-    start = Space(scene, 1).state.position
-    size = math.sqrt(float(np.mean(np.sum((start - start.mean(axis=0)) ** 2, axis=1)))) or float(np.abs(start).max())
-    if scene.domain.boundary == "periodic" and scene.domain.size:
-        size = min(scene.domain.size) / 2.0
-    return np.asarray(np.maximum.accumulate(np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))) / size)
+def run_freely(scene: Scene) -> int:
+    """Run a scene to its end; return its number of steps."""
+    space = Space(scene, 1)
+    for _ in space.run(schedule=at(())):
+        pass
+    return space.step
 
 
-def measure(scene: Scene, requests: list[float]) -> Iterator[dict[str, Any]]:
-    """Measure a scene with each request."""
-    times = scene.time.duration * np.arange(1, SAMPLES + 1) / SAMPLES
-    exact: FloatArray | None = None
-    if not why_not(scene):
-        exact = solve(Space(scene, 1), times, budget=BUDGET).trajectory.position
-        exact = exact if len(exact) > 1 else None
-    plain: dict[float, tuple[FloatArray, float, int]] = {}
-    for request in requests:
+def least(act: Callable[[], Any]) -> float:
+    """Return the least CPU time of an act in s, of three if it is short."""
+    spent = math.inf
+    for _ in range(3):
+        began = time.process_time()
+        act()
+        spent = min(spent, time.process_time() - began)
+        if spent > REPEATED_BELOW:
+            break
+    return spent
+
+
+@dataclass
+class Case:
+    """A scene, its reference and what plain settings gave so far."""
+
+    scene: Scene
+    times: FloatArray
+    size: float  # m
+    reference: Solution
+    plain: dict[Point, Run] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, scene: Scene) -> Case:
+        """Solve a scene for its reference."""
+        times = scene.time.duration * np.arange(1, SAMPLES + 1) / SAMPLES
+        start = Space(scene, 1).state.position
+        size = math.sqrt(float(np.mean(np.sum((start - start.mean(axis=0)) ** 2, axis=1)))) or float(
+            np.abs(start).max()
+        )
+        return cls(scene, times, size, solve(scene, times, BUDGET))
+
+    def apart(self, a: FloatArray, b: FloatArray) -> FloatArray:
+        """Return the largest rms distance so far over the size, as far as both paths go."""
+        k = min(len(a), len(b))
+        if k == 0:
+            return np.zeros(0)
+        d = a[:k] - b[:k]
+        if self.scene.domain.boundary == "periodic":
+            d = minimum_images(d, np.array(self.scene.domain.size))
+        return np.asarray(np.maximum.accumulate(np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))) / self.size)
+
+    def measure(self, request: float) -> dict[str, Any]:
+        """Run with a request and compare."""
+        scene, solved = self.scene, len(self.reference.position)
         row: dict[str, Any] = {"scene": scene.title, "bodies": scene.count, "request": request}
         asked = scene_from_text(scene.toml, scene.title, [f"time.accuracy={request!r}"])
-        began = time.process_time()
         try:
             found = settled(asked, 1)
+            ahead = least(lambda: settled(asked, 1))
         except (SceneError, PhysicsError) as refusal:
-            yield row | {"refused": str(refusal)}
-            continue
-        ahead = time.process_time() - began
+            return row | {"refused": str(refusal)}
         assert found.promise is not None
         kept = found.promise.kept_until
-        path, cost, steps = run(found, times)
-        reference = exact
-        if reference is None:
-            finer = 1.0 if integrator(found).controls_error else FINER * max(found.promise.refinement, 16.0)
-            reference = run(with_step(scene, request, finer), times)[0]
-        error = apart(scene, path, reference)
-        inside = times[: len(error)] <= kept
+        path, own, steps = follow(found, self.times)
+        reference = self.reference.position
+        until = self.times[min(solved, len(path)) - 1] if solved else 0.0
+        error = self.apart(path, reference)
+        finer = kept > until and solved < SAMPLES
+        if finer:
+            beyond = follow(with_step(found, FINER * found.promise.refinement), self.times).path
+            longer = self.apart(path, beyond)
+            error = np.maximum.accumulate(np.concatenate((error, longer[len(error) :])))
+        inside = self.times[: len(error)] <= kept
         worst = float(error[inside].max()) if inside.any() else 0.0
         over = np.flatnonzero(error > request)
-        measured = float(times[over[0]]) if len(over) else None
-        best = cheapest(scene, request, reference, times, kept, plain)
-        yield row | {
+        ends = self.times[over[0]] if len(over) else self.times[len(error) - 1] if len(error) else 0.0
+        return row | {
             "integrator": integrator(found).name,
             "refinement": found.promise.refinement,
             "kept_until": kept / scene.time.duration,
-            "measured_horizon": None if measured is None else measured / scene.time.duration,
+            "measured_horizon": float(ends) / scene.time.duration,
+            "exceeded": bool(len(over)),
+            "reference": solved / SAMPLES,
+            "reference_ended": self.reference.ended,
+            "impacts": int(np.sum(np.array(self.reference.impacts) <= kept)),
             "lyapunov": found.promise.lyapunov,
             "error": worst,
             "kept": bool(worst <= request),
-            "reference": "exact" if exact is not None else "finer",
             "steps": steps,
             "look_ahead": ahead,
-            "run": cost,
-            "best": best,
+            "cost": ahead + own,
+            "best": self.cheapest(request, reference, kept, ahead + own, min(FRAMES, steps)),
         }
 
+    def cheapest(
+        self, request: float, reference: FloatArray, kept: float, most: float, frames: int
+    ) -> dict[str, Any] | None:
+        """Return the cheapest plain setting up to a cost that keeps a request and frames as far; None if none does."""
+        best: tuple[float, Point] | None = None
+        for name in self.integrators():
+            step = COARSEST
+            while step >= FINEST:
+                point = Point(step).having(INTEGRATOR, name)
+                if self.scene.contact.enabled:
+                    point = point.having(TIMING, "time-of-impact")
+                try:
+                    path, spent, steps = self.plain_run(point)
+                except (SceneError, PhysicsError):
+                    break
+                error = self.apart(path, reference)
+                inside = self.times[: len(error)] <= kept
+                far = len(error) > 0 and (len(error) == len(reference) or self.times[len(error) - 1] >= kept)
+                enough = min(FRAMES, steps) >= FEWEST_FRAMES * frames
+                keeps = far and enough and (not inside.any() or error[inside].max() <= request)
+                if keeps and (best is None or spent < best[0]):
+                    best = spent, point
+                if keeps or spent > min(most, best[0] if best else math.inf) or INTEGRATORS[name].controls_error:
+                    break
+                step /= 2.0
+        return None if best is None else {"cost": best[0], "setting": best[1].setting(self.scene).name}
 
-def cheapest(
-    scene: Scene,
-    request: float,
-    reference: FloatArray,
-    times: FloatArray,
-    kept: float,
-    plain: dict[float, tuple[FloatArray, float, int]],
-) -> float | None:
-    """Return the CPU seconds of the cheapest plain setting of a grid that keeps a request as far; None if none does."""
-    costs = []
-    for factor in PLAIN:
-        if factor not in plain:
-            plain[factor] = run(with_step(scene, 1e-2, factor), times)
-        path, cost, _ = plain[factor]
-        error = apart(scene, path, reference)
-        inside = times[: len(error)] <= kept
-        if not inside.any() or error[inside].max() <= request:
-            costs.append(cost)
-    return min(costs, default=None)
+    def integrators(self) -> list[str]:
+        """Name the integrators of the search, of which euler is never cheaper than leapfrog."""
+        own, others = integrator(self.scene).name, knobs(self.scene).get(INTEGRATOR, ())
+        radau = ("gauss-radau15",) if self.scene.count <= 1000 else ()
+        return [
+            name for name in dict.fromkeys((own, "leapfrog", *others, *radau)) if name not in ("euler", "leapfrog-dkd")
+        ]
+
+    def plain_run(self, point: Point) -> Run:
+        """Run a plain setting, once."""
+        if point not in self.plain:
+            self.plain[point] = follow(point.setting(self.scene).apply(self.scene), self.times)
+        return self.plain[point]
 
 
 def main() -> None:
-    """Measure, print a line for each case and the totals, and write the rows."""
+    """Measure what is missing, write the rows, and print the totals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--random", type=int, default=40)
-    parser.add_argument("--scenes", default=",".join(BUNDLED))
+    parser.add_argument("--only", type=lambda text: [int(each) for each in text.split(",")], help="these random scenes")
+    parser.add_argument("--scenes", default=",".join(TRADE))
     parser.add_argument("--requests", default=REQUESTS)
-    parser.add_argument("--json", type=Path, help="file to write the rows to")
+    parser.add_argument("--table", action="store_true", help="print the table of the rows so far")
+    parser.add_argument(
+        "--json", type=Path, default=RESULTS, help="file of the rows; those in it are not measured again"
+    )
     given = parser.parse_args()
+    rows: list[dict[str, Any]] = json.loads(given.json.read_text(encoding="utf-8")) if given.json.exists() else []
+    if given.table:
+        print(table(rows))
+        return
     requests = [float(text) for text in given.requests.split(",")]
-    scenes = [random_scene(index) for index in range(given.random)]
-    scenes += [bundled(name) for name in given.scenes.split(",") if name]
-    rows = []
-    for scene in scenes:
-        for row in measure(scene, requests):
-            rows.append(row)
-            print({k: f"{v:.3g}" if isinstance(v, float) else v for k, v in row.items()}, flush=True)
-            if given.json:
-                given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-    print(summary(rows))
+    known = {(row["scene"], row["request"]) for row in rows}
+    for scene in scenes(given.only or list(range(given.random)), [name for name in given.scenes.split(",") if name]):
+        missing = [request for request in requests if (scene.title, request) not in known]
+        if not missing:
+            continue
+        case = Case.of(scene)
+        for request in missing:
+            rows.append(case.measure(request))
+            print({k: f"{v:.3g}" if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
+            given.json.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n", encoding="utf-8")
+    print(table(rows))
 
 
-def summary(rows: list[dict[str, Any]]) -> str:
-    """Return the totals of all rows."""
+def scenes(random: list[int], names: list[str]) -> Iterator[Scene]:
+    """Return the random scenes, then those of docs/trade.md."""
+    yield from map(random_scene, random)
+    yield from map(bundled, names)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Return the totals of each request, and of all, as a table."""
+    requests = sorted({row["request"] for row in rows}, reverse=True)
+    lines = [
+        "| request | cases | refused | kept | to the end | horizon within 20 % | cost over the best | at most 1.5 |",
+        "|---|---|---|---|---|---|---|---|",
+        *(_line(f"{request:g}", [row for row in rows if row["request"] == request]) for request in requests),
+        _line("all", rows),
+    ]
+    return "\n".join(lines)
+
+
+def _line(name: str, rows: list[dict[str, Any]]) -> str:
     tried = [row for row in rows if "refused" not in row]
-    kept = sum(row["kept"] for row in tried)
-    whole = sum(row["kept_until"] >= 1.0 for row in tried)
-    ratios = [(row["look_ahead"] + row["run"]) / row["best"] for row in tried if row["best"]]
-    ends = [row for row in tried if row["kept_until"] < 1.0 and row["measured_horizon"]]
-    near = sum(abs(row["kept_until"] / row["measured_horizon"] - 1.0) <= 0.2 for row in ends)
+    kept, whole = sum(row["kept"] for row in tried), [row for row in tried if row["kept_until"] >= 1.0]
+    ends = [row for row in tried if row["kept_until"] < 1.0 or row["exceeded"]]
+    near = sum(abs(row["kept_until"] / row["measured_horizon"] - 1.0) <= 0.2 for row in ends if row["measured_horizon"])
+    ratios = [row["cost"] / row["best"]["cost"] for row in tried if row["best"]]
+    cheap = sum(ratio <= 1.5 for ratio in ratios) + len(tried) - len(ratios)  # no setting keeps it as far at that cost
+    median = f"{np.median(ratios):.2f}" if ratios else "–"
+    share = f"{kept} ({kept / max(len(tried), 1):.0%})"
     return (
-        f"{len(tried)} cases: {kept} within the request up to the horizon ({kept / max(len(tried), 1):.1%}), "
-        f"{whole} to the end; cost over the best: median {np.median(ratios) if ratios else math.nan:.2f}, "
-        f"at most 1.5 in {sum(r <= 1.5 for r in ratios)} of {len(ratios)}; horizon within 20 % in {near} of {len(ends)}"
+        f"| {name} | {len(tried)} | {len(rows) - len(tried)} | {share} | {len(whole)} | {near} of {len(ends)} "
+        f"| {median} | {cheap} |"
     )
 
 

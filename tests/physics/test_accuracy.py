@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,22 @@ def test_an_orbit_of_eccentricity_09_closes_within_the_accuracy(accuracy: float)
     away = space.state.position[1] - space.state.position[0] - [1.9, 0.0, 0.0]
     assert np.linalg.norm(away) / 1.9 < accuracy
     assert space.scene.promise is not None and space.scene.promise.horizon is None
+
+
+def test_rounding_at_a_close_passage_ends_the_promise() -> None:
+    """A last bit of a coordinate is 10⁻¹³ of the distance at pericentre; other steps round differently."""
+    scene = Scene.load(
+        str(Path(__file__).parents[2] / "benchmarks/scenes/eccentric-triple.toml"), ["time.accuracy=1e-9"]
+    )
+    space = Space(scene, 1)
+    other = Space(scene_from_text(space.scene.toml, "shorter steps", ["time.max_dt=0.01"]), 1)
+    assert space.scene.promise is not None
+    for each in (space, other):
+        each.reach(0.99 * space.scene.promise.kept_until)
+    assert np.abs(space.state.position - other.state.position).max() < 1e-9
+    for each in (space, other):
+        each.reach(scene.time.duration)
+    assert np.abs(space.state.position - other.state.position).max() > 1e-9
 
 
 @pytest.mark.parametrize("accuracy", [1e-2, 1e-6, 1e-10])

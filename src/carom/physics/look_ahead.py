@@ -8,9 +8,10 @@ for an integrator of order p, or for the order that three such runs show, if tha
 makes errors grow, contacts and chaos too. The runs begin with the longest useful steps and halve them until the
 extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
 
-Chaos ends every promise. A twin run that starts displaced by `DISPLACEMENT` shows by which factor G(t) errors grow.
-Rounding alone makes an error of ρ G(t). The horizon is the time at which 2 e(t) + ρ G(t) exceeds the accuracy. The
-largest Lyapunov exponent is ln G(t) / t, at the end or when the twins are `APART`.
+Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. Rounding alone makes an error
+r(t) in proportion to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
+Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. The largest
+Lyapunov exponent is that of their distance, to the end or until they are `APART`.
 """
 
 from __future__ import annotations
@@ -23,41 +24,49 @@ from numpy.typing import NDArray
 
 from carom.physics.error import PhysicsError
 from carom.physics.periodic_box import minimum_images
-from carom.physics.schedule import at
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.placement import Start, place
-from carom.scene.schema import Promise, Scene
+from carom.scene.schema import Expect, Promise, Scene
 
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 64  # times at which runs are compared
 LONGEST = 1.0  # refinement of the longest useful steps
+EXACT = 0.125  # refinement of a run ahead whose steps err by rounding only; shorter ones cost more
 SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
 MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
 FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
 TRIED = 2  # comparisons before an order is believed
+NEVER = 2**62  # steps between two checks of the energy of a run ahead
 BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
 NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps
 MOST_WORK = 2e6  # of the finest run ahead, some seconds; the run itself takes up to eight times as long
 FALLING = 0.7  # largest part of the distance that a halving should leave
 MOST_IDLE = 3  # halvings in a row that do not
-DISPLACEMENT = 1e-9  # of the twin, over the size of the system
+DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
+SPREAD = 4.0  # likely factor between the distance of two runs that differ by rounding and that of one from the truth
 APART = 1e-2  # of the size; beyond, twins no longer part exponentially
 LARGEST_ERROR = 1.0  # of the size; no larger one is told apart
 EPS = float(np.finfo(np.float64).eps)
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
-RADAU_LEVELS = ((2.0**-1.5, 1e-9), (0.5, 1e-12), (1.0, 0.0))  # refinement, and error of a run whose errors do not grow
+RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
+RADAU_LEVELS = (  # refinement, and how many times the error exceeds the distance of twins: twice the most of 20 scenes
+    (2.0**-2.5, 1e8),
+    (0.25, 1e5),
+    (2.0**-1.5, 500.0),
+    (1.0, SPREAD),
+)
 
 
 @dataclass(frozen=True, slots=True)
-class Growth:
-    """Growth of a small displacement with time."""
+class Twins:
+    """How two runs part that begin almost alike."""
 
-    factor: FloatArray  # (K,) largest so far
+    apart: FloatArray  # (K,) largest distance so far over the size
     exponent: float  # 1/s
 
 
@@ -83,9 +92,11 @@ class _Run:
         from carom.physics.space import Space  # noqa: PLC0415 - a Space looks ahead before it begins
 
         promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
+        record = scene.record.model_copy(update={"check_every": NEVER})
+        unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
         self.refinement = refinement
         self.rests_from = math.inf  # s, when contacts came to rest that the integrator does not hold itself
-        self._space = Space(_promised(scene, promise), threads, start)
+        self._space = Space(unchecked, threads, start)
         self._chooses_steps = integrator(scene).controls_error
         self._times = times
         self._positions: list[FloatArray] = []  # (n, 3) m, at the times so far
@@ -100,8 +111,7 @@ class _Run:
         """Return the positions at one of the times, (n, 3) m; None where it fails before."""
         try:
             while len(self._positions) <= sample:
-                for _ in self._space.run(float(self._times[len(self._positions)]), schedule=at(())):
-                    pass
+                self._space.reach(float(self._times[len(self._positions)]))
                 if self._chooses_steps and not self._space.has_solution:
                     self.rests_from = min(self.rests_from, self._space.time)
                 self._positions.append(self._space.state.position.copy())
@@ -116,30 +126,38 @@ class _LookAhead:
         self._box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
         self._times = scene.time.duration * (np.arange(1, SAMPLES + 1) / SAMPLES)
         self._size = _size(start, self._box)
-        self._rounding = ROUNDING * EPS * max(1.0, float(np.abs(start.position).max()) / self._size)
-        if accuracy < LOWEST * self._rounding:
+        last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._size)
+        least = LOWEST * ROUNDING * last_bit
+        if accuracy < least:
             raise SceneError(
-                f"time.accuracy = {accuracy:g}: double precision can give {LOWEST * self._rounding:.1e} for bodies "
+                f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
                 "where this scene has them"
+            )
+        if integrator(scene).controls_error:  # errs by rounding, so twins that differ by a last bit show its errors
+            self._twin, self._rounding = _displaced(start, 0.0), SPREAD
+        else:
+            self._twin, self._rounding = (
+                _displaced(start, DISPLACEMENT * self._size),
+                ROUNDING * last_bit / DISPLACEMENT,
             )
 
     def settle(self) -> Scene:
         if integrator(self._scene).controls_error:
             return self._settle_radau()
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
-            growth = self._growth(self._run(LONGEST))
-            return self._promise(LONGEST, self._rounding * growth.factor, growth)
+            twins = self._part(self._run(EXACT))
+            return self._promise(LONGEST, self._rounding * twins.apart, twins)
         return self._settle_steps(integrator(self._scene).order)
 
     def _settle_radau(self) -> Scene:
-        run = self._run(RADAU_LEVELS[0][0])
-        growth = self._growth(run)
-        errors = {refinement: (level + self._rounding) * growth.factor for refinement, level in RADAU_LEVELS}
+        run = self._run(RADAU_AHEAD)
+        twins = self._part(run)
+        errors = {refinement: level * twins.apart for refinement, level in RADAU_LEVELS}
         enough = (refinement for refinement, error in errors.items() if SAFETY * error[-1] <= self._accuracy)
         chosen = next(enough, RADAU_LEVELS[-1][0])
         if run.rests_from < _kept(self._times, errors[chosen], self._accuracy):
             return self._settle_steps(INTEGRATORS["leapfrog"].order)
-        return self._promise(chosen, errors[chosen], growth)
+        return self._promise(chosen, errors[chosen], twins)
 
     def _settle_steps(self, order: int) -> Scene:
         refinement = LONGEST
@@ -153,8 +171,8 @@ class _LookAhead:
             if kept >= self._times[-1] or idle == MOST_IDLE or fine.work > MOST_WORK:
                 break
             coarse = fine
-        growth = self._growth(fine if chosen >= 0 else coarse)
-        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * growth.factor, growth)
+        twins = self._part(fine if chosen >= 0 else coarse)
+        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins)
 
     def _stays(self, apart: list[FloatArray], kept: float) -> bool:
         """Tell whether the last halving hardly changed the distance where the accuracy is not kept any more."""
@@ -179,17 +197,21 @@ class _LookAhead:
         k = next(k for k, until in enumerate(kept) if until >= NEARLY * max(kept))
         return tried[k], kept[k], errors[k]
 
-    def _growth(self, run: _Run) -> Growth:
-        """Return by how much a displacement grows, with the steps of a run."""
-        moved = _displaced(self._start, DISPLACEMENT * self._size)
-        apart = self._apart(run, self._run(run.refinement, moved), APART)
+    def _part(self, run: _Run) -> Twins:
+        """Return how a run and its twin part."""
+        began = max(self._distance(self._start.position, self._twin.position), EPS**2)
+        apart = np.maximum(self._apart(run, self._run(run.refinement, self._twin), APART), began)
         over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, the growth goes on as up to here
+        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they go on to part as up to here
         apart[last] = min(apart[last], 1.0)
-        exponent = math.log(max(apart[last], EPS) / DISPLACEMENT) / float(self._times[last])
-        factor = np.maximum(apart / DISPLACEMENT, 1.0)
-        factor[last + 1 :] = factor[last] * np.exp(max(exponent, 0.0) * (self._times[last + 1 :] - self._times[last]))
-        return Growth(factor, exponent)
+        exponent = math.log(apart[last] / began) / float(self._times[last])
+        apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (self._times[last + 1 :] - self._times[last]))
+        return Twins(apart, exponent)
+
+    def _distance(self, a: FloatArray, b: FloatArray) -> float:
+        """Return the rms distance between positions, (n, 3) m, over the size."""
+        d = a - b if self._box is None else minimum_images(a - b, self._box)
+        return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self._size
 
     def _apart(self, one: _Run, other: _Run, enough: float) -> FloatArray:
         """Compare two runs until they are apart; return the largest distance so far over the size, (K,)."""
@@ -199,9 +221,7 @@ class _LookAhead:
             a, b = one.at(k), other.at(k)
             if a is None or b is None:
                 break
-            d = a - b if self._box is None else minimum_images(a - b, self._box)
-            largest = max(largest, math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self._size)
-            apart[k] = largest
+            apart[k] = largest = max(largest, self._distance(a, b))
             if not largest < enough:
                 break
         return apart
@@ -209,7 +229,7 @@ class _LookAhead:
     def _run(self, refinement: float, start: Start | None = None) -> _Run:
         return _Run(self._scene, refinement, self._threads, start or self._start, self._times)
 
-    def _promise(self, refinement: float, error: FloatArray, growth: Growth) -> Scene:
+    def _promise(self, refinement: float, error: FloatArray, twins: Twins) -> Scene:
         until = self._scene.time.duration
         kept = _kept(self._times, error, self._accuracy)
         horizon = kept if kept < until else None
@@ -219,19 +239,17 @@ class _LookAhead:
                 refinement=refinement,
                 until=until,
                 horizon=horizon,
-                lyapunov=float(f"{growth.exponent:.6g}"),
+                lyapunov=float(f"{twins.exponent:.6g}"),
                 error=tuple(float(f"{min(each, LARGEST_ERROR):.3g}") for each in error.tolist()),
             ),
         )
 
 
 def _promised(scene: Scene, promise: Promise) -> Scene:
-    """Return a scene with a promise."""
+    """Return a scene with a promise in its text."""
     values = promise.model_dump(exclude_none=True)
-    overrides = [
-        f"promise.{key}={list(value) if isinstance(value, tuple) else value!r}" for key, value in values.items()
-    ]
-    return scene.changed(overrides)
+    lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}\n" for key, value in values.items()]
+    return scene.extended(f"[promise]\n{''.join(lines)}")
 
 
 def _size(start: Start, box: FloatArray | None) -> float:
@@ -244,10 +262,12 @@ def _size(start: Start, box: FloatArray | None) -> float:
 
 
 def _displaced(start: Start, distance: float) -> Start:
-    """Return a start whose free bodies are displaced by an rms distance in m."""
+    """Return a start whose free bodies are displaced by an rms distance in m, or else by a last bit."""
     direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
-    moved = np.where(start.fixed[:, np.newaxis], 0.0, direction * distance)
-    return replace(start, position=start.position + moved)
+    moved = start.position + distance * direction
+    unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))
+    moved = np.where(moved == start.position, unmoved, moved)
+    return replace(start, position=np.where(start.fixed[:, np.newaxis], start.position, moved))
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:

@@ -290,6 +290,12 @@ class Space:
         if self.step != shown:  # stopped
             yield self.frame(store)
 
+    def reach(self, time: float) -> None:
+        """Step until a time in s, without frames; see `run`."""
+        goal = Goal(time, at(()), most=self.scene.record.check_every, shows_end=False)
+        while self.time < time and not self._stopping:
+            self._advance(goal, checked=False)
+
     def stop(self) -> None:
         """Let `run` end after the current step, with a last frame; any thread may call it."""
         self._stopping = True

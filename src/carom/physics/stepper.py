@@ -21,10 +21,11 @@ class Goal(NamedTuple):
     end: float  # s, of the run
     schedule: Schedule  # after which steps a frame is due
     most: int  # steps
+    shows_end: bool = True  # whether a frame is due after the last step
 
     def is_reached(self, clock: Clock) -> bool:
         """Whether a frame is due after the last step, by the schedule or because it was the last of the run."""
-        return self.schedule(clock.step, clock.before, clock.time) or clock.limit == "end"
+        return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
 
 class Stepper(Protocol):

@@ -47,6 +47,7 @@ Records = NDArray[np.void]
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
+SHRINKING = 2.0  # the part of a rejected step that is wanted grows at least by this factor, or it shrinks with the step
 LARGEST_CHANGE_AFTER_IMPACT = 1.5  # likewise, where the step before does not know the velocity
 MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact: two reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
@@ -240,9 +241,12 @@ def advance(
         accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start)
         wanted = attempt(motion, eps2, run, dt)
         while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.struck else LARGEST_CHANGE) < dt:
+            share = wanted / dt
             dt, limit = wanted, ERROR
             run.rejected += 1
             wanted = attempt(motion, eps2, run, dt)
+            if not wanted > SHRINKING * share * dt:
+                break  # a pull begins at 0, so the time in which it changes is that since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             reach = reach_of(velocity, start, b, field, moves, planes, dt)

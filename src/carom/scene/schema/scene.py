@@ -196,6 +196,12 @@ class Scene(Section):
 
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
+    def extended(self, section: str) -> Scene:
+        """Return this scene with a section of TOML that it does not have."""
+        from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
+
+        return scene_from_text(f"{self.toml.rstrip()}\n\n{section}", self.title, bodies=self._held)
+
     @model_validator(mode="after")
     def _has_a_body(self) -> Self:
         if not (self.body or self.bodies or self.group):
