@@ -10,6 +10,7 @@ import pytest
 from carom.cli.warnings import warning_lines
 from carom.physics.event import Event
 from carom.recording.read.recording import Recording
+from carom.scene.units.system import SI
 from command import carom
 
 # Two spheres that overlap at rest: Baumgarte's bias throws them apart, which is a rise of the energy.
@@ -35,7 +36,7 @@ def rises(count: int) -> list[Event]:
 
 
 def test_the_first_warnings_of_a_kind_are_shown_with_their_times_and_the_others_counted() -> None:
-    lines = list(warning_lines([*rises(100), Event(7, 3.5, "WARN", "Too few sweeps.", "limit")]))
+    lines = list(warning_lines([*rises(100), Event(7, 3.5, "WARN", "Too few sweeps.", "limit")], SI))
     assert lines == [
         "step 0, t = 0 s: Energy rose by 0 J.",
         "step 1, t = 0.5 s: Energy rose by 1 J.",
@@ -46,7 +47,7 @@ def test_the_first_warnings_of_a_kind_are_shown_with_their_times_and_the_others_
 
 
 def test_only_the_first_warning_of_a_kind_is_shown_with_what_it_names() -> None:
-    lines = list(warning_lines(rises(2), in_full=True))
+    lines = list(warning_lines(rises(2), SI, in_full=True))
     assert [line for line in lines if "Colliding" in line] == ["    Colliding: a and b"]
 
 

@@ -90,12 +90,13 @@ def mutated(batch: pa.RecordBatch, random: Random) -> pa.RecordBatch:
 
 def shown(path: Path) -> None:
     """Print what `carom inspect` prints."""
-    summary = Recording.open(path).summary()
+    recording = Recording.open(path)
+    summary, units = recording.summary(), recording.units
     json.dumps(summary)
     with Path(os.devnull).open("w") as nowhere:
         terminal = Terminal(file=nowhere)
-        terminal.print(_overview(summary))
-        for line in _moments(summary, path):
+        terminal.print(_overview(summary, units))
+        for line in _moments(summary, path, units):
             terminal.print(line)
         terminal.print(_profile(summary))
 

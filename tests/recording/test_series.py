@@ -41,7 +41,7 @@ def test_every_plot_has_one_unit() -> None:
 def test_the_curves_of_a_plot_have_different_colours() -> None:
     for plot in (plot for column in PLOTS for plot in column):
         colours = [series.colour for series in SERIES if series.plot == plot]
-        assert len(set(colours)) == len(colours), plot.name
+        assert len(set(colours)) == len(colours), plot.title
         assert set(colours) <= set(LINES.values()), "others are not legible in both themes"
 
 

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds
+from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.units.dimension import TIME
 
 Seconds = float | None
 
@@ -16,18 +17,18 @@ Seconds = float | None
 def clip(
     file: RecordingArgument,
     start: Annotated[
-        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time (s) on.")
+        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time on.")
     ] = None,
     end: Annotated[
-        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time (s).")
+        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time.")
     ] = None,
     around: Annotated[
         Seconds,
-        typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time (s); needs --window."),
+        typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time; needs --window."),
     ] = None,
     window: Annotated[
         Seconds,
-        typer.Option("--window", parser=seconds, metavar="W", help="Length of time (s) to keep, with --around."),
+        typer.Option("--window", parser=seconds, metavar="W", help="Length of time to keep, with --around."),
     ] = None,
     bodies: Annotated[
         str | None,
@@ -51,7 +52,8 @@ def clip(
     from carom.recording.read.recording import Recording
     from carom.scene.names import bodies_called
 
-    interval = _interval(start, end, around, window)
+    units = Recording.open(file).units
+    interval = _interval(*(simulated_or_none(time, units) for time in (start, end, around, window)))
     path = output or file.with_name(f"{file.stem}-clip.rrd")
     _refuse_itself(file, path)
     refuse_output(path, force)
@@ -62,7 +64,7 @@ def clip(
     shown = "" if made.bodies is None else f", {bodies_called(made.bodies, Recording.open(file).bodies.name)}"
     say(
         f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
-        f"{made.start:.6g} to {made.end:.6g} s{shown}, {bytes_text(made.size)}."
+        f"{units.span(made.start, made.end, TIME)}{shown}, {bytes_text(made.size)}."
     )
     if made.replays_from is None:
         say(f"{file} has no exact state before that time, so the clip cannot be replayed.", err=True)

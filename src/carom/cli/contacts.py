@@ -7,15 +7,24 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
     from carom.recording.read.recording import Recording
+    from carom.scene.units.system import UnitSystem
 
 MOST_ROWS = 40  # that are printed for people
+
+_MEASURED = (
+    ("approach_speed", "approach", VELOCITY),
+    ("normal_impulse", "normal", IMPULSE),
+    ("tangential_impulse", "friction", IMPULSE),
+    ("energy_lost", "lost", ENERGY),
+)
 
 Seconds = float | None
 
@@ -25,7 +34,7 @@ def contacts(
     at: Annotated[
         Seconds,
         typer.Option(
-            "--at", parser=seconds, metavar="T", help="The step that this time (s) is in; default: the hardest impact."
+            "--at", parser=seconds, metavar="T", help="The step that this time is in; default: the hardest impact."
         ),
     ] = None,
     bodies: Annotated[
@@ -37,11 +46,9 @@ def contacts(
         typer.Option("--impacts", help="The impacts of the run, or of an interval, not contacts of a step."),
     ] = False,
     start: Annotated[
-        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First time (s) of --impacts.")
+        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts.")
     ] = None,
-    end: Annotated[
-        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last time (s) of --impacts.")
-    ] = None,
+    end: Annotated[Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts.")] = None,
     again: Annotated[
         bool, typer.Option("--replay", help="Run the steps again: all rows and columns, in double precision.")
     ] = False,
@@ -66,6 +73,7 @@ def contacts(
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
+        at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
         table = _table(recording, at, bodies or [], impacts, start, end, again)
         if output is not None:
             _write(table, output)
@@ -121,7 +129,7 @@ def _table(
         table = of_body(table, number)
     if len(numbers) == 2 and table.num_rows == 0:
         names = _names(recording)
-        when = "in that time" if impacts else f"at t = {recording.moment(at):.9g} s"
+        when = "in that time" if impacts else f"at t = {recording.units.text(recording.moment(at), TIME, '.9g')}"
         raise RecordingError(f"{recording.path}: {names.of(numbers[0])} and {names.of(numbers[1])} do not touch {when}")
     return table
 
@@ -201,21 +209,23 @@ def _print(recording: Recording, table: pa.Table, impacts: bool) -> None:
     names = _names(recording)
     what = "impact" if impacts else "contact"
     count = f"{table.num_rows} {what}{'' if table.num_rows == 1 else 's'}"
-    moment = f" at t = {table['time'][0].as_py():.9g} s" if table.num_rows and not impacts else ""
+    units, moment = recording.units, ""
+    if table.num_rows and not impacts:
+        moment = f" at t = {units.text(table['time'][0].as_py(), TIME, '.9g')}"
     say(f"{count}{moment}, {_source(table)}")
     if table.num_rows == 0:
         return
     shown = Table(box=None, padding=(0, 1), header_style="bold")
-    shown.add_column("t (s)", justify="right", no_wrap=True)
+    shown.add_column(units.labelled("t", TIME), justify="right", no_wrap=True)
     shown.add_column("step", justify="right")
     shown.add_column("between", no_wrap=True)
     shown.add_column("mode")
-    for column in ("approach (m/s)", "normal (N s)", "friction (N s)", "lost (J)"):
-        shown.add_column(column, justify="right", no_wrap=True)
+    for _, label, dimension in _MEASURED:
+        shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
     for row in table.slice(0, MOST_ROWS).to_pylist():
         pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
-        values = (row[name] for name in ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost"))
-        shown.add_row(f"{row['time']:.9g}", str(row["step"]), pair, row["mode"], *map(_number, values))
+        values = (_number(row[name], dimension, units) for name, _, dimension in _MEASURED)
+        shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
     console = Terminal()
     console.width = max(console.width, 160)  # names stay whole
     console.print(shown)
@@ -223,5 +233,5 @@ def _print(recording: Recording, table: pa.Table, impacts: bool) -> None:
         say(f"… and {table.num_rows - MOST_ROWS} more; --csv, --json or -o FILE.parquet has all.")
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.4g}"
+def _number(value: float | None, dimension: Dimension, units: UnitSystem) -> str:
+    return "" if value is None else f"{units.shown(value, dimension):.4g}"

@@ -11,6 +11,7 @@ import typer
 from carom.cli.options import ForceOption, JsonOption
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from carom.experiment.diff.diff import Diff
     from carom.experiment.diff.impact_divergence import Impact, ImpactDivergence, ImpactPair
     from carom.scene.names import Names
+    from carom.scene.units.system import UnitSystem
 
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
@@ -60,7 +62,7 @@ def diff(
     if as_json:
         say(json.dumps(_document(found, names), indent=2, ensure_ascii=False))
     else:
-        _print(found, names, output)
+        _print(found, names, recordings[0].units, output)
     if not found.same:
         raise typer.Exit(1)
 
@@ -129,21 +131,21 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     }
 
 
-def _print(found: Diff, names: Names, output: Path | None) -> None:
+def _print(found: Diff, names: Names, units: UnitSystem, output: Path | None) -> None:
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
-    console.print(_overview(found, names))
+    console.print(_overview(found, names, units))
     if not found.same:
         console.print()
-        console.print(_curve(found))
+        console.print(_curve(found, units))
     console.print()
     console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
     if output is not None:
         console.print(f"{output} written: both, one over the other; {command('view', output)}")
 
 
-def _overview(found: Diff, names: Names) -> Table:
+def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
@@ -159,12 +161,12 @@ def _overview(found: Diff, names: Names) -> Table:
         if len(differing) > KEYS:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
-    for k, line in enumerate(_impact_lines(found.impacts, names)):
+    for k, line in enumerate(_impact_lines(found.impacts, names, units)):
         table.add_row("" if k else "impacts", line)
     return table
 
 
-def _impact_lines(found: ImpactDivergence | None, names: Names) -> Iterator[str]:
+def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
     """Say where the impacts part, and by how much."""
     if found is None:
         yield "not recorded in both"
@@ -174,49 +176,53 @@ def _impact_lines(found: ImpactDivergence | None, names: Names) -> Iterator[str]
     if found.first is None:
         yield f"all {found.compared} that both recorded are the same" if found.compared else "none that both recorded"
         return
-    yield f"{_called(found.first, names)}: {_by_how_much(found.first)}"
+    yield f"{_called(found.first, names, units)}: {_by_how_much(found.first, units)}"
     other = found.other_bodies
     if other is not None and other != found.first:
-        yield _called(other, names)
+        yield _called(other, names, units)
 
 
-def _called(pair: ImpactPair, names: Names) -> str:
+def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
     a, b = pair.a, pair.b
+    in_a, in_b = (units.text(impact.time, TIME, ".9g") for impact in (a, b))
     if a.bodies == b.bodies:
-        return f"first different: impact {pair.number}, {names.pair(a.bodies)}, t = {a.time:.9g} s"
+        return f"first different: impact {pair.number}, {names.pair(a.bodies)}, t = {in_a}"
     return (
-        f"first between other bodies: impact {pair.number}, {names.pair(a.bodies)} at t = {a.time:.9g} s in A, "
-        f"{names.pair(b.bodies)} at t = {b.time:.9g} s in B"
+        f"first between other bodies: impact {pair.number}, {names.pair(a.bodies)} at t = {in_a} in A, "
+        f"{names.pair(b.bodies)} at t = {in_b} in B"
     )
 
 
-def _by_how_much(pair: ImpactPair) -> str:
+def _by_how_much(pair: ImpactPair, units: UnitSystem) -> str:
     """Give the differences of an impact, B - A, as far as there are any."""
     a, b = pair.a, pair.b
     differences = (
-        (b.time - a.time, "s in time"),
-        (b.approach_speed - a.approach_speed, "m/s in approach speed"),
-        (b.normal_impulse - a.normal_impulse, "N s in impulse"),
+        (b.time - a.time, TIME, "time"),
+        (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),
+        (b.normal_impulse - a.normal_impulse, IMPULSE, "impulse"),
     )
-    parts = [f"{value:+.2e} {what}" for value, what in differences if value]
+    parts = [f"{units.text(value, dimension, '+.2e')} in {what}" for value, dimension, what in differences if value]
     parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
     return f"{', '.join(parts)} (B - A)" if parts else "in its direction, friction or lost energy"
 
 
-def _curve(found: Diff) -> Table:
+def _curve(found: Diff, units: UnitSystem) -> Table:
     """Show a dozen frames from the first difference on."""
     import numpy as np
     from rich.table import Table
 
     curve, first = found.curve, found.verdict.first or 0
-    table = Table("step", "t (s)", "rms distance (m)", "energy, B - A (J)", box=None, pad_edge=False)
+    measured = (("t", TIME), ("rms distance", LENGTH), ("energy, B - A", ENERGY))
+    table = Table("step", *(units.labelled(*each) for each in measured), box=None, pad_edge=False)
     for column in table.columns:
         column.justify = "right"
     chosen = np.unique(np.linspace(first, len(curve.step) - 1, ROWS).astype(int))
     for k in chosen:
         seen = curve.rms[k] > curve.floor[k]
-        rms = f"{curve.rms[k]:.2e}" if seen else f"below {max(curve.floor[k], curve.rms[k]):.0e}"
-        table.add_row(str(curve.step[k]), f"{curve.time[k]:.6g}", rms, f"{curve.energy[k]:+.2e}")
+        limit = max(curve.floor[k], curve.rms[k])
+        rms = f"{units.shown(curve.rms[k], LENGTH):.2e}" if seen else f"below {units.shown(limit, LENGTH):.0e}"
+        time, energy = units.shown(curve.time[k], TIME), units.shown(curve.energy[k], ENERGY)
+        table.add_row(str(curve.step[k]), f"{time:.6g}", rms, f"{energy:+.2e}")
     return table
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import JsonOption, SceneArgument, SetOption
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,7 +33,7 @@ def explain(
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
-    from carom.cli.units import bytes_text, duration_text
+    from carom.cli.units import bytes_text, simulated_text
     from carom.experiment.estimate import estimate
     from carom.recording.schema.materials import ShownMaterials
 
@@ -50,7 +51,7 @@ def explain(
 
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
-    console.print(f": {loaded.count} bodies, {duration_text(loaded.time.duration)}\n")
+    console.print(f": {loaded.count} bodies, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
     console.print(_parts(found.parts))
     if materials:
         console.print()
@@ -60,26 +61,26 @@ def explain(
     seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"
     console.print(
         f"\nBy a coarse look at {seen}:\n"
-        f"{_steps(cost, loaded.time.duration)}\n"
+        f"{_steps(cost, loaded)}\n"
         f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
         f"  about {bytes_text(cost.size)} of recording: {cost.frames} frames, each of which takes "
         f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
     )
 
 
-def _steps(cost: Cost, duration: float) -> str:
+def _steps(cost: Cost, scene: Scene) -> str:
     """Say how many steps there will be, what sets them, and what would make them longer."""
     from carom.cli.units import duration_text
     from carom.physics.diagnostics.pace import REMEDY
 
     seconds = cost.seconds / cost.steps
-    if cost.looked_until >= duration:
+    if cost.looked_until >= scene.time.duration:
         count = f"  about {cost.steps} steps in {duration_text(cost.seconds)}"
     else:
         count = (
             f"  {cost.fewest_steps} to {cost.most_steps} steps, by the latest pace {cost.steps}, in "
             f"{duration_text(cost.fewest_steps * seconds)} to {duration_text(cost.most_steps * seconds)} "
-            f"(seen up to t = {cost.looked_until:.4g} s)"
+            f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
     remedy = REMEDY.get(next(iter(cost.limits)))  # none where the integrator's own error sets the step

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, RecordingArgument, seconds
+from carom.cli.options import ForceOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 
 
@@ -20,7 +20,7 @@ def export(
     at: Annotated[
         float | None,
         typer.Option(
-            "--at", parser=seconds, metavar="T", help="The step that this time (s) is in. Default: the hardest impact."
+            "--at", parser=seconds, metavar="T", help="The step that this time is in. Default: the hardest impact."
         ),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
@@ -50,6 +50,7 @@ def export(
         recording = Recording.open(path)
         recording.refuse_overlay()
         with replaying(recording) as watch:
+            at = simulated_or_none(at, recording.units)
             written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
         bodies = len(recording.shown)
     say(f"{written} written: {count} step{'s' * (count > 1)} of {bodies} bodies.")

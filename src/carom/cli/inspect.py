@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.units.dimension import ENERGY, TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
+
+    from carom.scene.units.system import UnitSystem
 
 AROUND = 20  # frames, of a clip of a moment
 
@@ -27,7 +30,8 @@ def inspect(
     from carom.recording.read.recording import Recording
 
     with opened(file) as path:
-        summary = Recording.open(path).summary()
+        recording = Recording.open(path)
+        summary, units = recording.summary(), recording.units
     if as_json:
         say(json.dumps(summary, indent=2, ensure_ascii=False))
         return
@@ -35,14 +39,14 @@ def inspect(
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
-    console.print(_overview(summary))
+    console.print(_overview(summary, units))
     console.print()
     if "materials" in summary:
         console.print(materials_table(summary["materials"]))
         console.print()
-    for line in _warnings(summary):
+    for line in _warnings(summary, units):
         console.print(line)
-    for line in _moments(summary, file):
+    for line in _moments(summary, file, units):
         console.print(line)
     console.print()
     console.print(_profile(summary))
@@ -54,7 +58,7 @@ def _grid() -> Table:
     return Table.grid(padding=(0, 2))
 
 
-def _overview(summary: dict[str, Any]) -> Table:
+def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     from carom.experiment.contact_counts import counts_text
     from carom.experiment.ending import accuracy_text, in_words
     from carom.recording.schema.impacts import RecordedImpacts
@@ -69,12 +73,13 @@ def _overview(summary: dict[str, Any]) -> Table:
     clip = summary.get("clip")
     if clip:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
-        table.add_row("clip of", f"{clip['source']}, {clip['from']:.6g} to {clip['to']:.6g} s{few}")
+        table.add_row("clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}")
     table.add_row("outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else ""))
     steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else f"{summary['steps']} steps"
     length = summary["sim_time"] - (clip["from"] if clip else 0.0)
-    table.add_row("length", f"{summary['frames']} frames, {steps}, {length:.6g} s simulated")
-    table.add_row("energy", f"{energy['initial']:.6g} J at first, {energy['final']:.6g} J at last")
+    table.add_row("length", f"{summary['frames']} frames, {steps}, {units.text(length, TIME)} simulated")
+    first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
+    table.add_row("energy", f"{first} at first, {last} at last")
     table.add_row("", f"integration error at most {energy['max_error']:.2e} of the energy scale")
     linear = summary["momentum"]["max_error"]
     table.add_row(
@@ -88,7 +93,7 @@ def _overview(summary: dict[str, Any]) -> Table:
         table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
     table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
     if summary["accuracy"]:
-        table.add_row("accuracy", accuracy_text(summary["accuracy"]))
+        table.add_row("accuracy", accuracy_text(summary["accuracy"], units))
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):
@@ -105,28 +110,29 @@ def _overview(summary: dict[str, Any]) -> Table:
     return table
 
 
-def _warnings(summary: dict[str, Any]) -> Iterator[str]:
+def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
     """Show the warnings of the run, and an empty line after them."""
     from carom.cli.warnings import warning_lines
     from carom.physics.event import Event
 
     if summary["warnings"]:
         yield f"Warnings: {len(summary['warnings'])}"
-        yield from warning_lines([Event(**warning) for warning in summary["warnings"]], in_full=True)
+        yield from warning_lines([Event(**warning) for warning in summary["warnings"]], units, in_full=True)
         yield ""
 
 
-def _moments(summary: dict[str, Any], file: Path) -> Iterator[str]:
+def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[str]:
     """Name each extreme, and the commands that look closer."""
     from carom.experiment.overview import moments
 
     length = summary["sim_time"] - summary.get("clip", {}).get("from", 0.0)
     window = AROUND * length / max(1, summary["frames"] - 1)
-    for moment in moments(summary):
-        begin, end = max(0.0, moment.time - window / 2), moment.time + window / 2
-        yield f"{moment.text}, at step {moment.step}, t = {moment.time:.6g} s"
-        yield "    " + command("view", file, "--at", f"{moment.time:.9g}")
-        yield "    " + command("clip", file, "--around", f"{moment.time:.9g}", "--window", f"{window:.3g}")
+    for moment in moments(summary, units):
+        span = (max(0.0, moment.time - window / 2), moment.time + window / 2)
+        at, begin, end, length = (units.shown(time, TIME) for time in (moment.time, *span, window))
+        yield f"{moment.text}, at step {moment.step}, t = {units.text(moment.time, TIME)}"
+        yield "    " + command("view", file, "--at", f"{at:.9g}")
+        yield "    " + command("clip", file, "--around", f"{at:.9g}", "--window", f"{length:.3g}")
         if summary["scene"].get("engine") or summary.get("clip", {}).get("partial"):
             continue
         yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")

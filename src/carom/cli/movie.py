@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, RecordingArgument, seconds
+from carom.cli.options import ForceOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.cli.view import BodiesOption, Theme, pixels_of
 
@@ -33,10 +33,10 @@ class MovieView(StrEnum):
 def movie(
     file: RecordingArgument,
     start: Annotated[
-        float | None, typer.Option("--from", parser=seconds, metavar="T", help="Start at this simulated time (s).")
+        float | None, typer.Option("--from", parser=seconds, metavar="T", help="Start at this simulated time.")
     ] = None,
     end: Annotated[
-        float | None, typer.Option("--to", parser=seconds, metavar="T", help="End at this simulated time (s).")
+        float | None, typer.Option("--to", parser=seconds, metavar="T", help="End at this simulated time.")
     ] = None,
     length: Annotated[
         float, typer.Option("--seconds", parser=seconds, metavar="S", help="Length of the movie in seconds.")
@@ -75,12 +75,12 @@ def movie(
         from carom.recording.view.movie_file import require_encoder, write_movie
 
     recording = Recording.open(file)
-    first, last = _ends(recording, start, end)
+    first, last = _ends(recording, *(simulated_or_none(time, recording.units) for time in (start, end)))
     times = frame_times(recording, first, last, max(2, round(length * rate)))
     with claimed_output(path, force):
         require_encoder(path)
         shots = pictures(recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies)
-        with MovieProgress(path, times) as progress:
+        with MovieProgress(path, times, recording.units) as progress:
             write_movie(path, progress.watched(shots), len(times), pixels, rate)
         say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")
 

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import duration_text
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 
 class MovieProgress(LiveLine):
     """Pictures made, time for each, and time left."""
 
-    def __init__(self, path: Path, times: NDArray[np.float64]) -> None:
+    def __init__(self, path: Path, times: NDArray[np.float64], units: UnitSystem) -> None:
         super().__init__()
         self._path = path
+        self._units = units
         self._times = times  # s, of the frame that each picture shows
         self._made = 0
         self._first: float | None = None  # when the first picture was there: the viewers were starting before
@@ -30,7 +33,8 @@ class MovieProgress(LiveLine):
         times = self._times
         frames = len(np.unique(times))
         shown = "" if frames == len(times) else f", of {frames} recorded frames"
-        self.say(f"{self._path}: {len(times)} pictures{shown}, from {times[0]:.6g} to {times[-1]:.6g} s")
+        span = self._units.span(times[0], times[-1], TIME)
+        self.say(f"{self._path}: {len(times)} pictures{shown}, from {span}")
         return super().__enter__()
 
     def watched(self, pictures: Iterable[bytes]) -> Iterator[bytes]:

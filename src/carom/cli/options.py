@@ -8,16 +8,44 @@ from typing import Annotated
 
 import typer
 
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+
+_NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
+
+
+class Seconds(float):
+    """A time that was given with a unit, in s."""
+
 
 def seconds(text: str) -> float:
-    """Read a time. NaN is refused."""
+    """Read a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
+    from carom.scene.units.quantity_text import nearest_float, quantity
+    from carom.scene.units.unit import UnitError
+
     try:
         value = float(text)
     except ValueError:
-        value = float("nan")
+        try:
+            return Seconds(nearest_float(quantity(text, TIME)))
+        except UnitError as error:
+            starts_as_number = text.lstrip("+-. ")[:1].isdigit()
+            raise typer.BadParameter(f"{text}: {error if starts_as_number else _NO_TIME}") from None
     if isnan(value):
-        raise typer.BadParameter(f"{text}: expected a time in seconds, such as 12.5")
+        raise typer.BadParameter(f"{text}: {_NO_TIME}")
     return value
+
+
+def simulated(given: float, units: UnitSystem) -> float:
+    """Return a time that was given as a time of the simulation; a plain number is in the units of the scene."""
+    if isinstance(given, Seconds):
+        return units.of_si(float(given), TIME)
+    return units.converted(given, TIME)
+
+
+def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
+    """Return a time of the simulation, or None if none was given."""
+    return None if given is None else simulated(given, units)
 
 
 def bundled(incomplete: str) -> list[str]:

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.terminal import Terminal
-from carom.cli.units import bytes_text, duration_text
+from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text
 from carom.experiment.ending import accuracy_text, in_words
@@ -19,6 +19,7 @@ from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.command import command
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 
 class Progress(LiveLine):
@@ -32,7 +33,8 @@ class Progress(LiveLine):
     def __enter__(self) -> Self:
         self._restart()
         scene = self._scene
-        self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {duration_text(scene.time.duration)}")
+        length = simulated_text(scene.time.duration, scene.unit_system)
+        self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {length}")
         return super().__enter__()
 
     def update(self, status: StepStatus) -> None:
@@ -43,21 +45,21 @@ class Progress(LiveLine):
         done = min(1.0, status.time / self._scene.time.duration)
         spent = max(now - self._began, 1e-9)
         left = duration_text(spent * (1 - done) / done) if done > 0 else "?"
+        units = self._scene.unit_system
+        at, dt = units.text(status.time, TIME, ".5g"), units.text(status.dt, TIME, ".3g")
         return (
-            f"{bar(done)} {done:4.0%}  t = {status.time:.5g} s  step {status.step} "
-            f"({status.step / spent:.0f}/s)  dt = {status.dt:.3g} s ({status.dt_limit})  {status.contacts} contacts  "
+            f"{bar(done)} {done:4.0%}  t = {at}  step {status.step} "
+            f"({status.step / spent:.0f}/s)  dt = {dt} ({status.dt_limit})  {status.contacts} contacts  "
             f"energy error {status.energy_error:.1e}  {left} left"
         )
 
     def summarise(self, outcome: Outcome) -> None:
         """Say how the run ended, what it measured, and what to do with the file."""
-        moments = outcome.moments
+        moments, units = outcome.moments, self._scene.unit_system
         table = Table.grid(padding=(0, 2))
         table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
-        table.add_row(
-            "run",
-            f"{outcome.steps} steps, {outcome.sim_time:.6g} s simulated in {duration_text(outcome.wall_time)}",
-        )
+        simulated = units.text(outcome.sim_time, TIME)
+        table.add_row("run", f"{outcome.steps} steps, {simulated} simulated in {duration_text(outcome.wall_time)}")
         if moments.energy_error:
             table.add_row("energy", f"integration error at most {moments.energy_error.value:.2e} of the energy scale")
         linear, angular = moments.momentum_error, moments.angular_momentum_error
@@ -74,12 +76,12 @@ class Progress(LiveLine):
             deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
             table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
         if outcome.accuracy:
-            table.add_row("accuracy", accuracy_text(outcome.accuracy))
-        for line in warning_lines(outcome.warnings):
+            table.add_row("accuracy", accuracy_text(outcome.accuracy, units))
+        for line in warning_lines(outcome.warnings, units):
             table.add_row(Text("warning", style="yellow"), Text(line))
         for verdict in outcome.verdicts:
             kept = Text("expected" if verdict.judged else "not judged")
-            table.add_row(kept if verdict.met else Text("missed", style="red"), str(verdict))
+            table.add_row(kept if verdict.met else Text("missed", style="red"), verdict.text(units))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
         resumed = ("resume",) if outcome.status == "interrupted" else ()
         terminal = Terminal(file=sys.stdout)

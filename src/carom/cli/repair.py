@@ -9,6 +9,7 @@ import typer
 
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
 from carom.cli.text import say
+from carom.scene.units.dimension import TIME
 
 
 def repair(
@@ -45,7 +46,12 @@ def repair(
     elif done.path is None:
         say(f"{file}: nothing to repair.")
     else:
-        reach = "no frame" if done.end is None else f"{done.frames} frames, to t = {done.end:.6g} s"
+        from carom.recording.edit.repair import units_of
+        from carom.recording.read.recording import Recording
+
+        reach = "no frame"
+        if done.end is not None:
+            reach = f"{done.frames} frames, to t = {units_of(Recording.open(path)).text(done.end, TIME)}"
         say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
         for piece in done.lost:
             say(f"lost: {piece}")

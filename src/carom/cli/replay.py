@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds, simulated
 from carom.cli.text import say
 from carom.cli.units import duration_text
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.experiment.replay import Replay
+    from carom.scene.units.system import UnitSystem
 
 ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
 
@@ -22,11 +24,9 @@ def replay(
     file: RecordingArgument,
     begin: Annotated[
         float,
-        typer.Option("--from", parser=seconds, metavar="T", help="Start at the last checkpoint before this time (s)."),
+        typer.Option("--from", parser=seconds, metavar="T", help="Start at the last checkpoint before this time."),
     ] = 0.0,
-    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="Stop at this time (s).")] = float(
-        "inf"
-    ),
+    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="Stop at this time.")] = float("inf"),
     every: Annotated[
         str | None,
         typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),
@@ -54,17 +54,21 @@ def replay(
 
     if every not in (None, "step"):
         raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")
-    if end < begin:
-        raise typer.BadParameter(f"{end:g} s is before --from {begin:g} s", param_hint="--to")
     dense = output or file.with_name(f"{file.stem}-dense.rrd") if every or output else None
     if not as_json:
         announce_compilation()
     try:
         with opened(file) as path:
+            recording = Recording.open(path)
+            units = recording.units
+            start, stop = simulated(begin, units), simulated(end, units)
+            if stop < start:
+                before, after = units.text(stop, TIME, "g"), units.text(start, TIME, "g")
+                raise typer.BadParameter(f"{before} is before --from {after}", param_hint="--to")
             result = run_again(
-                Recording.open(path),
-                begin,
-                end,
+                recording,
+                start,
+                stop,
                 threads=threads,
                 dense=dense,
                 force=force,
@@ -76,7 +80,7 @@ def replay(
     if as_json:
         say(json.dumps(_document(result), indent=2))
     else:
-        _print(result)
+        _print(result, units)
     if not result.same:
         raise typer.Exit(1)
 
@@ -92,11 +96,11 @@ def _agreed(seconds: float) -> bool:
     return typer.confirm(f"{text}. Go on?", err=True)
 
 
-def _print(result: Replay) -> None:
+def _print(result: Replay, units: UnitSystem) -> None:
     frames = f"{result.compared} of {result.frames} frames"
     say(f"{frames}{', same bits' if result.same else ''}, from step {result.begin} on, in {result.seconds:.3g} s")
     if result.difference:
-        say(f"The first difference is at {result.difference}.")
+        say(f"The first difference is at {result.difference.text(units)}.")
     if result.not_compared:
         say(f"Not compared: {'; '.join(result.not_compared)}.")
     for file in result.changed_files:

@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.units.dimension import TIME
 
 
 def report(
     file: RecordingArgument,
     at: Annotated[
         float | None,
-        typer.Option("--at", parser=seconds, metavar="T", help="Moment to report (s). Default: the worst of the run."),
+        typer.Option("--at", parser=seconds, metavar="T", help="Moment to report. Default: the worst of the run."),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Zip to write. Default: FILE-report.zip.")
@@ -37,11 +38,12 @@ def report(
     path = output or file.with_name(f"{file.stem}-report.zip")
     refuse_output(path, force)
     announce_compilation()
-    made = make(recording, path, at)
+    made = make(recording, path, simulated_or_none(at, recording.units))
     if as_json:
         say(json.dumps({**asdict(made), "path": str(path)}, indent=2))
         return
-    say(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {made.time:.9g} s,")
+    when = recording.units.text(made.time, TIME, ".9g")
+    say(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {when},")
     say(f"{made.why.splitlines()[0]}.")
     say(made.replayed.replace("**", ""))
     if made.picture:

@@ -7,8 +7,17 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, LiveOption, RecordingArgument, ThreadsOption, seconds
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    LiveOption,
+    RecordingArgument,
+    ThreadsOption,
+    seconds,
+    simulated_or_none,
+)
 from carom.cli.run import live_viewer, report, telling_of
+from carom.scene.units.dimension import TIME
 
 
 def resume(
@@ -19,7 +28,7 @@ def resume(
             "--until",
             parser=seconds,
             metavar="T",
-            help="Continue to this simulated time (s). Default: the scene's duration.",
+            help="Continue to this simulated time. Default: the scene's duration.",
         ),
     ] = None,
     output: Annotated[
@@ -44,10 +53,12 @@ def resume(
     from carom.recording.read.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
-        raise typer.BadParameter(f"{until:g}: expected a time above 0 s", param_hint="--until")
+        raise typer.BadParameter(f"{until:g}: expected a time above 0", param_hint="--until")
     with claimed_target(file, output, force) as claim:
-        run = resumable_run(Recording.open(file), until)
-        progress = Progress(run.scene, quiet=as_json, heading=f"From t = {run.checkpoint.time:.6g} s on: ")
+        recording = Recording.open(file)
+        run = resumable_run(recording, simulated_or_none(until, recording.units))
+        began = recording.units.text(run.checkpoint.time, TIME)
+        progress = Progress(run.scene, quiet=as_json, heading=f"From t = {began} on: ")
         announce_compilation(progress.say)
         space = run.space(threads)
         address = live_viewer() if live else None

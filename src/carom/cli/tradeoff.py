@@ -12,6 +12,7 @@ import typer
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -40,7 +41,7 @@ EngineOption = Annotated[
 COLUMNS = {
     "position": "position",
     "velocity": "velocity",
-    "impact": "impacts / s",
+    "impact": "impacts",
     "missed": "missed",
     "energy": "energy",
     "energy_gain": "gain",
@@ -167,10 +168,10 @@ def _show(study: Study) -> None:
     if reference is None:
         return
     console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
-    end, horizon = study.scene.time.duration, reference.horizon
+    end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
     console.print(
-        f"Positions are compared up to the horizon, {horizon:.6g} s of {end:.6g} s, where it is sure to "
-        f"{study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
+        f"Positions are compared up to the horizon, {units.text(horizon, TIME)} of {units.text(end, TIME)}, where it "
+        f"is sure to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
         soft_wrap=True,
     )
     console.print(_legend(study.noise), soft_wrap=True)
@@ -205,7 +206,7 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     ]
     marks = {error: study.marks(error) for error in shown}
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("setting", "cost / s", "±", "steps", *(COLUMNS[error] for error in shown)):
+    for heading in ("setting", "cost / s", "±", "steps", *(_heading(study, error) for error in shown)):
         table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
     for result in done:
         name = result.setting.name
@@ -216,6 +217,12 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
         if result.errors is None:
             table.add_row(escape(result.setting.name), result.status)
     return table
+
+
+def _heading(study: Study, error: str) -> str:
+    """Return the name of a column, with the unit of its numbers."""
+    unit = study.scene.unit_system.recorded_unit("s") if error == "impact" else "1"
+    return COLUMNS[error] if unit == "1" else f"{COLUMNS[error]} / {unit}"
 
 
 def _cell(result: Result, error: str, mark: str) -> str:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0
 
 
@@ -11,6 +14,11 @@ def duration_text(seconds: float) -> str:
         if seconds >= 2 * unit:
             return f"{seconds / unit:.3g} {name}"
     return f"{seconds:.3g} s"
+
+
+def simulated_text(seconds: float, units: UnitSystem) -> str:
+    """Write a length of simulated time: in the unit of the scene or, in SI, with one that fits it."""
+    return duration_text(seconds) if units.is_si else units.text(seconds, TIME, ".3g")
 
 
 def bytes_text(count: float) -> str:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import RecordingArgument, seconds
+from carom.cli.options import RecordingArgument, seconds, simulated
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.view.request import Request
@@ -20,7 +21,7 @@ AtOption = Annotated[
         "--at",
         parser=seconds,
         metavar="T",
-        help="Moment to show: simulated time in seconds. Default: the hardest impact.",
+        help="Moment to show: simulated time. Default: the hardest impact.",
     ),
 ]
 EventOption = Annotated[
@@ -101,7 +102,7 @@ def view(
     from carom.recording.view.request import Request
     from carom.recording.view.window import open_window
 
-    request = Request(at, event, bodies, plot, colour_by)
+    request = Request(_simulated(file, at), event, bodies, plot, colour_by)
     announce_compilation()
     _announce_replay(file, plot)
     if web:
@@ -160,17 +161,26 @@ def picture(
 ) -> None:
     """Render a moment of a recording to a PNG; needs no screen."""
     from carom.cli.compiling import announce_compilation
+    from carom.recording.read.recording import Recording
     from carom.recording.view.picture import render
     from carom.recording.view.request import Request
 
     pixels = pixels_of(size)
-    request = Request(at, event, bodies, plot, colour_by)
+    request = Request(_simulated(file, at), event, bodies, plot, colour_by)
     announce_compilation()
     path = output or file.with_suffix(".png")
     _announce_replay(file, plot)
     made = render(file, request, path, pixels, view=view.value, theme=theme.value)
-    typer.echo(f"{path} written, t = {made.time:.9g} s.")
+    when = Recording.open(file).units.text(made.time, TIME, ".9g")
+    typer.echo(f"{path} written, t = {when}.")
     _say_missing(made.missing)
+
+
+def _simulated(file: Path, at: float | None) -> float | None:
+    """Return a moment that was given as a time of the simulation."""
+    from carom.recording.read.recording import Recording
+
+    return None if at is None else simulated(at, Recording.open(file).units)
 
 
 def _announce_replay(file: Path, plot: str | None) -> None:

@@ -35,6 +35,7 @@ from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
 from carom.scene.schema import Scene
+from carom.scene.units.system import SI
 
 _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
 POINTS: dict[str, Any] = {
@@ -98,7 +99,7 @@ def _compile_second_steps(bodies: Bodies) -> None:
     largest_coordinate(bodies.position)
     Ledger().plus(np.zeros((1, 3)))
     load_helpers()
-    refuse_infinities(bodies, ["", ""], 0, 0.0)
+    refuse_infinities(bodies, ["", ""], 0, 0.0, SI)
 
 
 def _end_with_parent() -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from carom.scene.units.dimension import RATE, TIME
+from carom.scene.units.system import UnitSystem
+
 _DISK = "disk"
 _FAILED = "recording failed"
 
@@ -13,8 +16,9 @@ def in_words(outcome: str) -> str:
     return _FAILED + outcome.removeprefix(_DISK) if outcome == _DISK or outcome.startswith(f"{_DISK}:") else outcome
 
 
-def accuracy_text(accuracy: Mapping[str, float]) -> str:
+def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
     """Say whether a run kept its accuracy; for the keys see `carom.experiment.run.kept_accuracy`."""
-    until = f"up to t = {accuracy['horizon']:.6g} s only" if "horizon" in accuracy else "to the end"
-    exponent = f"largest Lyapunov exponent over that time {accuracy['lyapunov']:.3g} / s"
+    until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
+    per = f" / {units.unit(TIME)}" if units.unit(TIME) else ""
+    exponent = f"largest Lyapunov exponent over that time {units.shown(accuracy['lyapunov'], RATE):.3g}{per}"
     return f"{accuracy['requested']:g} kept {until}; {exponent}"

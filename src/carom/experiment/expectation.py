@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +43,13 @@ class Verdict:
         return "at least" if self.at_least else "at most"
 
     def __str__(self) -> str:
+        return self.text(SI)
+
+    def text(self, units: UnitSystem) -> str:
+        """Say what was promised and measured, with times in the units of the scene."""
         missed = "" if self.met else "; missed"
         if self.promised_at is not None:
-            missed = f" at t = {self.promised_at:.6g} s; not judged"
+            missed = f" at t = {units.text(self.promised_at, TIME)}; not judged"
         note = f", {self.note}" if self.note else ""
         return f"{self.name}: {self.measured:.3g}{note} ({self.bound} {self.limit:.3g}{missed})"
 

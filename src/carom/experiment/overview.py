@@ -8,9 +8,11 @@ from typing import Any
 from carom.experiment.contact_counts import counts_text
 from carom.experiment.ending import in_words
 from carom.recording.read.recording import Recording
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
 
 MOMENTS = {
-    "impact": "hardest impact, {value:.4g} J of approach (½ μ v_n²)",
+    "impact": "hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "deepest overlap, {value:.3%} of the smaller radius",
     "contacts": "most contacts, {value:.0f}",
     "energy_error": "largest integration error, {value:.2e} of the energy scale",
@@ -26,29 +28,30 @@ class Moment:
     time: float  # s
 
 
-def moments(summary: dict[str, Any]) -> list[Moment]:
+def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
     """Put the moments of a recording's summary into words."""
     found = []
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
         if moment:
             who = f", {moment['between']}" if moment["between"] else ""
-            found.append(Moment(wording.format(value=moment["value"]) + who, moment["step"], moment["time"]))
+            value = units.text(moment["value"], ENERGY, ".4g") if name == "impact" else moment["value"]
+            found.append(Moment(wording.format(value=value) + who, moment["step"], moment["time"]))
     return found
 
 
 def overview(recording: Recording) -> list[tuple[str, str]]:
     """Return names and texts: command, outcome, length, energy, contacts, promises, versions, machine."""
-    whole = recording.summary()
+    whole, units = recording.summary(), recording.units
     energy, contacts = whole["energy"], whole["contacts"]
     counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     return [
         ("command", str(recording.properties.get("command", ""))),
         ("outcome", in_words(whole["outcome"])),
-        ("run", f"{whole['bodies']} bodies, {whole['steps']} steps, {whole['sim_time']:.6g} s simulated"),
+        ("run", f"{whole['bodies']} bodies, {whole['steps']} steps, {units.text(whole['sim_time'], TIME)} simulated"),
         (
             "energy",
-            f"{energy['initial']:.6g} J at first, {energy['final']:.6g} J at last; "
+            f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last; "
             f"integration error at most {energy['max_error']:.3g} of the scale",
         ),
         ("contacts", f"{counted}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius"),

@@ -18,6 +18,7 @@ from carom.recording.view.presentation import presentation
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
 from carom.recording.write.claim import Claim
+from carom.scene.units.dimension import TIME
 
 _OURS = re.compile(r"moment-\d+\.(png|rbl|rrd)")
 _SIZE = (1600, 1000)  # pixels of a picture
@@ -51,7 +52,8 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
         If the recording has no frame, or the folder cannot be written.
     """
     summary = recording.summary()
-    found = moments(summary) or [_fullest(recording)]
+    units = recording.units
+    found = moments(summary, units) or [_fullest(recording)]
     missing = ""
     with Claim(folder), _replacing(folder) as part:
         watch("the recording")
@@ -61,12 +63,13 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
         figures = []
         for number, together in enumerate(_together(found), 1):
             name, time = f"moment-{number}", together[0].time
-            watch(f"the moment at {time:.6g} s")
+            watch(f"the moment at {units.text(time, TIME)}")
             shown = presentation(recording, time)
             link = site.write_moment(recording, shown.time, shown.supplement, part, name)
             if not missing:
                 missing = try_to_render(recording.path, time, part / f"{name}.png", _SIZE)
-            lines = [*(f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together), f"t = {time:.9g} s"]
+            lines = [f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together]
+            lines.append(f"t = {units.text(time, TIME, '.9g')}")
             figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
         index_page.write_index(part, recording.title, recording.path.name, overview(recording), figures)
         size = sum(file.stat().st_size for file in part.iterdir())

@@ -26,6 +26,8 @@ from carom.recording.write.recorder import Recorder
 from carom.scene.data.sources import changed_files
 from carom.scene.forces import FORCES
 from carom.scene.names import body_called
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
@@ -52,10 +54,14 @@ class Difference:
         return self.replayed - self.recorded
 
     def __str__(self) -> str:
+        return self.text(SI)
+
+    def text(self, units: UnitSystem) -> str:
+        """Say what differs, in the units of the recorded numbers; the time in those that are printed."""
         what = self.quantity + ("" if self.body is None else f" of {body_called(self.body, self.name)}")
         off = "" if self.by is None else f", off by {self.by:.3g}"
         values = f"recorded {self.recorded!r}, replayed {self.replayed!r}"
-        return f"step {self.step}, t = {self.time:.9g} s: {what}, {values}{off}"
+        return f"step {self.step}, t = {units.text(self.time, TIME, '.9g')}: {what}, {values}{off}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +232,7 @@ class _Comparison:
 def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
     """Find the largest difference in the first quantity that differs: time, positions, then energies."""
     if frame.time != time:
-        return Difference(frame.step, time, "time (s)", None, time, frame.time)
+        return Difference(frame.step, time, f"time{_in(recording, 's')}", None, time, frame.time)
     recorded = recording.drawn_positions(frame.step)
     if recorded is not None and len(recorded) == len(frame.position):
         shown = (frame.position - recording.origin).astype(np.float32)
@@ -234,7 +240,7 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
         if off.max() > 0.0:
             body = int(off.argmax())
             axis = int(np.abs(shown[body] - recorded[body]).argmax())
-            name = f"{'xyz'[axis]} (m, as drawn)"
+            name = f"{'xyz'[axis]}{_in(recording, 'm', ', as drawn')}"
             values = float(recorded[body, axis]), float(shown[body, axis])
             return Difference(frame.step, time, name, body, *values, recording.bodies.name[body])
     energy = recording.energy()
@@ -243,5 +249,14 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
     for name in ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential)):
         if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
-            return Difference(frame.step, time, f"{name} energy (J)", None, value, frame.energy.term(name))
+            return Difference(
+                frame.step, time, f"{name} energy{_in(recording, 'J')}", None, value, frame.energy.term(name)
+            )
     return Difference(frame.step, time, "bits that show in neither drawn positions nor energies", None, 0.0, 0.0)
+
+
+def _in(recording: Recording, si: str, more: str = "") -> str:
+    """Return the unit of recorded numbers in brackets, by its name in SI."""
+    unit = recording.units.recorded_unit(si)
+    words = more.removeprefix(", ") if unit == "1" else f"{unit}{more}"
+    return f" ({words})" if words else ""

@@ -22,6 +22,8 @@ from carom.recording.view.picture import try_to_render
 from carom.scene.command import command
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
 
 FRAMES = 120  # of the clip, half of them before the time in question
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
@@ -29,7 +31,7 @@ REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
 MOST_WARNINGS = 3
 WORST = {  # subjects of a report if nothing went wrong
-    "impact": "the hardest impact, {value:.4g} J of approach (½ μ v_n²)",
+    "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3%} of the smaller radius",
 }
 LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss))
@@ -106,7 +108,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
     for name, wording in WORST.items():
         if name in moments and moments[name]["between"]:
-            what = wording.format(value=moments[name]["value"])
+            value = moments[name]["value"]
+            what = wording.format(value=recording.units.text(value, ENERGY, ".4g") if name == "impact" else value)
             return moments[name]["time"], f"{what}, {moments[name]['between']}"
     return recording.moment(), "the fullest moment"
 
@@ -129,33 +132,34 @@ def _replay(recording: Recording) -> str:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
         return f"It could not be replayed: {error}"
-    return _in_words(result)
+    return _in_words(result, recording.units)
 
 
-def _in_words(result: Replay) -> str:
+def _in_words(result: Replay, units: UnitSystem) -> str:
     if result.same:
         return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
-    return f"Replayed from step {result.begin}, **it differs** at {result.difference}."
+    return f"Replayed from step {result.begin}, **it differs** at {result.difference.text(units)}."
 
 
 def _summary(
     recording: Recording, clip: Recording, moment: float, why: str, replayed: str, picture: bool, name: str
 ) -> str:
-    times = clip.fingerprints()["time"].to_numpy()
+    times, units = clip.fingerprints()["time"].to_numpy(), recording.units
+    shown = units.shown(moment, TIME)
     lines = [
         f"# {recording.title}",
         "",
-        f"**{why[0].upper()}{why[1:].splitlines()[0]}**, t = {moment:.9g} s.",
+        f"**{why[0].upper()}{why[1:].splitlines()[0]}**, t = {units.text(moment, TIME, '.9g')}.",
         "",
         *(["![The moment](picture.png)", ""] if picture else []),
         "| | |",
         "|---|---|",
         *(f"| {name} | {f'`{text}`' if name == 'command' else text} |" for name, text in overview(recording)),
         "",
-        f"The clip: {clip.frames} frames from {times[0]:.9g} to {times[-1]:.9g} s. {replayed}",
+        f"The clip: {clip.frames} frames from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
         "",
         *_ledger(clip),
         *_warned(recording),
@@ -167,7 +171,7 @@ def _summary(
             if clip.engine or clip.is_partial
             else [f"{command('replay', name)}    # are the bits the same on your machine?"]
         ),
-        f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{moment:.9g}')}",
+        f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{shown:.9g}')}",
         "```",
         "",
     ]
@@ -180,7 +184,8 @@ def _ledger(clip: Recording) -> list[str]:
     rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
     rows = [*rows, ("integration_error", "the integrator's error")]
     changes = [(name, what, energy[name].to_numpy()) for name, what in rows if name in energy.column_names]
-    table = [f"| {name.replace('_', ' ')} | {what} | {v[-1] - v[0]:+.4g} J |" for name, what, v in changes]
+    shown = [(name.replace("_", " "), what, clip.units.text(v[-1] - v[0], ENERGY, "+.4g")) for name, what, v in changes]
+    table = [f"| {name} | {what} | {change} |" for name, what, change in shown]
     return ["## Where energy went in the clip", "", "| | | |", "|---|---|---|", *table, ""]
 
 
@@ -188,7 +193,7 @@ def _warned(recording: Recording) -> list[str]:
     warnings = _warnings(recording)
     if not warnings:
         return []
-    shown = [f"t = {time:.9g} s: {text}" for time, text in warnings[:MOST_WARNINGS]]
+    shown = [f"t = {recording.units.text(time, TIME, '.9g')}: {text}" for time, text in warnings[:MOST_WARNINGS]]
     return [f"## Warnings ({len(warnings)})", "", "```text", *shown, "```", ""]
 
 

@@ -65,7 +65,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         raise RecordingError(f"{path} has all its frames and lacks only its end; `{command('repair', path)}` writes it")
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
-        raise RecordingError(f"{path} has been simulated to {done:g} s already; {hint}")
+        raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
         interval, units = frame_interval(scene), scene.unit_system
         every = '"step"' if interval == 0.0 else units.literal(interval, TIME)

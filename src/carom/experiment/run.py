@@ -33,6 +33,7 @@ from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
 from carom.scene.half_space import planes_of
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 POLL = 0.1  # s between two looks at a run under way
 
@@ -200,7 +201,7 @@ def _simulate(
     verdicts = judge(space.scene, extremes, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):
         status = "expectation missed"
-        reason = "; ".join(str(verdict) for verdict in verdicts if not verdict.met)
+        reason = "; ".join(verdict.text(space.scene.unit_system) for verdict in verdicts if not verdict.met)
     summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
     try:
         recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
@@ -249,7 +250,7 @@ class _Physics:
 
     def ending(self, interrupts: Interrupts) -> tuple[str, str]:
         """Return the status and the reason of the end."""
-        at = f"at t = {self.space.time:.6g} s"
+        at = f"at t = {self.space.scene.unit_system.text(self.space.time, TIME)}"
         match self._error:
             case None if interrupts.count and self.space.time < self.space.scene.time.duration:
                 return "interrupted", f"stopped by {interrupts.sender} {at}"
@@ -310,6 +311,7 @@ def header_of(space: Space) -> Header:
         stabilises=needs.stabilisation.modelled,
         body_colouring=scene.contact.colouring == "bodies",
         duration=scene.time.duration,
+        units=scene.unit_system,
         promises=scene.promise is not None,
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from carom.physics.error import PhysicsError
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 REMEDY = {  # for steps too short to move the clock, by the limit that sets them
     "error": "bodies fall into each other's centres: set gravity.softening",
@@ -26,6 +28,7 @@ class Clock:
     dt: float = 0.0  # s
     limit: str = "start"  # what set dt
     foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by their limit
+    units: UnitSystem = SI  # of the scene
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
         """Advance by one or more steps.
@@ -47,7 +50,8 @@ class Clock:
         self.dt, self.limit = dt, limit
         if not time > before:
             raise PhysicsError(
-                f"step {self.step + steps} of {dt:.3g} s no longer moves the clock at t = {before:.6g} s "
+                f"step {self.step + steps} of {self.units.text(dt, TIME, '.3g')} no longer moves the clock at "
+                f"t = {self.units.text(before, TIME)} "
                 f"(limit: {limit}); {REMEDY.get(limit, ANY_REMEDY)}"
             )
         self.step += steps

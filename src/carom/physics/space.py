@@ -102,7 +102,7 @@ class Space:
         self._stopping = False
         potentials = warm_up(self._world, self._stepper)
         if scene.time.fixed_dt is None and not integrator(scene).controls_error:
-            self._books.pace = PaceMonitor(scene.time.duration, self.first_dt)
+            self._books.pace = PaceMonitor(scene.time.duration, self.first_dt, scene.unit_system)
         self._books.take_stock(potentials, checked=True)
         self._publish()
         self.profile.clear()
@@ -302,7 +302,7 @@ class Space:
 
     def highlights(self) -> tuple[Event, ...]:
         """Return the extremes of the run so far as events, each at its own time."""
-        return self.extremes.highlights(self._world.names)
+        return self.extremes.highlights(self._world.names, self.scene.unit_system)
 
     def named_extremes(self) -> Extremes:
         """Return the extremes of the run so far, with bodies and planes by their names."""

@@ -31,6 +31,7 @@ from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.integrators import AUTO
 from carom.scene.parts import PARTS, Part
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH, TIME
 
 
 @dataclass(frozen=True)
@@ -277,14 +278,16 @@ def _accuracy(scene: Scene) -> Part:
         return Part(name, False, "time.accuracy is not set")
     if promise is None:
         return Part(name, True, f"time.accuracy = {scene.time.accuracy:g}: the step follows from runs ahead")
-    kept = "to the end" if promise.horizon is None else f"up to t = {promise.horizon:.4g} s"
+    kept = (
+        "to the end" if promise.horizon is None else f"up to t = {scene.unit_system.text(promise.horizon, TIME, '.4g')}"
+    )
     return Part(name, True, f"steps refined {promise.refinement:.3g} times; kept {kept}")
 
 
 def _adaptive_step(scene: Scene) -> Part:
     name = "adaptive-step"
     if scene.time.fixed_dt is not None:
-        return Part(name, False, f"time.fixed_dt = {scene.time.fixed_dt:g} s")
+        return Part(name, False, f"time.fixed_dt = {scene.unit_system.text(scene.time.fixed_dt, TIME, 'g')}")
     if integrator(scene).hierarchical:
         return Part(name, True, "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies, and max_dt")
     if scene.time.accuracy is not None and not integrator(scene).controls_error:
@@ -301,7 +304,10 @@ def _limits(scene: Scene) -> list[str]:
         texts.append(f"cfl = {part:g}")
     if (reach := target_dx(scene)) is not None:
         of_fall = f": {auto_step(scene):g} of the time of a fall through the smallest radius"
-        texts.append(f"target_dx = {reach:.3g} m" + (of_fall if scene.time.target_dx == "auto" else ""))
+        texts.append(
+            f"target_dx = {scene.unit_system.text(reach, LENGTH, '.3g')}"
+            + (of_fall if scene.time.target_dx == "auto" else "")
+        )
     if (fraction := pull_fraction(scene)) is not None:
         times = "shortest time of a pair" if scene.count <= PAIRS_UP_TO else "time of the largest pull"
         texts.append(f"pull_fraction = {fraction:g} of the {times}")

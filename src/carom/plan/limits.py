@@ -11,6 +11,7 @@ from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
@@ -140,11 +141,12 @@ def _refuse_narrow_box(scene: Scene) -> None:
     if scene.domain.boundary != "periodic" or scene.domain.size is None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
-    largest = max(given + [group.radius.max for group in scene.group])
+    largest, units = max(given + [group.radius.max for group in scene.group]), scene.unit_system
     if min(scene.domain.size) < 4 * largest:
+        least = units.text(4 * largest, LENGTH, "g")
         raise SceneError(
-            f"domain.size = {list(scene.domain.size)}: a periodic box must be at least four times the largest "
-            f"radius wide ({4 * largest:g} m), or a body meets another and its image at once"
+            f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
+            f"largest radius wide ({least}), or a body meets another and its image at once"
         )
 
 

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TIME, VELOCITY
+
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
 
@@ -56,7 +58,8 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
         return False, "gravity.constant = 0"
     if scene.count == 1:
         return False, "one body pulls nothing else"
-    return True, f"{scene.count} bodies, G = {scene.gravity.constant:g} m³ kg⁻¹ s⁻²"
+    constant = scene.unit_system.text(scene.gravity.constant, GRAVITATIONAL_CONSTANT, "g")
+    return True, f"{scene.count} bodies, G = {constant}"
 
 
 def _no_gravity_method(scene: Scene) -> str:
@@ -65,15 +68,17 @@ def _no_gravity_method(scene: Scene) -> str:
 
 def _uniform_field(scene: Scene) -> tuple[bool, str]:
     if any(scene.gravity.uniform):
-        return True, f"gravity.uniform = {list(scene.gravity.uniform)} m/s²"
+        return True, f"gravity.uniform = {scene.unit_system.vector(scene.gravity.uniform, ACCELERATION)}"
     return False, "gravity.uniform is zero"
 
 
 def _drag(scene: Scene) -> tuple[bool, str]:
     if scene.drag is None:
         return False, "no [drag]"
-    moving = f", a medium that moves with {list(scene.drag.medium_velocity)} m/s" if _medium_moves(scene) else ""
-    return True, f"drag.relaxation_time = {scene.drag.relaxation_time:g} s{moving}"
+    units = scene.unit_system
+    velocity = units.vector(scene.drag.medium_velocity, VELOCITY)
+    moving = f", a medium that moves with {velocity}" if _medium_moves(scene) else ""
+    return True, f"drag.relaxation_time = {units.text(scene.drag.relaxation_time, TIME, 'g')}{moving}"
 
 
 def _medium_moves(scene: Scene) -> bool:

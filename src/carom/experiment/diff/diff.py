@@ -56,6 +56,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     RecordingError
         If they have no frame in common, do not show the same bodies, or cannot be read.
     """
+    refuse_other_units(a, b)
     matched = FrameAlignment(a, b)
     curve = matched.curve()
     divergence = divergence_of(curve)
@@ -70,9 +71,18 @@ def diff(a: Recording, b: Recording) -> Diff:
         matched_by=matched.by,
         curve=curve,
         divergence=divergence,
-        verdict=verdict(curve, divergence),
+        verdict=verdict(curve, divergence, a.units),
         impacts=impact_divergence(a, b),
     )
+
+
+def refuse_other_units(a: Recording, b: Recording) -> None:
+    """Raise RecordingError if the numbers of two recordings are not in the same units."""
+    first, second = (recording.units.named if recording.units.own else "SI" for recording in (a, b))
+    if first != second:
+        raise RecordingError(
+            f"{a.path} is in {first or 'no units'} and {b.path} in {second or 'no units'}; they cannot be compared"
+        )
 
 
 def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:

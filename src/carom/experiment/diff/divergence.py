@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.scene.units.dimension import LENGTH, RATE, TIME
+from carom.scene.units.system import SI, UnitSystem
+
 FloatArray = NDArray[np.float64]
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
@@ -83,30 +86,31 @@ def divergence_of(curve: Curve) -> Divergence | None:
     )
 
 
-def verdict(curve: Curve, divergence: Divergence | None) -> Verdict:
+def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI) -> Verdict:
     """Decide whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
         return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
-    when = f"step {curve.step[first]}, t = {curve.time[first]:.6g} s"
+    when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.rms[first] > curve.floor[first] else 0.0
     allowed = _allowed(curve, divergence, first)
-    how = _grows(divergence)
-    seen = f"{jump:.2e} m" if jump else f"less than the {curve.floor[first]:.0e} m that the recording resolves"
+    how = _grows(divergence, units)
+    apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
+    seen = apart if jump else f"less than the {resolved} that the recording resolves"
     if first == 0:
         return Verdict("start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed)
     if jump > allowed:
         return Verdict(
             "jump",
-            f"a jump, not round-off: at {when}, one frame after the last with the same bits, bodies are {jump:.2e} m "
+            f"a jump, not round-off: at {when}, one frame after the last with the same bits, bodies are {apart} "
             f"apart, {jump / allowed:.1e} times what round-off could have become; {how}",
             first,
             jump,
             allowed,
         )
     if divergence is None:
-        largest = float(np.max(curve.rms[first:]))
-        text = f"small: {seen} at {when}, at most {largest:.1e} m later; {how}, so where it comes from cannot be told"
+        largest = units.text(float(np.max(curve.rms[first:])), LENGTH, ".1e")
+        text = f"small: {seen} at {when}, at most {largest} later; {how}, so where it comes from cannot be told"
         return Verdict("small", text, first, jump, allowed)
     kind = "chaos" if divergence.is_exponential else "drift"
     return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
@@ -121,13 +125,14 @@ def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
     return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
 
 
-def _grows(divergence: Divergence | None) -> str:
+def _grows(divergence: Divergence | None, units: UnitSystem) -> str:
     if divergence is None:
         return "it does not grow tenfold"
     if divergence.is_exponential:
         return (
-            f"it grows by e^(λt), λ = {divergence.rate:.3g} ± {divergence.standard_error:.1g} /s, "
-            f"twice as much every {divergence.doubling_time:.3g} s"
+            f"it grows by e^(λt), λ = {units.shown(divergence.rate, RATE):.3g} ± "
+            f"{units.shown(divergence.standard_error, RATE):.1g} /{units.unit(TIME)}, "
+            f"twice as much every {units.text(divergence.doubling_time, TIME, '.3g')}"
         )
     return f"it grows like a power of time, t^{divergence.power:.2g}, not exponentially"
 

@@ -20,6 +20,8 @@ from carom.plan.features import require
 from carom.plan.hierarchy import DOMINANT
 from carom.scene.placement import place
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
@@ -39,11 +41,12 @@ class Rebound:
         """Return IAS15, leapfrog at the scene's steps, and the maps for a dominant body; see `Engine`."""
         _package()
         _refuse(scene)
-        found = [_setting("ias15")]
+        units = scene.unit_system
+        found = [_setting("ias15", units)]
         step = scene.time.fixed_dt or Space(scene, 1).first_dt
-        found += [_setting(name, step * factor) for name in ANY for factor in STEPS]
+        found += [_setting(name, units, step * factor) for name in ANY for factor in STEPS]
         if period := shortest_period(scene):
-            found += [_setting(name, period / part) for name in DOMINATED for part in PARTS]
+            found += [_setting(name, units, period / part) for name in DOMINATED for part in PARTS]
         return found
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
@@ -59,7 +62,7 @@ class Rebound:
             sample.integrate(moment, exact_finish_time=1)
             position, velocity = _state(sample, mass)
             if not np.isfinite(position).all():
-                raise ExperimentError(f"the state is no longer finite at t = {moment:.6g} s")
+                raise ExperimentError(f"the state is no longer finite at t = {scene.unit_system.text(moment, TIME)}")
             positions.append(position)
             velocities.append(velocity)
             energies.append(simulation.energy())
@@ -126,8 +129,8 @@ def _refuse(scene: Scene) -> None:
         raise ExperimentError(f"rebound cannot represent this scene: {', '.join(found)}")
 
 
-def _setting(integrator: str, step: float = 0.0) -> Setting:
-    words = f"rebound {integrator}" + (f", dt = {step:.4g} s" if step else "")
+def _setting(integrator: str, units: UnitSystem, step: float = 0.0) -> Setting:
+    words = f"rebound {integrator}" + (f", dt = {units.text(step, TIME, '.4g')}" if step else "")
     keys = (f"integrator={integrator}", *((f"dt={step!r}",) if step else ()))
     return Setting(words, keys, engine=NAME)
 

@@ -30,6 +30,7 @@ from carom.physics.space import Space
 from carom.scene.materials import pair_coefficients
 from carom.scene.names import bodies_called
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ class _Solver:
         self._coefficients = pair_coefficients(scene)
         self._budget, self._deadline = budget, clock.perf_counter() + budget
         self._bodies = _copy(start)
-        self._n, self._names = len(start), space.names
+        self._n, self._names, self._units = len(start), space.names, scene.unit_system
         self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
         self._field = np.array(scene.gravity.uniform)
         self._contacts = space.requirements.contact.modelled
@@ -157,14 +158,14 @@ class _Solver:
             before, y = solver.t, solver.y.copy()
             message = solver.step()
             if solver.status == "failed":
-                self._end(f"DOP853 stopped at t = {solver.t:.6g} s: {message}")
+                self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
             found = self._first_contact(solver, before, y) if self._contacts else None
             after, state = found or (solver.t, solver.y)
             self._sample(before, y, after)
             self._accept(after, state)
             if clock.perf_counter() > self._deadline:
-                self._end(f"{self._budget:.3g} s of computing reached t = {after:.6g} s")
+                self._end(f"{self._budget:.3g} s of computing reached t = {self._units.text(after, TIME)}")
             if found is not None:
                 return self._touching()
             self._sample_now()
@@ -270,7 +271,9 @@ class _Solver:
                 self._strike(pair)
             rounds += 1
             if len(self._struck) > MOST_CONTACTS or rounds > MOST_CONTACTS:
-                self._end(f"contacts follow each other without end from t = {self._time:.9g} s on")
+                self._end(
+                    f"contacts follow each other without end from t = {self._units.text(self._time, TIME, '.9g')} on"
+                )
             touching = self._touching()
         return self._flight()
 
@@ -300,7 +303,8 @@ class _Solver:
                 continue
             flight = rate / -pull if pull < 0.0 else 0.0
             if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
-                self._end(f"{bodies_called((i, j), self._names)} stay in contact from t = {self._time:.9g} s on")
+                since = self._units.text(self._time, TIME, ".9g")
+                self._end(f"{bodies_called((i, j), self._names)} stay in contact from t = {since} on")
             longest = min(longest, flight)
         return longest
 

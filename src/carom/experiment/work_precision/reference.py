@@ -143,7 +143,7 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> Re
     checks = []
     for twin, tolerance in enumerate((TIGHTEST, LOOSER * TIGHTEST), start=1):
         if len(known):
-            tell(f"reference: exact, check {twin} of 2, up to t = {known[-1]:.6g} s")
+            tell(f"reference: exact, check {twin} of 2, up to t = {scene.unit_system.text(known[-1], TIME)}")
             checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
     text = f"exact: DOP853, tolerance {TIGHTEST:g}, {len(best.time)} contacts located"
     return _reference(

@@ -21,6 +21,7 @@ from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -102,7 +103,7 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
         watch.sample(frame)
     watch.see_contacts(space.time)
     if len(watch.position) < len(times):
-        raise PhysicsError(f"the run stopped at t = {space.time:.6g} s")
+        raise PhysicsError(f"the run stopped at t = {space.scene.unit_system.text(space.time, TIME)}")
     extremes, n = space.extremes, len(space.state) + len(space.planes)
     collides = space.requirements.contact.modelled
     met = np.array(list(watch.met), dtype=np.int64)

@@ -15,6 +15,7 @@ from carom.experiment.work_precision.tradeoff import Result, Study, Teller
 from carom.scene.data.moved import toml_for
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
+from carom.scene.units.dimension import TIME
 
 WORSE = 1.1  # times an error of the scene as written; smaller increases are not reported
 
@@ -150,11 +151,12 @@ def write(tuning: Tuning, path: Path) -> None:
     assert study.reference is not None and result is not None, "what is measured has a reference"
     measured = [f"{e} {getattr(result.errors, e):.2g} (asked for {limit:.2g})" for e, limit in tuning.limits.items()]
     cost = f"{result.cost:.3g} s, the median of {len(result.costs)}, ± {result.spread:.0%}"
+    horizon = study.scene.unit_system.text(study.reference.horizon, TIME)
     comment = [
         f"carom tune: {result.setting.name}",
         f"measured: {', '.join(measured)}; {cost}",
         f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as before",
-        f"against a reference that is {study.reference.text}; compared up to {study.reference.horizon:.6g} s",
+        f"against a reference that is {study.reference.text}; compared up to {horizon}",
     ]
     text = "".join(f"# {line}\n" for line in comment) + "\n" + toml_for(result.setting.apply(study.scene), path.parent)
     try:

@@ -19,6 +19,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.scene.names import Names
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 
@@ -57,10 +58,11 @@ class Audit:
         self.momentum: Momentum
         self.step = -1  # of the last check
         self._bodies = bodies
+        self._units = scene.unit_system
         self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
         booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
-        self._watch = EnergyMonitor(scene.record.energy_tolerance, names)
+        self._watch = EnergyMonitor(scene.record.energy_tolerance, names, scene.unit_system)
         self._suspects: list[Suspects] = []
         self._last_suspects: Suspects | None = None
 
@@ -120,7 +122,7 @@ class Audit:
         """
         self.energy = self.energy_now(potentials)
         if not np.isfinite(self.energy.total):
-            raise PhysicsError(f"the energy is no longer finite at step {step}, t = {time:.6g} s")
+            raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
         extremes.see_energy(step, time, self.energy)
         self.momentum = self.momentum_now(time)
         extremes.see_momentum(step, time, self.momentum)

@@ -17,6 +17,8 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
 from carom.scene.names import Names
+from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -44,22 +46,23 @@ class Suspects:
         ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
         return cls(step, graph, contributions, ends.velocity.copy(), ends.angular_velocity.copy() if spins else None)
 
-    def describe(self, names: Names) -> str:
+    def describe(self, names: Names, units: UnitSystem) -> str:
         """List the contacts that added most energy, with the states of their bodies."""
         if len(self.graph) == 0:
             return f"No bodies were colliding in step {self.step}."
         ledger = self.contributions()
         added = ledger[:, STABILISATION] - ledger[:, (RESTITUTION, FRICTION)].sum(axis=1)
         lines = [f"Colliding in step {self.step}, {len(self.graph)} contacts, those that added most first:"]
-        lines += [self._contact(int(c), float(added[c]), names) for c in np.argsort(-added)[:MOST_CONTACTS]]
+        lines += [self._contact(int(c), float(added[c]), names, units) for c in np.argsort(-added)[:MOST_CONTACTS]]
         return "\n".join(lines)
 
-    def _contact(self, c: int, added: float, names: Names) -> str:
-        lines = [f"  contact of overlap {self.graph.overlaps[c]:.3g} m added {added:+.3g} J"]
+    def _contact(self, c: int, added: float, names: Names, units: UnitSystem) -> str:
+        overlap, energy = units.text(self.graph.overlaps[c], LENGTH, ".3g"), units.text(added, ENERGY, "+.3g")
+        lines = [f"  contact of overlap {overlap} added {energy}"]
         for body in self.graph.pairs[c]:
-            text = f"    {names.of(int(body))}: v = {_vector(self.velocity[body])} m/s"
+            text = f"    {names.of(int(body))}: v = {_vector(self.velocity[body], VELOCITY, units)}"
             if self.angular_velocity is not None:
-                text += f", ω = {_vector(self.angular_velocity[body])} rad/s"
+                text += f", ω = {_vector(self.angular_velocity[body], ANGULAR_VELOCITY, units)}"
             lines.append(text)
         return "\n".join(lines)
 
@@ -81,9 +84,10 @@ class EnergyMonitor:
     A rise is relative to the lowest energy since the last warning, so a slow rise is noticed at any rate of checks.
     """
 
-    def __init__(self, tolerance: float, names: Names) -> None:
+    def __init__(self, tolerance: float, names: Names, units: UnitSystem = SI) -> None:
         self._tolerance = tolerance
         self._names = names
+        self._units = units
         self.tally = MonitorState()
 
     def check(
@@ -105,18 +109,23 @@ class EnergyMonitor:
         rose = energy.undamped - lowest.undamped > self._tolerance * energy.scale
         events = []
         if rose and tally.warnings < MOST_WARNINGS:
-            text = _rise(energy, lowest, tally.since)
-            text = "\n".join([text, *(step.describe(self._names) for step in suspects)])
+            text = _rise(energy, lowest, tally.since, self._units)
+            text = "\n".join([text, *(step.describe(self._names, self._units) for step in suspects)])
             if tally.warnings + 1 == MOST_WARNINGS:
                 text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
             events.append(Event(step, time, "WARN", text, "energy-rise"))
         gained = contact_gain > self._tolerance
         if gained and not tally.gained:
-            text = "\n".join([_gain(energy, contact_gain), *(step.describe(self._names) for step in suspects)])
+            text = "\n".join(
+                [
+                    _gain(energy, contact_gain, self._units),
+                    *(step.describe(self._names, self._units) for step in suspects),
+                ]
+            )
             events.append(Event(step, time, "WARN", text, "energy-ledger"))
         lost = energy.relative_error > LOST
         if lost and not tally.lost:
-            events.append(Event(step, time, "WARN", _loss(energy, lowest), "energy-lost"))
+            events.append(Event(step, time, "WARN", _loss(energy, lowest, self._units), "energy-lost"))
         if rose or tally.lowest is None or energy.undamped < lowest.undamped:
             lowest, since = energy, time
         else:
@@ -125,7 +134,7 @@ class EnergyMonitor:
         return events
 
 
-def _rise(energy: Energy, lowest: Energy, since: float) -> str:
+def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> str:
     """Return the text of a warning: how far the energy has risen since a time in s, and why."""
     now, then = energy.ledger, lowest.ledger
     parts = {
@@ -133,34 +142,38 @@ def _rise(energy: Energy, lowest: Energy, since: float) -> str:
         "the integrator": energy.integration_error - lowest.integration_error,
         "impulses of contacts": then.restitution + then.friction - now.restitution - now.friction,
     }
-    shares = ", ".join(f"{joules:+.4g} J from {part}" for part, joules in parts.items() if joules)
+    changes = {part: units.text(change, ENERGY, "+.4g") for part, change in parts.items() if change}
+    shares = ", ".join(f"{change} from {part}" for part, change in changes.items())
     rise = energy.undamped - lowest.undamped
     return (
-        f"Energy rose by {rise:.4g} J ({energy.relative(rise):.2g} of the scale) since t = {since:.6g} s: "
-        f"{shares}. Mostly {max(parts, key=lambda part: parts[part])}."
+        f"Energy rose by {units.text(rise, ENERGY, '.4g')} ({energy.relative(rise):.2g} of the scale) since "
+        f"t = {units.text(since, TIME)}: {shares}. Mostly {max(parts, key=lambda part: parts[part])}."
     )
 
 
-def _loss(energy: Energy, lowest: Energy) -> str:
+def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
     """Say how wrong the energy is."""
     pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer pull
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
     part = energy.relative_error
     amount = f"{part:.0%} of" if part < 10.0 else f"{part:.2g} times"
+    change = units.text(energy.integration_error, ENERGY, "+.4g")
     return (
-        f"{what}: integration has changed the total energy by {energy.integration_error:+.4g} J, {amount} the energy "
+        f"{what}: integration has changed the total energy by {change}, {amount} the energy "
         'scale. Take shorter steps (time.target_dx, time.cfl or time.fixed_dt), or time.integrator = "yoshida4".'
     )
 
 
-def _gain(energy: Energy, contact_gain: float) -> str:
+def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
     """Say that impulses of contacts put energy in."""
     ledger = energy.ledger
+    restitution, friction = (units.text(taken, ENERGY, ".4g") for taken in (ledger.restitution, ledger.friction))
     return (
         f"Impulses of contacts have put energy in, {contact_gain:.2g} of the energy scale, although they can only take "
-        f"it out: so far restitution took {ledger.restitution:.4g} J and friction {ledger.friction:.4g} J."
+        f"it out: so far restitution took {restitution} and friction {friction}."
     )
 
 
-def _vector(values: FloatArray) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
+def _vector(values: FloatArray, dimension: Dimension, units: UnitSystem) -> str:
+    numbers = ", ".join(f"{units.shown(value, dimension):.4g}" for value in values)
+    return f"({numbers}) {units.unit(dimension)}".rstrip()

@@ -12,6 +12,8 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.momentum import Momentum
 from carom.physics.event import Event
 from carom.scene.names import Names
+from carom.scene.units.dimension import ENERGY
+from carom.scene.units.system import UnitSystem
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +84,12 @@ class Extremes:
                 found[name] = _named(value, names)
         return Extremes(**found)
 
-    def highlights(self, names: Names) -> tuple[Event, ...]:
+    def highlights(self, names: Names, units: UnitSystem) -> tuple[Event, ...]:
         """Return the extremes of contacts and energy as events, in order of time."""
         known = self.named(names)
+        approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
         wordings = (
-            (known.impact, "Hardest impact of the run, {value:.4g} J of approach (½ μ v_n²)"),
+            (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
             (known.overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
             (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),

@@ -12,6 +12,8 @@ from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.scene.names import bodies_called
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -19,13 +21,15 @@ MOST_TURNS = 1e6
 MIN_BODIES_PER_TASK = 5000
 
 
-def refuse_infinities(bodies: Bodies, names: Sequence[str], step: int, time: float, team: Team = SOLO) -> None:
+def refuse_infinities(
+    bodies: Bodies, names: Sequence[str], step: int, time: float, units: UnitSystem, team: Team = SOLO
+) -> None:
     """Refuse a state whose positions or velocities are not all finite.
 
     Raises
     ------
     PhysicsError
-        If one is infinite or not a number; it names the bodies, the step and the time in seconds.
+        If one is infinite or not a number; it names the bodies, the step and the time.
     """
     lost = np.zeros(1, dtype=np.bool_)
     team.divide(len(bodies), MIN_BODIES_PER_TASK, _look_for_infinities, bodies.position, bodies.velocity, lost)
@@ -34,12 +38,14 @@ def refuse_infinities(bodies: Bodies, names: Sequence[str], step: int, time: flo
     finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)
     bodies_lost = np.flatnonzero(~finite.all(axis=1))
     raise PhysicsError(
-        f"the state is no longer finite at step {step}, t = {time:.6g} s: "
+        f"the state is no longer finite at step {step}, t = {units.text(time, TIME)}: "
         f"position or velocity of {bodies_called(bodies_lost.tolist(), names)}"
     )
 
 
-def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float) -> None:
+def refuse_lost_turns(
+    velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float, units: UnitSystem
+) -> None:
     """Refuse a step of dt, in s, in which a body would cross a periodic box too often.
 
     Its position in the box loses a digit for each factor of 10.
@@ -51,9 +57,10 @@ def refuse_lost_turns(velocity: FloatArray, dt: float, box: FloatArray, step: in
     """
     turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
     if turns > MOST_TURNS:
+        when, length = units.text(time, TIME), units.text(dt, TIME, ".3g")
         raise PhysicsError(
-            f"at step {step}, t = {time:.6g} s, a body would cross its periodic box {turns:.3g} times in one step of "
-            f"{dt:.3g} s; lower time.fixed_dt or time.max_dt, or the speeds"
+            f"at step {step}, t = {when}, a body would cross its periodic box {turns:.3g} times in one step of "
+            f"{length}; lower time.fixed_dt or time.max_dt, or the speeds"
         )
 
 

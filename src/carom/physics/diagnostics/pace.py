@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carom.physics.event import Event
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 CRAWL = 5.0  # times as many steps as the first one promised
 MIN_STEPS = 50_000  # a shorter run ends before a warning is of use
@@ -36,9 +38,12 @@ class PaceMonitor:
         s, of the scene.
     first_dt
         s, the step at its start.
+    units
+        Of the scene.
     """
 
-    def __init__(self, duration: float, first_dt: float) -> None:
+    def __init__(self, duration: float, first_dt: float, units: UnitSystem = SI) -> None:
+        self._units = units
         self._duration = duration
         self._first_dt = first_dt
         self.tally = PaceTally()
@@ -58,7 +63,7 @@ class PaceMonitor:
         self.tally = PaceTally(since, told=True)
         text = (
             f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first, "
-            f"since t = {since:.6g} s: at this pace the run takes {whole:.3g} steps, {whole / promised:.3g} times "
-            f"as many as its start promised. To shorten the run, raise {REMEDY[limit]}."
+            f"since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
+            f"{whole / promised:.3g} times as many as its start promised. To shorten the run, raise {REMEDY[limit]}."
         )
         return Event(step, time, "WARN", text, "pace")

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from carom.recording.edit.selection import Selection
 from carom.recording.errors import RecordingError
 from carom.recording.read.damage import reading
+from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
@@ -25,6 +26,7 @@ from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.names import bodies_called
+from carom.scene.units.dimension import TIME
 
 PROPERTY = "clip"
 
@@ -128,13 +130,15 @@ def clip(
 def _cut(recording: Recording, start: float, end: float) -> _Cut:
     prints = recording.fingerprints()
     times = prints["time"].to_numpy()
-    inside = np.flatnonzero((times >= start) & (times <= end))
+    inside = np.flatnonzero((times >= start - tolerance(start)) & (times <= end + tolerance(end)))
     recording.require_frames()
     if len(inside) == 0:
         nearest = times[np.argmin(np.abs(times - min(max(start, times[0]), end)))]
+        units = recording.units
         raise RecordingError(
-            f"{recording.path} has no frame between {start:g} and {end:g} s; "
-            f"it goes from {times[0]:g} to {times[-1]:g} s, with {len(times)} frames, the nearest at {nearest:g} s"
+            f"{recording.path} has no frame between {units.shown(start, TIME):g} and {units.text(end, TIME, 'g')}; "
+            f"it goes from {units.span(times[0], times[-1], TIME, 'g')}, with {len(times)} frames, "
+            f"the nearest at {units.text(nearest, TIME, 'g')}"
         )
     steps, shown = prints[STEP].to_numpy(), prints[SIM_TIME].cast(pa.int64()).to_numpy()
     first, last = inside[0], inside[-1]

@@ -17,6 +17,8 @@ from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.timelines import STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 PROPERTY = "repair"
 
@@ -103,7 +105,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
             except DamageError as error:  # Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
         frames, step, end = _reach(recording)
-        until = f"to t = {end:.6g} s (step {step})" if frames else "without a frame"
+        until = "without a frame" if end is None else f"to t = {units_of(recording).text(end, TIME)} (step {step})"
         outcome = f"{_ending(recording)}; repaired, {until}"
         writer.send_property("outcome", {"outcome": outcome + _told(lost), "frames": frames})
         writer.send_property(PROPERTY, {"source": recording.path.name, "lost": "\n".join(lost)})
@@ -115,6 +117,14 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                 added.append("layout")
         writer.flush()
     return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
+
+
+def units_of(recording: Recording) -> UnitSystem:
+    """Return the units of a recording; SI if they are lost."""
+    try:
+        return recording.units
+    except RecordingError:
+        return SI
 
 
 def _reach(recording: Recording) -> tuple[int, int | None, float | None]:

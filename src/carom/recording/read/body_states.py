@@ -11,6 +11,7 @@ import pyarrow as pa
 from carom.recording.errors import RecordingError
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.schema.timelines import STEP
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -68,4 +69,5 @@ def _replayed(recording: Recording, at: float) -> tuple[Checkpoint, str]:
     for frame in window.frames(goal):
         if frame.time >= goal:
             return frame.checkpoint, window.source
-    raise RecordingError(f"{recording.path} ends before {at:.9g} s when it is run again; its bits are not the same")
+    when = recording.units.text(at, TIME, ".9g")
+    raise RecordingError(f"{recording.path} ends before {when} when it is run again; its bits are not the same")

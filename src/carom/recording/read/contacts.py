@@ -16,6 +16,7 @@ from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -44,7 +45,8 @@ def _replayed(recording: Recording, at: float, watch: Watcher | None) -> pa.Tabl
     for frame in window.frames(goal):
         if frame.time >= goal and frame.contact_rows is not None:
             return table_of_rows(frame.contact_rows, window.source)
-    raise RecordingError(f"{recording.path} ends before {at:.9g} s when it is run again; its bits are not the same")
+    when = recording.units.text(at, TIME, ".9g")
+    raise RecordingError(f"{recording.path} ends before {when} when it is run again; its bits are not the same")
 
 
 def _recorded(recording: Recording, row: int) -> pa.Table:

@@ -6,6 +6,8 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from carom.recording.errors import RecordingError
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -14,20 +16,20 @@ if TYPE_CHECKING:
 def html_of(recording: Recording) -> str:
     """Return the summary of a recording as an HTML table; of a file that cannot be read, why."""
     try:
-        rows = _rows(recording.summary())
+        rows = _rows(recording.summary(), recording.units)
     except RecordingError as error:
         return f"<p>{escape(str(error))}</p>"
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
     return f"<table><caption>{escape(recording.path.name)}</caption>{cells}</table>"
 
 
-def _rows(summary: dict[str, Any]) -> dict[str, str]:
+def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
     energy, contacts = summary["energy"], summary["contacts"]
     return {
         "scene": f"{summary['scene']['title']}, {summary['bodies']} bodies",
         "outcome": str(summary["outcome"]),
-        "length": f"{summary['frames']} frames, {summary['steps']} steps, {_number(summary['sim_time'])} s",
-        "energy": f"{_number(energy['initial'])} J at first, {_number(energy['final'])} J at last",
+        "length": f"{summary['frames']} frames, {summary['steps']} steps, {units.text(summary['sim_time'], TIME)}",
+        "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
         "energy error": f"{_number(energy['max_error'])} of the energy scale",
         "deepest overlap": f"{_number(contacts['max_overlap'])} of a radius",
     }

@@ -20,6 +20,7 @@ from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -139,11 +140,12 @@ def _interval(recording: Recording, start: float | None, end: float | None) -> t
     times = recording.fingerprints()["time"].to_numpy()
     recording.require_frames()
     first, last = -np.inf if start is None else start, np.inf if end is None else end
+    asked = recording.units.span(first, last, TIME, "g")
     if first > last:
-        raise RecordingError(f"from {first:g} to {last:g} s: the end lies before the beginning")
+        raise RecordingError(f"from {asked}: the end lies before the beginning")
     if last < times[0] or first > times[-1]:
         raise RecordingError(
-            f"{recording.path} goes from {times[0]:.9g} to {times[-1]:.9g} s: {first:g} to {last:g} s is not in it"
+            f"{recording.path} goes from {recording.units.span(times[0], times[-1], TIME, '.9g')}: {asked} is not in it"
         )
     return first - tolerance(first), last + tolerance(last)
 

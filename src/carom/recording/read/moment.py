@@ -9,6 +9,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -24,7 +25,8 @@ def moment(recording: Recording, at: float | None) -> float:
         between = np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)  # a step may have no frame
         if not times[0] - between <= at <= times[-1] + between:
             raise RecordingError(
-                f"{recording.path} goes from {times[0]:.9g} to {times[-1]:.9g} s, {at:.9g} s is not in it"
+                f"{recording.path} goes from {recording.units.span(times[0], times[-1], TIME, '.9g')}, "
+                f"{recording.units.text(at, TIME, '.9g')} is not in it"
             )
         return at
     impact = float(recording.closing.get("moments.impact.time", np.nan))

@@ -34,6 +34,7 @@ from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.scene.data.columns import BodyColumns
+from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -179,6 +180,12 @@ class Recording:
     def outcome(self) -> str:
         """How the run ended."""
         return str(self.closing.get("outcome", UNFINISHED))
+
+    @cached_property
+    @_named
+    def units(self) -> UnitSystem:
+        """The units of its scene: recorded numbers are in SI, unless the scene has units of its own."""
+        return UnitSystem.of_properties(self.info)
 
     @cached_property
     @_named

@@ -16,6 +16,7 @@ from carom.recording.read.moment import tolerance
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
 from carom.scene.names import bodies_called, body_called
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -32,7 +33,7 @@ def trajectory(recording: Recording, body: int | str, start: float, end: float, 
     times = frames["time"].to_numpy()
     inside = np.flatnonzero((times >= start - tolerance(start)) & (times <= end + tolerance(end)))
     if len(inside) == 0:
-        raise RecordingError(f"{recording.path} has no frame from {start:g} to {end:g} s")
+        raise RecordingError(f"{recording.path} has no frame from {recording.units.span(start, end, TIME, 'g')}")
     steps = frames[STEP].to_numpy()[inside]
     return (_replayed if replay else _recorded)(recording, number, steps, times[inside])
 

@@ -14,6 +14,7 @@ from carom.recording.schema.materials import ShownMaterials
 from carom.scene.data.columns import BodyColumns
 from carom.scene.forces import FORCES
 from carom.scene.half_space import HalfSpaces
+from carom.scene.units.system import SI, UnitSystem
 
 Scalar = str | int | float | bool
 
@@ -71,6 +72,7 @@ class Header:
     promises: bool = False  # an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
+    units: UnitSystem = SI  # of the numbers, and those that they are printed in
     walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by

@@ -66,6 +66,7 @@ _WHAT: dict[Callable[[Any], bool], str] = {
 _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
     "carom": {
         "title": _text,
+        **dict.fromkeys(("units", "units.*"), _text),
         "colour_by": _text,
         "engine": _text,
         "plane_names": _text,

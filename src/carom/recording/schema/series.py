@@ -14,6 +14,7 @@ from carom.recording.schema.header import Header, flag_of
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY
 from carom.scene.forces import FORCES, ForceKind
+from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -31,10 +32,10 @@ class Plot:
     title: str
     unit: str
 
-    @property
-    def name(self) -> str:
-        """What stands above the plot."""
-        return self.title if self.unit == "1" else f"{self.title} ({self.unit})"
+    def name_in(self, units: UnitSystem) -> str:
+        """Return what stands above the plot of a scene with these units."""
+        unit = units.recorded_unit(self.unit)
+        return self.title if unit == "1" else f"{self.title} ({unit})"
 
 
 PLOTS = (  # from left to right; the plots of a column are tabs

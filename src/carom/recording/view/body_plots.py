@@ -15,6 +15,7 @@ from carom.recording.view.curve import Curve
 from carom.recording.view.plot_views import time_series_view
 from carom.recording.write.rows import Rows
 from carom.recording.write.statics import curve_style
+from carom.scene.units.system import SI, UnitSystem
 
 TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}
 
@@ -24,6 +25,7 @@ class BodyPlots:
     """The series to plot."""
 
     series: Sequence[BodySeries]
+    system: UnitSystem = SI  # of the recording
 
     @property
     def units(self) -> list[str]:
@@ -54,10 +56,16 @@ class BodyPlots:
         legends = [_legend(each) for each in series]
         title = legends[0] if len(series) == 1 else TITLES[unit]
         curves = [Curve.of(each.time, each.value) for each in series]
-        return time_series_view(f"{title} ({unit})", [_path(each) for each in series], legends, curves, area)
+        return time_series_view(
+            _titled(title, self.system.recorded_unit(unit)), [_path(each) for each in series], legends, curves, area
+        )
 
     def _of(self, unit: str) -> list[BodySeries]:
         return [each for each in self.series if each.quantity.unit == unit]
+
+
+def _titled(title: str, unit: str) -> str:
+    return title if unit == "1" else f"{title} ({unit})"
 
 
 def _path(series: BodySeries) -> str:

@@ -29,6 +29,8 @@ from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
 from carom.recording.write import encoder as entities
 from carom.recording.write.rows import Rows
+from carom.scene.units import dimension
+from carom.scene.units.system import UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -151,19 +153,20 @@ class CloseUp:
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step; clear them at the next frame."""
         small = float(header.radius[list(self.bodies)].min())
+        speed = header.units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
         yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
         yield self._once(
             NORMAL,
             rr.Arrows3D.columns(
                 vectors=[(_NORMAL * small * contact.normal).astype(np.float32)],
                 origins=[contact.point.astype(np.float32)],
-                labels=[f"normal, {contact.approach_speed:.3g} m/s" if contact.approach_speed > 0.0 else "normal"],
+                labels=[f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"],
             ),
             1,
         )
         yield from self._impulses(contact.impulse, header)
         if self.spin is not None:
-            yield from self._spins(self.spin, small)
+            yield from self._spins(self.spin, small, header.units)
 
     def _impulses(self, impulse: FloatArray, header: Header) -> Iterable[Rows]:
         """Draw the impulse on each body from its centre; if one is many times larger, only on the smaller."""
@@ -175,19 +178,19 @@ class CloseUp:
         drawn = radius <= _MOST_UNLIKE * radius.min()
         vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / size
         origins = self.step.position[list(self.bodies)][drawn]
-        labels = [f"{size:.3g} N s", *[""] * (len(origins) - 1)]
+        labels = [header.units.text(size, dimension.IMPULSE, ".3g"), *[""] * (len(origins) - 1)]
         columns = rr.Arrows3D.columns(
             vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
         )
         yield self._once(IMPULSE, columns, len(origins))
 
-    def _spins(self, spin: FloatArray, small: float) -> Iterable[Rows]:
+    def _spins(self, spin: FloatArray, small: float, units: UnitSystem) -> Iterable[Rows]:
         speed = np.linalg.norm(spin, axis=1)
         turning = speed > 0.0
         if turning.any():
             vectors = _SPIN * small * spin[turning] / speed.max()
             origins = self.step.position[list(self.bodies)][turning]
-            labels = [f"{value:.3g} rad/s" for value in speed[turning]]
+            labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
             columns = rr.Arrows3D.columns(
                 vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
             )

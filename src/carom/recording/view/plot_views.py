@@ -33,14 +33,13 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     columns = [[plot for plot in column if shown_series(header, plot, curves)] for column in PLOTS]
     columns = [column for column in columns if column]
     area = Area(row.width / max(1, len(columns)), row.height)
-    tabs = [[_plot(plot, shown_series(header, plot, curves), curves, area) for plot in column] for column in columns]
+    tabs = [[_plot(header, plot, curves, area) for plot in column] for column in columns]
     return [column[0] if len(column) == 1 else rrb.Tabs(*column) for column in tabs]
 
 
 def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
     """Lay out the plot of the energies alone, in an area of this size."""
-    plot = PLOTS[0][0]
-    return _plot(plot, shown_series(header, plot, curves), curves, area)
+    return _plot(header, PLOTS[0][0], curves, area)
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -54,9 +53,10 @@ def _speaks(series: Series, curves: Curves) -> bool:
     return curve is not None and not curve.is_zero and not (series.flat_is_dull and curve.is_flat)
 
 
-def _plot(plot: Plot, series: Sequence[Series], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+    series, title = shown_series(header, plot, curves), plot.name_in(header.units)
     known = [curves[each.path] for each in series] if curves is not None else []
-    return time_series_view(plot.name, [each.path for each in series], [each.legend for each in series], known, area)
+    return time_series_view(title, [each.path for each in series], [each.legend for each in series], known, area)
 
 
 def time_series_view(

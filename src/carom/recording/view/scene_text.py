@@ -10,6 +10,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.write.encoder import arrow_length, shape
 from carom.scene.names import in_series
+from carom.scene.units.dimension import LENGTH, MASS, TIME
 
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
@@ -19,42 +20,64 @@ def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], 
 
 
 def _run(header: Header) -> str:
-    radius = header.radius
+    radius, units = header.radius, header.units
     lines = [
         "| | |",
         "|---|---|",
         f"| bodies | {header.bodies} |",
-        f"| radii | {radius.min():.4g} to {radius.max():.4g} m |",
-        f"| total mass | {header.mass.sum():.6g} kg |",
+        f"| radii | {units.shown(radius.min(), LENGTH):.4g} to {units.text(radius.max(), LENGTH, '.4g')} |",
+        f"| total mass | {units.text(header.mass.sum(), MASS)} |",
     ]
     if not header.engine:
-        lines += [f"| duration asked for | {header.duration:g} s |", f"| seed | {header.seed} |"]
+        lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])
 
 
 def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
     x, y, z = origin
-    lines = [
-        "## Scales",
-        f"- Lengths are metres, from the centre of mass of the first frame at ({x:g}, {y:g}, {z:g}) m.",
-    ]
-    if clock.scale != 1.0:
-        lines.append(f"- **Time is scaled**: one second on `sim_time` stands for {clock.scale:g} s of the simulation.")
+    m, torque, turning = (_drawn(header, unit) for unit in ("m", "N m", "rad/s²"))
+    lines = ["## Scales", *_units(header)]
+    lines.append(f"{_lengths(header)} from the centre of mass of the first frame at ({x:g}, {y:g}, {z:g}){m}.")
+    if clock.scale != 1.0 or header.units.own:
+        scaled = "**Time is scaled**: one" if clock.scale != 1.0 else "One"
+        stands_for = f"{clock.scale:g}{_drawn(header, 's')} of the simulation"
+        lines.append(f"- {scaled} second on `sim_time` stands for {stands_for}.")
     if header.has_torque:
         lines.append(
             "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
-            f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g} m for torques and "
-            f"{arrow_length(header, ANGULAR_ACCELERATION):.4g} m for angular accelerations; m_ref (N m, rad/s²) stands "
+            f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g}{m} for torques and "
+            f"{arrow_length(header, ANGULAR_ACCELERATION):.4g}{m} for angular accelerations; m_ref "
+            f"({', '.join(unit.strip() for unit in (torque, turning) if unit)}) stands "
             "in the recording's property `arrows`."
         )
     if header.planes is not None:
         names = in_series(header.planes.name)
         lines.append(f"- Static planes, drawn as grids: {names}. They extend without end.")
     if header.walls is not None:
-        lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + " m.")
+        lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + f"{m}.")
     if header.box is not None:
-        lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + " m.")
+        lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + f"{m}.")
     return "\n".join(lines)
+
+
+def _drawn(header: Header, si: str) -> str:
+    """Return the unit of recorded numbers, after a space, by its name in SI; empty if they have none."""
+    unit = header.units.recorded_unit(si)
+    return "" if unit == "1" else f" {unit}"
+
+
+def _units(header: Header) -> list[str]:
+    """Say which units the scene has, if it is not SI."""
+    units = header.units
+    if units.is_si:
+        return []
+    if units.own:
+        return ["- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}."]
+    return [f"- The recording is in SI. The scene is written in {units.named}."]
+
+
+def _lengths(header: Header) -> str:
+    return "- Positions are" if header.units.own else "- Lengths are metres,"
 
 
 def _legend(header: Header) -> str:
@@ -89,17 +112,18 @@ def _contacts(header: Header) -> str:
 
 def _impulse_legend(header: Header) -> list[str]:
     """Explain how impulses and impacts are drawn."""
-    longest = arrow_length(header, FORCE_NORMAL)
+    longest, m, joules = arrow_length(header, FORCE_NORMAL), _drawn(header, "m"), _drawn(header, "J")
     friction = ", and the friction on it (green)" if header.has_friction else ""
     return [
         "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
         "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
-        f"body (sky blue){friction}, {longest:.4g} m · u long.",
+        f"body (sky blue){friction}, {longest:.4g}{m} · u long.",
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
         "property `arrows`), as bright as "
-        "the energy lost (m_ref in J is `impacts.energy`). On the timeline `impact` one steps from each to the next.",
+        f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline `impact` one "
+        "steps from each to the next.",
     ]
 
 

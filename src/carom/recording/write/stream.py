@@ -157,6 +157,7 @@ class Stream:
             identity["engine"] = header.engine
             if header.planes is not None:
                 identity["plane_names"] = "\n".join(header.planes.name)
+        identity |= header.units.properties()
         if header.promises:
             identity["promises"] = True
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}

@@ -39,6 +39,8 @@ GRAVITATIONAL_CONSTANT = Dimension(
 )
 RATE = Dimension("rate", "1/s", (0, -1, 0, 0), "50 Hz")
 IMPULSE = Dimension("impulse", "N s", (1, -1, 1, 0), "3 N s")
+TORQUE = Dimension("torque", "N m", (2, -2, 1, 0), "3 N m")
+ANGULAR_ACCELERATION = Dimension("angular acceleration", "rad/s²", (0, -2, 0, 1), "3 rad/s^2")
 ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 
 DIMENSIONS: Sequence[Dimension] = (
@@ -53,8 +55,10 @@ DIMENSIONS: Sequence[Dimension] = (
     GRAVITATIONAL_CONSTANT,
     RATE,
     IMPULSE,
+    TORQUE,
+    ANGULAR_ACCELERATION,
     ENERGY,
 )
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}
+OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}  # a torque's are those of an energy

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -59,10 +59,39 @@ class UnitSystem:
         """Read [units], whose units are known to be of the right dimensions."""
         return cls({key: text.strip() for key, text in given.items()})
 
+    @classmethod
+    def of_properties(cls, properties: Mapping[str, object]) -> UnitSystem:
+        """Read back what `properties` returned; other keys are ignored.
+
+        Raises
+        ------
+        UnitError
+            If there is something else.
+        """
+        if "units" in properties:
+            parts = str(properties["units"]).split(", ")
+            given = parts if len(parts) == len(OWN) else [""] * len(OWN)
+            return cls({dimension.plain: part for dimension, part in zip(OWN, given, strict=True)}, own=True)
+        found = {key: str(properties[f"units.{key}"]) for key in NAMED if f"units.{key}" in properties}
+        for key, text in found.items():
+            unit_of(text, NAMED[key])
+        return cls(found)
+
+    def properties(self) -> dict[str, str]:
+        """Return entries for a recording's properties; none for SI."""
+        if not self.own:
+            return {f"units.{key}": text for key, text in self.given.items()}
+        return {"units": WITHOUT if self.dimensionless else ", ".join(self.given[each.plain] for each in OWN)}
+
     @property
     def is_si(self) -> bool:
         """Whether numbers are read, kept and printed in SI."""
         return not self.given
+
+    @property
+    def named(self) -> str:
+        """All units that are given, such as "au, day, solar mass"."""
+        return ", ".join(text for text in self.given.values() if text)
 
     @property
     def converts(self) -> bool:
@@ -118,11 +147,23 @@ class UnitSystem:
         """Write a number of the simulation with its unit, such as "3 km"."""
         return f"{self.shown(number, dimension):{form}} {self.unit(dimension)}".rstrip()
 
+    def vector(self, numbers: Iterable[float], dimension: Dimension) -> str:
+        """Write a vector of numbers of the simulation, such as "[1.0, 2.0, 3.0] km"."""
+        return f"{[self.shown(number, dimension) for number in numbers]} {self.unit(dimension)}".rstrip()
+
+    def span(self, first: float, last: float, dimension: Dimension, form: str = ".6g") -> str:
+        """Write an interval of numbers of the simulation, such as "3 to 5 km"."""
+        return f"{self.shown(first, dimension):{form}} to {self.text(last, dimension, form)}"
+
     def unit(self, dimension: Dimension) -> str:
         """Name the unit that numbers of a dimension are printed in; empty if they have none."""
         if self.is_si:
             return dimension.unit
         return self._names(dimension)
+
+    def labelled(self, label: str, dimension: Dimension) -> str:
+        """Write the heading of a column of numbers, such as "t (s)"."""
+        return f"{label} ({self.unit(dimension)})" if self.unit(dimension) else label
 
     def recorded_unit(self, si: str) -> str:
         """Name the unit of a recorded series, by its unit in SI; "1" for none."""

@@ -1,0 +1,132 @@
+"""What carom prints is in the units of the scene; a scene without units is in SI, as ever."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema.series import PLOTS
+from carom.scene.load import scene_from_text
+from carom.scene.units.system import SI, UnitSystem
+from command import carom
+
+DROPPED = """
+title = "Two balls"
+{units}
+[time]
+duration = {duration}
+fixed_dt = {step}
+[gravity]
+constant = 0
+[[body]]
+radius = {radius}
+mass = {mass}
+velocity = [{speed}, 0, 0]
+[[body]]
+radius = {radius}
+mass = {mass}
+position = [{apart}, 0, 0]
+"""
+IN_CM = DROPPED.format(
+    units='[units]\nlength = "cm"\ntime = "ms"\nmass = "g"\nenergy = "mJ"\n',
+    duration=400,
+    step=10,
+    radius=10,
+    mass=500,
+    speed=0.5,
+    apart=100,
+)
+IN_SI = DROPPED.format(units="", duration=0.4, step=0.01, radius=0.1, mass=0.5, speed=5, apart=1)
+OWN = IN_CM.replace('[units]\nlength = "cm"\ntime = "ms"\nmass = "g"\nenergy = "mJ"\n', 'units = "cm, ms, g"\n')
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("units")
+    for name, text in (("cm", IN_CM), ("si", IN_SI), ("own", OWN)):
+        (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+        done = carom("run", f"{name}.toml", "-o", f"{name}.rrd", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / f"{name}.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+    return folder
+
+
+def printed(folder: Path, *arguments: str) -> str:
+    done = carom(*arguments, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return " ".join(done.stdout.split())
+
+
+def test_the_same_scene_in_other_units_has_the_same_bits(folder: Path) -> None:
+    si, cm = (Recording.open(folder / f"{name}.rrd") for name in ("si", "cm"))
+    assert si.fingerprints()["fingerprint"].to_pylist() == cm.fingerprints()["fingerprint"].to_pylist()
+    assert cm.energy()["total"][0].as_py() == si.energy()["total"][0].as_py() == 6.25
+
+
+def test_a_recording_keeps_the_text_and_the_units_of_its_scene(folder: Path) -> None:
+    cm, own, si = (Recording.open(folder / f"{name}.rrd") for name in ("cm", "own", "si"))
+    assert cm.scene_toml == IN_CM
+    assert cm.units == scene_from_text(IN_CM, "").unit_system
+    assert own.units == scene_from_text(OWN, "").unit_system
+    assert si.units == SI and not [key for key in si.info if key.startswith("units")]
+
+
+@pytest.mark.parametrize("name", ["cm", "own"])
+def test_times_and_energies_are_printed_in_the_units_of_the_scene(folder: Path, name: str) -> None:
+    energy = "6250 mJ" if name == "cm" else "62.5 g cm²/ms²"
+    run, inspected = (folder / f"{name}.txt").read_text(encoding="utf-8"), printed(folder, "inspect", f"{name}.rrd")
+    assert "2 bodies, 400 ms" in run and "400 ms simulated" in run
+    assert f"{energy} at first" in inspected and "400 ms simulated" in inspected and "t = 160 ms" in inspected
+    assert "ms --" not in inspected and "--at 160" in inspected
+
+
+def test_a_scene_in_si_prints_si(folder: Path) -> None:
+    inspected = printed(folder, "inspect", "si.rrd")
+    assert "0.4 s simulated" in inspected and "energy 6.25 J at first" in inspected and "--at 0.16" in inspected
+
+
+@pytest.mark.parametrize("time", ["160", "0.16 s", "1.6e-4 ks"])
+@pytest.mark.parametrize("name", ["cm", "own"])
+def test_a_plain_time_is_in_the_units_of_the_scene_and_a_text_in_its_own(folder: Path, name: str, time: str) -> None:
+    shown = printed(folder, "contacts", f"{name}.rrd", "--at", time)
+    assert "1 contact at t = 160 ms" in shown and "approach (cm/ms)" in shown and " 0.5 " in shown
+
+
+def test_json_is_in_the_units_of_the_recording(folder: Path) -> None:
+    in_si, own = (json.loads(carom("inspect", f"{name}.rrd", "--json", cwd=folder).stdout) for name in ("cm", "own"))
+    assert in_si["sim_time"] == 0.4 and in_si["energy"]["initial"] == 6.25
+    assert own["sim_time"] == 400.0 and own["energy"]["initial"] == 62.5
+
+
+@pytest.mark.parametrize("name", ["cm", "own"])
+def test_clip_replay_and_resume_take_times_with_units_and_keep_the_bits(folder: Path, name: str) -> None:
+    run, clipped, longer = f"{name}.rrd", f"{name}-clip.rrd", f"{name}-longer.rrd"
+    assert "100 to 200 ms" in printed(folder, "clip", run, "--from", "0.1 s", "--to", "200", "-o", clipped)
+    assert "same bits" in printed(folder, "replay", clipped)
+    assert "same bits" in printed(folder, "replay", run, "--from", "0.2 s")
+    printed(folder, "resume", run, "--until", "0.5 s", "-o", longer)
+    assert "500 ms simulated" in printed(folder, "inspect", longer)
+    assert "same bits" in printed(folder, "replay", longer)
+
+
+@pytest.mark.parametrize(
+    ("time", "said"), [("3 kg", "is a mass, not a time"), ("3 hs", "no unit"), ("500", "500 ms is")]
+)
+def test_a_wrong_time_is_refused(folder: Path, time: str, said: str) -> None:
+    done = carom("contacts", "cm.rrd", "--at", time, cwd=folder)
+    assert done.returncode == 2 and said in " ".join(done.stderr.replace("│", "").split())
+
+
+def test_recordings_in_different_units_are_not_compared(folder: Path) -> None:
+    done = carom("diff", "cm.rrd", "own.rrd", cwd=folder)
+    assert done.returncode == 2 and "cm.rrd is in SI and own.rrd in cm, ms, g" in done.stderr
+
+
+def test_plots_have_the_unit_of_the_recorded_numbers() -> None:
+    energy, own = PLOTS[0][0], UnitSystem.of_text("au, day, solar mass")
+    assert energy.name_in(SI) == energy.name_in(UnitSystem.of_table({"length": "au"})) == "Energy (J)"
+    assert energy.name_in(own) == "Energy (solar mass au²/day²)"
+    assert energy.name_in(UnitSystem.of_text("dimensionless")) == "Energy"
