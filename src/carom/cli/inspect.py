@@ -103,7 +103,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     for law, broken in summary.get("laws", {}).items():
         table.add_row(
             "law broken",
-            f"{law.replace('-', ' ')}, first at step {broken['step']}, t = {broken['time']:.6g} s; "
+            f"{law.replace('-', ' ')}, first at step {broken['step']}, t = {units.text(broken['time'], TIME)}; "
             f"in {broken['frames']} frames",
         )
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))

@@ -27,6 +27,7 @@ from carom.recording.source.audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
 from carom.recording.source.source import Model, Setup, Source, State, array_of, setup_of
 from carom.recording.write.recorder import Recorder as FrameRecorder
+from carom.scene.units.system import SI
 
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
 MOST_WAITING = 256
@@ -277,7 +278,7 @@ class _Writer:
                 }
             steps, time = self._last
             totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
-            events = (*(fault.event for fault in faults), *self._observer.extremes.highlights(self._observer.names))
+            events = (*(fault.event for fault in faults), *self._observer.extremes.highlights(self._observer.names, SI))
             self._recorder.finish(outcome, totals | closing_of(extremes) | counts, events)
         finally:
             self._stack.close()
