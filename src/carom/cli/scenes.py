@@ -24,7 +24,9 @@ def scenes(
     from carom.scene.schema import Scene
 
     if schema:
-        typer.echo(json.dumps(Scene.model_json_schema(), indent=2, ensure_ascii=False))
+        from carom.scene.json_schema import schema_text
+
+        typer.echo(schema_text(), nl=False)
         return
     found = {name: (path, Scene.load(path)) for name, path in bundled_scenes().items()}
     if as_json:
@@ -56,6 +58,7 @@ def new(
     """Write a scene file with comments on every key, to start from."""
     from carom.scene.bundled import bundled_scenes, extreme_scenes, starter
     from carom.scene.error import SceneError
+    from carom.scene.json_schema import without_schema_line
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes()
@@ -63,7 +66,7 @@ def new(
         raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
     if path.exists() and not force:
         raise SceneError(f"{path}: exists; give --force to replace it, or another name")
-    text = bundled[source].read_text(encoding="utf-8") if source else starter()
+    text = without_schema_line(bundled[source].read_text(encoding="utf-8")) if source else starter()
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:

@@ -149,7 +149,7 @@ def _places(model: type[BaseModel]) -> dict[str, _Place]:
 def _place(annotation: Any, dimension: Dimension | None) -> _Place:
     words: set[str] = set()
     below: dict[str, _Place] = {}
-    for part in _parts(annotation):
+    for part in parts_of(annotation):
         if typing.get_origin(part) is Literal:
             words.update(word for word in typing.get_args(part) if isinstance(word, str))
         elif isinstance(part, Dimension):
@@ -159,15 +159,15 @@ def _place(annotation: Any, dimension: Dimension | None) -> _Place:
     return _Place(dimension, frozenset(words), below)
 
 
-def _parts(annotation: Any) -> Iterator[Any]:
+def parts_of(annotation: Any) -> Iterator[Any]:
     """Return the types and the metadata that an annotation is made of."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
-        yield from _parts(annotation.__origin__)
+        yield from parts_of(annotation.__origin__)
         yield from annotation.__metadata__
     elif origin in (typing.Union, types.UnionType, tuple):
         for part in typing.get_args(annotation):
-            yield from _parts(part)
+            yield from parts_of(part)
     else:
         yield annotation
 

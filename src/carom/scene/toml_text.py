@@ -23,12 +23,12 @@ def toml_text(data: Mapping[str, Any]) -> str:
 
 def _lines(data: Mapping[str, Any]) -> Iterator[str]:
     sections = {key: value for key, value in data.items() if isinstance(value, Mapping) or _is_tables(value)}
-    yield from (f"{_key(key)} = {_value(value)}" for key, value in data.items() if key not in sections)
+    yield from (f"{_key(key)} = {value_text(value)}" for key, value in data.items() if key not in sections)
     for key, value in sections.items():
         header = f"[{_key(key)}]" if isinstance(value, Mapping) else f"[[{_key(key)}]]"
         for table in [value] if isinstance(value, Mapping) else value:
             yield from ("", header)
-            yield from (f"{_key(name)} = {_value(inner)}" for name, inner in table.items())
+            yield from (f"{_key(name)} = {value_text(inner)}" for name, inner in table.items())
 
 
 def _is_tables(value: Any) -> bool:
@@ -41,7 +41,8 @@ def _key(key: Any) -> str:
     return key if _BARE_KEY.fullmatch(key) else _string(key)
 
 
-def _value(value: Any) -> str:
+def value_text(value: Any) -> str:
+    """Write one value; raises TypeError as `toml_text`."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -51,9 +52,9 @@ def _value(value: Any) -> str:
     if isinstance(value, float):
         return float.__repr__(value)  # of subclasses, such as NumPy's, too
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_key(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
+        return "{" + ", ".join(f"{_key(key)} = {value_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "[" + ", ".join(map(value_text, value)) + "]"
     raise TypeError(f"a scene has no values of type {type(value).__name__}")
 
 

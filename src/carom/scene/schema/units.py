@@ -21,5 +21,5 @@ class Units(Section):
     angular_velocity: str | None = Field(None, description='such as "rpm"; by default the angle over the time')
     density: str | None = Field(None, description='such as "g/cm^3"; by default the mass over the length cubed')
     energy: str | None = Field(
-        None, description='such as "erg", printed only; by default the mass times the velocity squared'
+        None, description='such as "erg", printed only; by default mass times length squared over time squared'
     )

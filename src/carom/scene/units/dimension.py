@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 BASE = ("length", "time", "mass", "angle")
+
+_QUANTITY = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\D"  # a number and the beginning of a unit
 
 Exponents = tuple[int, int, int, int]  # of the dimensions in `BASE`
 
@@ -19,6 +22,16 @@ class Dimension:
     exponents: Exponents
     example: str  # a quantity, as a person writes it
     plain: str = ""  # the key of [units] that names a unit of it; empty: it follows from the others
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        """Describe a quantity in the JSON schema: a text with a unit may stand in place of each number."""
+        return self._or_text(handler(core))
+
+    def _or_text(self, schema: dict[str, Any]) -> dict[str, Any]:
+        if "prefixItems" in schema:
+            return {**schema, "prefixItems": [self._or_text(number) for number in schema["prefixItems"]]}
+        text = {"type": "string", "pattern": _QUANTITY, "examples": [self.example]}
+        return {"anyOf": [schema, *([{"type": "number"}] if "$ref" in schema else []), text]}
 
     @property
     def called(self) -> str:

@@ -1,0 +1,127 @@
+"""docs/scene-format.md, made from the schema: ``python -m carom.scene.format_page > docs/scene-format.md``."""
+
+from __future__ import annotations
+
+import sys
+import types
+import typing
+from collections.abc import Iterator
+from typing import Any, Literal
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from carom.scene.conversion import parts_of
+from carom.scene.schema import Scene
+from carom.scene.toml_text import value_text
+from carom.scene.units.dimension import Dimension
+
+INTRODUCTION = """\
+# The format of a scene
+
+A scene is a TOML file. This page lists all its sections and keys; it is made from the schema that carom reads scenes
+with. `carom new` writes a scene with comments on the most important keys. All keys are optional but those marked as
+needed, and a scene needs a body.
+
+Where a dimension is given, a number is in the SI unit, and a text may have another unit, such as `"3 km"`
+([units.md](units.md)). Editors that understand JSON schemas, such as those with Taplo or Even Better TOML, complete and
+check scenes. Write the schema with `carom scenes --schema > scene.schema.json`, and let the first line of a scene say
+`#:schema ./scene.schema.json`.
+"""
+
+
+def page() -> str:
+    """Return the page."""
+    parts = [INTRODUCTION, _table(Scene, "At the top"), *(part for part in _sections(Scene, ""))]
+    return "\n".join(parts)
+
+
+def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
+    """Return a part for each section of a model, and for the tables in it."""
+    for key, info in model.model_fields.items():
+        for inner in _models(info):
+            title = f"{above}{key}"
+            heading = f"`{title}`" if above else f"`[[{key}]]`" if _is_list(info) else f"`[{key}]`"
+            yield _table(inner, heading, (inner.__doc__ or "").strip())
+            yield from _sections(inner, f"{title}.")
+
+
+def _table(model: type[BaseModel], heading: str, text: str = "") -> str:
+    told = text.partition(": ")[2] or text if heading != "At the top" else ""
+    lines = [f"## {heading}", "", *([told[0].upper() + told[1:], ""] if told else [])]
+    lines += ["| key | value | unit | default | |", "|---|---|---|---|---|"]
+    return "\n".join([*lines, *(_row(key, info) for key, info in model.model_fields.items()), ""])
+
+
+def _row(key: str, info: FieldInfo) -> str:
+    dimension = next((part for part in _all_parts(info) if isinstance(part, Dimension)), None)
+    text = info.description or ""
+    if dimension:
+        text = text.removeprefix(dimension.unit).lstrip(",; ")
+    unit = f"{dimension.unit} ({dimension.name})" if dimension else ""
+    cells = (f"`{key}`", ", ".join(_values(info)), unit, _default(info), text)
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+
+
+def _default(info: FieldInfo) -> str:
+    if info.is_required():
+        return "needed"
+    default = info.default
+    if isinstance(default, BaseModel) or default in (None, (), {}, ""):
+        return ""
+    return f"`{value_text(default)}`"
+
+
+def _values(info: FieldInfo) -> Iterator[str]:
+    """Return what may stand at a key, one after the other."""
+    known: dict[str, None] = {}
+    for part in parts_of(info.annotation):
+        for word in _words(part):
+            known[word] = None
+    if _is_vector(info):
+        known.pop("number", None)
+        known["[x, y, z]"] = None
+    yield from known
+
+
+def _words(part: Any) -> Iterator[str]:
+    if typing.get_origin(part) is Literal:
+        yield from (f"`{value_text(word)}`" for word in typing.get_args(part))
+    elif part in _NAMES:
+        yield _NAMES[part]
+    elif isinstance(part, type) and issubclass(part, BaseModel):
+        yield "section"
+    elif typing.get_origin(part) is dict:
+        yield "table"
+
+
+_NAMES = {float: "number", int: "whole number", str: "text", bool: "`true`, `false`"}
+
+
+def _all_parts(info: FieldInfo) -> Iterator[Any]:
+    yield from info.metadata
+    yield from parts_of(info.annotation)
+
+
+def _models(info: FieldInfo) -> list[type[BaseModel]]:
+    return [part for part in parts_of(info.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+
+
+def _is_list(info: FieldInfo) -> bool:
+    return typing.get_origin(info.annotation) is tuple
+
+
+def _is_vector(info: FieldInfo) -> bool:
+    """Tell whether a value is three numbers."""
+    found = [info.annotation]
+    while found:
+        part = found.pop()
+        if typing.get_origin(part) is tuple and len(typing.get_args(part)) == 3:
+            return True
+        if typing.get_origin(part) in (typing.Union, types.UnionType, typing.Annotated):
+            found += typing.get_args(part)
+    return False
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
