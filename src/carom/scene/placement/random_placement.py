@@ -1,6 +1,6 @@
 """Spheres at random places without overlaps.
 
-Candidates are generated, 1.2 a body, and filtered: a broad phase by k-d trees, then the exact test. Candidates that
+Candidates are generated, 1.2 a body, and filtered: a broad phase by grids or k-d trees, then the exact test. Those that
 collide are replaced by new ones until each body has one.
 """
 
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces
 from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance, wrapped
-from carom.scene.placement.region import drawn_centres, refuse_too_large, volume
+from carom.scene.placement.occupancy import Occupancy
+from carom.scene.placement.region import bounds, drawn_centres, refuse_too_large, volume
 from carom.scene.placement.start import Start
 from carom.scene.schema import Region
 
@@ -77,6 +78,8 @@ def _place_class(
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
+    corners = bounds(region)
+    occupied = Occupancy(*corners, radius) if box is None and Occupancy.pays(*corners, radius) else None
     drawn = 0
     for _ in range(MOST_ROUNDS):
         if drawn > MOST_DRAWN:
@@ -85,14 +88,20 @@ def _place_class(
         fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
         fresh = drawn_centres(region, radius[fresh_owner], rng)
         clear = _clear_of(fresh, radius[fresh_owner], trees, solids, box)
-        pool = np.concatenate((pool, fresh[clear]))
-        owner = np.concatenate((owner, fresh_owner[clear]))
-        pairs = overlapping_pairs(pool, radius[owner], box) if len(pool) else np.empty((0, 2), dtype=np.int64)
-        clean = np.setdiff1d(np.arange(len(pool)), pairs[:, 1])
-        _, first = np.unique(owner[clean], return_index=True)
+        candidates, candidate_owner = fresh[clear], fresh_owner[clear]
+        if occupied is None or len(pool) == 0:
+            clean = _clean(pool, candidates, radius[owner], radius[candidate_owner], box)
+        else:
+            clean = _clean_beside(occupied, candidates, radius[candidate_owner])
+        _, first = np.unique(candidate_owner[clean], return_index=True)
         kept = clean[np.sort(first)]
-        pool, owner = pool[kept], owner[kept]
-        missing = np.setdiff1d(np.arange(n), owner)
+        if occupied is not None:
+            occupied.add(candidates[kept], radius[candidate_owner[kept]])
+        pool = np.concatenate((pool, candidates[kept]))
+        owner = np.concatenate((owner, candidate_owner[kept]))
+        placed = np.zeros(n, dtype=np.bool_)
+        placed[owner] = True
+        missing = np.flatnonzero(~placed)
         if len(missing) == 0:
             return pool[np.argsort(owner)]
     in_the_way = np.flatnonzero(np.all(solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
@@ -105,6 +114,45 @@ def _place_class(
     )
 
 
+def _clean(
+    pool: FloatArray, candidates: FloatArray, accepted: FloatArray, radius: FloatArray, box: FloatArray | None
+) -> NDArray[np.int64]:
+    """Return the candidates that touch no accepted sphere and no older candidate.
+
+    Parameters
+    ----------
+    pool, accepted
+        Centres and radii of the accepted spheres, (k, 3) and (k,) m.
+    candidates, radius
+        Centres and radii of the candidates, the oldest first.
+    """
+    everyone = np.concatenate((pool, candidates))
+    if len(everyone) == 0:
+        return np.empty(0, dtype=np.int64)
+    pairs = overlapping_pairs(everyone, np.concatenate((accepted, radius)), box)
+    clean = np.ones(len(everyone), dtype=np.bool_)
+    clean[pairs[:, 1]] = False
+    return np.flatnonzero(clean[len(pool) :])
+
+
+def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> NDArray[np.int64]:
+    """Return the same as `_clean` in open space."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+    free = np.flatnonzero(~occupied.touches(candidates, radius))
+    if len(free) == 0:
+        return free
+    reach = 2.0 * radius.max() * QUERY_MARGIN
+    near = cKDTree(candidates[free]).sparse_distance_matrix(cKDTree(candidates), reach, output_type="ndarray")
+    i, j = free[near["i"]], near["j"]
+    i, j = i[j < i], j[j < i]
+    hit = squared_distance(candidates[j], candidates[i], None) <= (radius[j] + radius[i]) ** 2
+    clean = np.zeros(len(candidates), dtype=np.bool_)
+    clean[free] = True
+    clean[i[hit]] = False
+    return np.flatnonzero(clean)
+
+
 def _clear_of(
     position: FloatArray, radius: FloatArray, trees: list[_Tree], solids: HalfSpaces, box: FloatArray | None
 ) -> NDArray[np.bool_]:
@@ -112,6 +160,8 @@ def _clear_of(
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
     clear: NDArray[np.bool_] = np.all(solids.depth(position, radius) < 0.0, axis=1)
+    if not trees:
+        return clear
     own = cKDTree(wrapped(position, box), boxsize=box)
     for tree, centres, radii in trees:
         reach = (radius.max() + radii.max()) * QUERY_MARGIN

@@ -31,6 +31,12 @@ def volume(region: Region) -> float:
     return math.prod(region.size or ())
 
 
+def bounds(region: Region) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and the upper corner of the box around a region, (3,) m each."""
+    half = np.full(3, region.radius) if region.radius is not None else 0.5 * np.array(region.size)
+    return np.array(region.centre) - half, np.array(region.centre) + half
+
+
 def default_region(index: int, radius: FloatArray) -> Region:
     """Return a ball that is `DEFAULT_PACKING` full."""
     with np.errstate(over="ignore"):
