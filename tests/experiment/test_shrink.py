@@ -87,10 +87,10 @@ def test_a_spent_budget_leaves_a_scene_from_which_the_same_command_continues(
     (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
     shows = Trials.shows
 
-    def shows_a_few(trials: Trials, document: Document) -> Observation | None:
+    def shows_a_few(trials: Trials, document: Document, steps: int | None = None) -> Observation | None:
         if trials.count == 5:
             raise OutOfTime("the budget was spent")
-        return shows(trials, document)
+        return shows(trials, document, steps)
 
     with monkeypatch.context() as patch:
         patch.setattr(Trials, "shows", shows_a_few)
@@ -98,6 +98,13 @@ def test_a_spent_budget_leaves_a_scene_from_which_the_same_command_continues(
     assert "Not finished" in cut.stdout and ", unfinished" in (tmp_path / "gas-small.toml").read_text()
     carom("shrink", "gas.toml", cwd=tmp_path)
     assert ", minimal" in (tmp_path / "gas-small.toml").read_text()
+
+
+@pytest.mark.usefixtures("ledger_without_contacts")
+def test_materials_stay_only_where_the_failure_needs_them() -> None:
+    hard = {"name": "hard", "restitution": 1.0}
+    scene = GAS | {"material": [hard, {"name": "soft"}], "group": [GAS["group"][0] | {"material": "soft"}]}
+    assert "material" not in reduced(scene).document
 
 
 def test_an_impact_keeps_the_two_bodies_by_their_names() -> None:
@@ -119,7 +126,32 @@ def test_an_exception_of_the_engine_shrinks_to_what_raises_it(monkeypatch: pytes
 
     monkeypatch.setattr(Audit, "book", raises_at_an_impact)
     result = reduced(GAS)
-    assert result.bodies == 2 and result.said == "PhysicsError: IndexError: index 7 is out of bounds"
+    assert result.bodies == 2 and result.said == "IndexError: index 7 is out of bounds"
+
+
+def test_a_command_that_exits_with_0_keeps_a_scene(tmp_path: Path) -> None:
+    (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS).toml)
+    made = carom("shrink", "gas.toml", "--while-command", "grep -q 'group 0 5' {}", cwd=tmp_path)
+    assert "exited with 1; 0 means that the scene shows the failure" in made.stderr
+    named = {"body": [{"name": "odd one"}, {"position": [9.0, 0.0, 0.0]}], "time": {"duration": 0.2, "fixed_dt": 0.05}}
+    (tmp_path / "named.toml").write_text(Scene.from_dict(named | {"contact": {"enabled": False}}).toml)
+    made = carom("shrink", "named.toml", "--while-command", "grep -q 'odd one'", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert len(tomllib.loads((tmp_path / "named-small.toml").read_text())["body"]) == 1
+
+
+def test_a_flaky_command_is_found_by_running_it_twice(tmp_path: Path) -> None:
+    (tmp_path / "gas.toml").write_text(Scene.from_dict(GAS | {"time": {"duration": 0.05}}).toml)
+    flaky = "test -e seen && exit 3; touch seen; true"
+    made = carom("shrink", "gas.toml", "--while-command", flaky, cwd=tmp_path)
+    assert made.returncode == 2 and "flaky" in made.stderr and not (tmp_path / "gas-small.toml").exists()
+
+
+def test_bits_that_depend_on_the_threads_shrink_like_any_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    fingerprint = Space.fingerprint
+    monkeypatch.setattr(Space, "fingerprint", lambda space: fingerprint(space) + (space.threads > 1))
+    result = reduced(GAS, "replay differs")
+    assert result.bodies == 1 and result.said == "a run on two threads ends with other bits"
 
 
 @pytest.mark.parametrize(
@@ -133,6 +165,7 @@ def test_an_exception_of_the_engine_shrinks_to_what_raises_it(monkeypatch: pytes
         ("impact of 3 and group 0 x", 'no body "group 0 x"; did you mean "group 0'),
         ("PhysicsError", "nothing to shrink: the run went to its end"),
         ("warning energy-rose", 'no warning energy-rose; did you mean "energy-rise"'),
+        ("replay differs", "nothing to shrink: runs on two threads, .* have the same bits"),
         ("warning limit", "nothing to shrink: of such warnings the run gave none"),
     ],
 )

@@ -18,6 +18,7 @@ from carom.cli import (
     diff,
     explain,
     export,
+    hunt,
     inspect,
     movie,
     publish,
@@ -86,7 +87,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
         "diff": diff.diff,
         "shrink": shrink.shrink,
     },
-    "Measure": {"tradeoff": tradeoff.tradeoff, "tune": tune.tune, "stress": stress.stress},
+    "Measure": {"tradeoff": tradeoff.tradeoff, "tune": tune.tune, "stress": stress.stress, "hunt": hunt.hunt},
     "Keep and share": {
         "clip": clip.clip,
         "repair": repair.repair,

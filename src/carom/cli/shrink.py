@@ -22,9 +22,9 @@ _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 
 
-def budget(text: str) -> float:
-    """Read a time such as 60s, 10min or 2h."""
-    matched = _DURATION.fullmatch(text)
+def budget(text: str | float) -> float:
+    """Read a time such as 60s, 10min or 2h; a default is in s already."""
+    matched = _DURATION.fullmatch(str(text))
     try:
         if matched and float(matched[1]) > 0:
             return float(matched[1]) * _UNITS[matched[2]]
@@ -43,8 +43,17 @@ def shrink(
             "--while",
             metavar="CONDITION",
             help="What the scene has to show. Default: the error that ends the run, or the promise of \\[expect] that "
-            'it misses. Otherwise expect.NAME, PhysicsError, "impact of A and B", "warning KIND", or an expression '
-            'such as "energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
+            'it misses. Otherwise expect.NAME, PhysicsError, "replay differs", "impact of A and B", "warning KIND", or '
+            'an expression such as "energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
+        ),
+    ] = None,
+    while_command: Annotated[
+        str | None,
+        typer.Option(
+            "--while-command",
+            metavar="COMMAND",
+            help="A shell command that exits with 0 if the scene shows the failure. The path of the scene takes the "
+            "place of {}, or follows at the end.",
         ),
     ] = None,
     output: Annotated[
@@ -73,8 +82,11 @@ def shrink(
     from carom.experiment.shrink.condition import condition_from
     from carom.experiment.shrink.result import key_of, state_of
     from carom.experiment.shrink.source import source_of
+    from carom.experiment.shrink.whole_run import CommandShows
 
-    asked = condition_from(condition)
+    if condition is not None and while_command is not None:
+        raise typer.BadParameter("give one of --while and --while-command", param_hint="--while-command")
+    asked = condition_from(condition) if while_command is None else CommandShows(while_command)
     path = output or Path(f"{Path(source).stem}-small.toml")
     given = source_of(source, list(overrides or []))
     key = key_of(given.scene.toml, asked.text)
@@ -87,7 +99,7 @@ def shrink(
     else:
         refuse_output(path, force)
     reducer = _reducer(asked, seconds)
-    result = _reduced(reducer, given, path, key, _command(source, condition, overrides), quiet=as_json)
+    result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
         say(json.dumps(document, indent=2, ensure_ascii=False))
@@ -154,9 +166,10 @@ def _print(result: Reduction, path: Path) -> None:
     say(f"Written to {path} after {result.candidates} candidates in {result.seconds:.3g} s; {command('run', path)}")
 
 
-def _command(source: str, condition: str | None, overrides: list[str] | None) -> str:
+def _command(source: str, condition: str | None, while_command: str | None, overrides: list[str] | None) -> str:
     """Write the command line for the comments of the result."""
     words = ["shrink", source, *(["--while", condition] if condition else [])]
+    words += ["--while-command", while_command] if while_command else []
     for override in overrides or []:
         words += ["--set", override]
     return command(*words)

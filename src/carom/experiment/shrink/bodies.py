@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from carom.experiment.shrink.delta_debugging import fewest
-from carom.experiment.shrink.literal import BODIES, with_bodies
+from carom.experiment.shrink.literal import BODIES, ORIGIN, Document, with_bodies
 from carom.experiment.shrink.observation import Observation
 from carom.experiment.shrink.smallest import Smallest
 from carom.experiment.shrink.trials import Trials, observe
@@ -26,15 +28,26 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
 
 
 def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
-    """Keep the bodies in question and those from which contacts lead to them, the fewest first."""
+    """Keep the bodies in question, those from which contacts lead to them, or those nearby; the fewest first."""
     names = [body["name"] for body in smallest.document[BODIES]]
     suspects = {number for number, name in enumerate(names) if name in smallest.suspects}
     if not suspects or len(suspects) == len(names):
         return
     base = smallest.document
-    for kept in cones(suspects, _contacts(smallest, trials), len(names)):
+    for kept in (*cones(suspects, _contacts(smallest, trials), len(names)), *_nearest(suspects, base)):
         if smallest.takes(with_bodies(base, sorted(kept))):
             return
+
+
+def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
+    """Yield the bodies with some of the nearest others, and then with ever more."""
+    position = np.array([body.get("position", ORIGIN) for body in document[BODIES]])  # (n, 3) m
+    distance = np.linalg.norm(position[:, None] - position[sorted(bodies)][None], axis=2).min(axis=1)
+    order = np.argsort(distance, kind="stable")
+    size = len(bodies) + 4
+    while size < len(order) // 2:
+        yield set(order[:size].tolist())
+        size *= 2
 
 
 def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:

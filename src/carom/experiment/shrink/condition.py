@@ -10,6 +10,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.expectation import Verdict
 from carom.experiment.shrink.expression import Expression, UnknownNameError, explain_unknown
 from carom.experiment.shrink.observation import Observation, Pair, end_name
+from carom.experiment.shrink.whole_run import ReplayDiffers
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
 from carom.scene.nearest import nearest, suggestion
@@ -19,6 +20,11 @@ WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "hor
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
+_ABOUT = {  # moments of a summary, by the names that have to do with them
+    "energy_error": re.compile(r"energy\.|moments\.energy_error"),
+    "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
+    "impact": re.compile(r"moments\.impact"),
+}
 _NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
 _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
 
@@ -26,7 +32,7 @@ _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
 class Condition(Protocol):
     """A failure of a run.
 
-    A condition is asked after every recorded frame, so it must follow from the run so far.
+    A condition is asked after every recorded frame, about the run so far.
     """
 
     @property
@@ -36,6 +42,10 @@ class Condition(Protocol):
     @property
     def needs_impacts(self) -> bool:
         """Whether it looks at the impacts of the run."""
+
+    @property
+    def of_whole_run(self) -> bool:
+        """Whether it is asked at the end only."""
 
     def check(self, seen: Observation) -> None:
         """Check names at the first frame of the run.
@@ -72,8 +82,8 @@ def condition_from(text: str | None) -> Condition:
     ----------
     text
         None: whatever goes wrong, an error or a missed promise. ``expect`` or ``expect.NAME`` (a missed promise),
-        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, otherwise an expression over the numbers of
-        ``carom inspect --json``.
+        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``replay differs``,
+        otherwise an expression over the numbers of ``carom inspect --json``.
 
     Raises
     ------
@@ -88,6 +98,10 @@ def condition_from(text: str | None) -> Condition:
         return Met(text, matched[1], matched[2])
     if matched := _WARNING.fullmatch(text):
         return Warned(text, matched[1] or "")
+    if " ".join(text.lower().split()) == "replay differs":
+        return ReplayDiffers(text)
+    if text.strip().lower() == "crash":
+        return Failed(text, stated=False)
     if text.strip().lower() == "physicserror":
         return Failed(text)
     return Measured(text, Expression(text))
@@ -102,6 +116,7 @@ class MissedPromise:
     note: str | None = None  # what the measured value is of; None: not known yet
     or_error: bool = False  # whether an error is as good, if the run ends with one
     needs_impacts = False
+    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check the name of the promise."""
@@ -154,6 +169,7 @@ class Measured:
     expression: Expression
     failed: bool = False  # whether the run ends with a PhysicsError
     needs_impacts = False
+    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check the names, but for those of moments, which a run may not have yet."""
@@ -184,11 +200,15 @@ class Measured:
         return self.expression.measured(seen.summary)
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the bodies of the moments that it names, or of the largest energy error."""
+        """Return the bodies of the moments that it is about, or of the largest energy error."""
         moments = seen.summary["moments"]
-        named = [moments[key] for key in moments if any(f"moments.{key}." in f"{n}." for n in self.expression.names)]
-        chosen = named or [moments[key] for key in ("energy_error",) if key in moments]
-        return {seen.space.names[body] for moment in chosen for body in moment["bodies"]}
+        named = {moment for name in self.expression.names for moment, about in _ABOUT.items() if about.match(name)}
+        return {
+            seen.space.names[body]
+            for key in named or {"energy_error"}
+            if key in moments
+            for body in moments[key]["bodies"]
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +220,7 @@ class Met:
     second: str
     pair: Pair | None = None  # their names; None: not known yet
     needs_impacts = True
+    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check that there are such bodies."""
@@ -246,6 +267,7 @@ class Warned:
     text: str
     kind: str = ""  # empty: any
     needs_impacts = False
+    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Check that there are such warnings."""
@@ -275,28 +297,33 @@ class Warned:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """The end of a run by a PhysicsError."""
+    """The end of a run by an error."""
 
     text: str
     message: str = ""  # its message without numbers and names; empty: any
+    stated: bool = True  # whether a PhysicsError counts, which gives a reason, not only other exceptions
     needs_impacts = False
+    of_whole_run = False
 
     def check(self, seen: Observation) -> None:
         """Accept every run."""
 
     def pinned(self, seen: Observation) -> Failed:
         """Return the condition for the same message, whatever the numbers in it."""
-        if not seen.error:
-            raise ExperimentError(f"nothing to shrink: the run went to its end, t = {seen.space.time:.6g} s")
+        if not self.holds(seen):
+            ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {seen.space.time:.6g} s"
+            raise ExperimentError(f"nothing to shrink: the run {ended}")
         return replace(self, message=_template(seen.error))
 
     def holds(self, seen: Observation) -> bool:
         """Tell whether the run failed so."""
-        return bool(seen.error) and self.message in ("", _template(seen.error))
+        if not seen.error or (seen.stated and not self.stated):
+            return False
+        return self.message in ("", _template(seen.error))
 
     def said(self, seen: Observation) -> str:
         """Return the message."""
-        return f"PhysicsError: {seen.error}"
+        return f"PhysicsError: {seen.error}" if seen.stated else seen.error
 
     def bodies(self, seen: Observation) -> set[str]:
         """Return the bodies that the message names."""

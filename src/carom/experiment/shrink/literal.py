@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.scene.half_space import half_spaces
+from carom.scene.materials import body_materials
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.schema.material import DEFAULT
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
 Path = tuple[str | int, ...]  # of keys and places in lists
 
 BODIES = "body"
+ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
 _NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # of a scene
 _FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
 
@@ -54,7 +57,19 @@ def literal(scene: Scene, start: Start) -> Document:
     if names := half_spaces(scene).name[: len(scene.plane)]:
         document["plane"] = [{"name": name} | plane for name, plane in zip(names, document["plane"], strict=True)]
     document[BODIES] = [_body(start, k) for k in range(len(start.name))]
+    if scene.material:
+        _name_materials(document, scene, start)
     return document
+
+
+def _name_materials(document: Document, scene: Scene, start: Start) -> None:
+    """Give each body the name of its material, and its own moment of inertia, which the material may give."""
+    materials = body_materials(scene)
+    for k, body in enumerate(document[BODIES]):
+        name = materials.names[materials.index[k]]
+        if name != DEFAULT:
+            body["material"] = name
+            body["inertia_factor"] = _inertia_factor(start, k)
 
 
 def at_moment(document: Document, moment: Moment, duration: float) -> Document:
@@ -66,7 +81,7 @@ def at_moment(document: Document, moment: Moment, duration: float) -> Document:
             state["velocity"] = _list(moment.velocity[k])
             if moment.spin is not None:
                 state["angular_velocity"] = _list(moment.spin[k])
-        bodies.append({key: value for key, value in (body | state).items() if value != [0.0, 0.0, 0.0]})
+        bodies.append({key: value for key, value in (body | state).items() if value != ORIGIN})
     return with_value(document | {BODIES: bodies}, ("time", "duration"), duration)
 
 
@@ -109,12 +124,17 @@ def _body(start: Start, k: int) -> Document:
         if vector.any():
             body[key] = _list(vector)
     body |= {"radius": radius, "mass": mass}
-    factor = float(start.inertia[k]) / (mass * radius * radius)
-    if abs(factor - _FACTOR) > 1e-12 * _FACTOR:
-        body["inertia_factor"] = min(factor, 2 / 3)
+    if (factor := _inertia_factor(start, k)) != _FACTOR:
+        body["inertia_factor"] = factor
     if start.fixed[k]:
         body["fixed"] = True
     return body
+
+
+def _inertia_factor(start: Start, k: int) -> float:
+    """Return I/(m r²), without the roundings of the product."""
+    factor = float(start.inertia[k]) / (float(start.mass[k]) * float(start.radius[k]) * float(start.radius[k]))
+    return _FACTOR if abs(factor - _FACTOR) <= 1e-12 * _FACTOR else min(factor, 2 / 3)
 
 
 def _list(vector: FloatArray) -> list[float]:

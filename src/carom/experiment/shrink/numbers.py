@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from carom.experiment.shrink.literal import BODIES, Document, Path, value_at, with_value
+from carom.experiment.shrink.literal import BODIES, ORIGIN, Document, Path, value_at, with_value
 from carom.experiment.shrink.smallest import Smallest
 
 MOST_DIGITS = 17
-ORIGIN = [0.0, 0.0, 0.0]
 _FIXED_FRAME = ("plane", "domain", "drag")  # sections that hold bodies to a place or a velocity
 _KEPT = {"expect"}  # sections whose numbers say what a failure is
 
@@ -17,7 +16,7 @@ def round_numbers(smallest: Smallest) -> bool:
     """Shorten numbers, first all together, then one by one; tell whether any was."""
     changed = _move_frame(smallest)
     for digits in range(1, MOST_DIGITS):
-        if smallest.takes(_mapped(smallest.document, lambda value, digits=digits: rounded(value, digits))):  # type: ignore[misc]
+        if smallest.takes_as_short(_mapped(smallest.document, lambda value, digits=digits: rounded(value, digits))):  # type: ignore[misc]
             changed = True
             break
     for path in list(_paths(smallest.document)):
@@ -40,7 +39,7 @@ def _shorten(smallest: Smallest, path: Path) -> bool:
     if not isinstance(value, float):
         return False
     for digits in range(digits_of(value)):
-        if smallest.takes(_tidy(with_value(smallest.document, path, rounded(value, digits)))):
+        if smallest.takes_as_short(_tidy(with_value(smallest.document, path, rounded(value, digits)))):
             return True
     return False
 
@@ -55,7 +54,7 @@ def _move_frame(smallest: Smallest) -> bool:
         origin = bodies[0].get(key, ORIGIN)
         if any(origin) and not any(body.get("fixed") for body in bodies):
             moved = [body | {key: _difference(body.get(key, ORIGIN), origin)} for body in bodies]
-            changed |= smallest.takes(_tidy(smallest.document | {BODIES: moved}))
+            changed |= smallest.takes_as_short(_tidy(smallest.document | {BODIES: moved}))
     return changed
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from carom.experiment.environment import versions
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.run import closing_summary
+from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.space import Space
@@ -56,13 +57,23 @@ class Observation:
         The pairs that met so far.
     error
         The message with which it failed; empty if it did not.
+    stated
+        Whether that is a PhysicsError, which the engine gives as a reason.
     """
 
     def __init__(
-        self, space: Space, initial: float, frames: int, warnings: list[Event], touches: Touches, error: str = ""
+        self,
+        space: Space,
+        initial: float,
+        frames: int,
+        warnings: list[Event],
+        touches: Touches,
+        error: str = "",
+        stated: bool = False,
     ) -> None:
         self.space = space
         self.error = error
+        self.stated = stated
         self.warned = frozenset(warning.kind for warning in warnings)
         self.touches = touches
         self._initial = initial
@@ -103,6 +114,11 @@ class Observation:
             "versions": versions(),
             "expect": {},
         } | closing
+
+
+def said_by(error: Exception) -> str:
+    """Return the message of a PhysicsError; of any other exception also its type."""
+    return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"
 
 
 def _nested(properties: Mapping[str, Any]) -> dict[str, Any]:

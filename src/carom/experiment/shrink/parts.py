@@ -12,13 +12,14 @@ from carom.scene.load import scene_from_dict
 
 _KEPT = {("title",), ("time", "duration")}  # keys that a scene has in any case
 _KEPT_OF_BODIES = {"name", "position"}
+_LISTS = ("plane", "pair", "material")  # lists of tables besides the bodies
 
 
 def drop_parts(smallest: Smallest) -> bool:
     """Drop whole parts of the model; tell whether any was."""
     changed = False
     for candidate in _without_parts(smallest):
-        changed |= smallest.takes(candidate)
+        changed |= _is_simpler(candidate, smallest) and smallest.takes_as_short(candidate)
     return changed
 
 
@@ -26,7 +27,7 @@ def set_defaults(smallest: Smallest) -> bool:
     """Leave out sections and keys whose defaults add no part of the model; tell whether any was."""
     changed = False
     for candidate in _with_defaults(smallest):
-        changed |= _adds_nothing(candidate, smallest) and smallest.takes(candidate)
+        changed |= _adds_nothing(candidate, smallest) and smallest.takes_as_short(candidate)
     return changed
 
 
@@ -36,6 +37,22 @@ def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
         return _modelled(candidate) <= _modelled(smallest.document)
     except SceneError:
         return False
+
+
+def _is_simpler(candidate: Document, smallest: Smallest) -> bool:
+    """Tell whether a candidate models fewer parts than the smallest scene, or as few with fewer keys."""
+    try:
+        before, after = _modelled(smallest.document), _modelled(candidate)
+    except SceneError:
+        return False
+    return after < before or (after == before and _keys(candidate) < _keys(smallest.document))
+
+
+def _keys(node: object) -> int:
+    """Count the keys of a document, at all levels."""
+    if isinstance(node, dict):
+        return len(node) + sum(map(_keys, node.values()))
+    return sum(map(_keys, node)) if isinstance(node, list) else 0
 
 
 def _modelled(document: Document) -> set[str]:
@@ -55,16 +72,17 @@ def _without_parts(smallest: Smallest) -> Iterator[Document]:
     yield _changed(smallest, {("drag",): None})
     yield _changed(smallest, {("domain",): None})
     yield _changed(smallest, {("plane",): None})
-    for plane in reversed(range(len(smallest.document.get("plane", [])))):
-        planes = smallest.document["plane"]
-        yield smallest.document | {"plane": planes[:plane] + planes[plane + 1 :]}
+    for key in _LISTS:
+        for place in reversed(range(len(smallest.document.get(key, [])))):
+            tables = smallest.document[key]
+            yield _changed(smallest, {(key,): tables[:place] + tables[place + 1 :]})
     yield _changed(smallest, {("contact", "restitution"): 0.0})
     yield _changed(smallest, {("contact", "static_friction"): 0.0, ("contact", "kinetic_friction"): None})
 
 
 def _with_defaults(smallest: Smallest) -> Iterator[Document]:
     """Yield the smallest scene of the moment without one section or key after the other."""
-    for section in [key for key in smallest.document if key not in (BODIES, "time", "plane")]:
+    for section in [key for key in smallest.document if key not in (BODIES, "time", *_LISTS)]:
         if (section,) not in _KEPT:
             yield _changed(smallest, {(section,): None})
     for section in list(smallest.document):
@@ -72,9 +90,10 @@ def _with_defaults(smallest: Smallest) -> Iterator[Document]:
             for key in list(smallest.document[section]):
                 if (section, key) not in _KEPT:
                     yield _changed(smallest, {(section, key): None})
-    for plane in range(len(smallest.document.get("plane", []))):
-        for key in list(smallest.document["plane"][plane]):
-            yield _changed(smallest, {("plane", plane, key): None})
+    for section in _LISTS:
+        for place in range(len(smallest.document.get(section, []))):
+            for key in list(smallest.document[section][place]):
+                yield _changed(smallest, {(section, place, key): None})
     keys = dict.fromkeys(key for body in smallest.document[BODIES] for key in body if key not in _KEPT_OF_BODIES)
     for key in keys:
         yield _of_all_bodies(smallest, key)

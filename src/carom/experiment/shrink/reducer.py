@@ -21,7 +21,7 @@ from carom.physics.space import Space
 from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
 
-MOST_ROUNDS = 6  # of all passes; a scene that still changes then is left as it is
+MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,8 @@ class Reducer:
     def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, tuple[int, int]]:
         """Run the scene up to the failure, write its bodies out, and begin as late as that allows."""
         trials.budget.check()
-        space = Space(scene, start=start, record_contacts=trials.condition.needs_impacts)
+        threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads
+        space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)
         before = len(start.name), space.step

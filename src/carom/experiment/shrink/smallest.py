@@ -10,6 +10,8 @@ from carom.experiment.shrink.trials import Trials
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 
+FEW_STEPS = 10  # that a candidate may take, however few the smallest scene takes
+
 
 class Smallest:
     """Takes over every candidate that still shows the failure.
@@ -50,8 +52,16 @@ class Smallest:
         """Number of bodies."""
         return len(self.document[BODIES])
 
-    def takes(self, document: Document) -> bool:
-        """Take over a candidate if it shows the failure.
+    def takes_shorter(self, document: Document) -> bool:
+        """Take over a candidate if it shows the failure in fewer steps."""
+        return self.steps > 1 and self.takes(document, self.steps - 1)
+
+    def takes_as_short(self, document: Document) -> bool:
+        """Take over a candidate if it shows the failure in no more steps, but for a few."""
+        return self.takes(document, max(self.steps, FEW_STEPS))
+
+    def takes(self, document: Document, steps: int | None = None) -> bool:
+        """Take over a candidate if it shows the failure, in at most so many steps; see `Trials.shows`.
 
         Raises
         ------
@@ -60,7 +70,7 @@ class Smallest:
         """
         if document == self.document:
             return False
-        seen = self._trials.shows(document)
+        seen = self._trials.shows(document, steps)
         if seen is None:
             return False
         self._keep(document, seen)

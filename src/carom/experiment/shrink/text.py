@@ -30,9 +30,8 @@ def commented(document: Document, comments: list[str]) -> str:
     written.add(tomlkit.nl())
     for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
         written.add(key, document[key])
-    for key in (BODIES, "plane"):
-        if key in document:
-            written.add(key, _rows(document[key]))
+    for key in [BODIES, *(key for key, value in document.items() if isinstance(value, list) and key != BODIES)]:
+        written.add(key, _rows(document[key]))
     for key, value in document.items():
         if isinstance(value, dict):
             written.add(key, _table(value))

@@ -51,7 +51,7 @@ def chronicle(
         if kept.end is None:
             first(seen)
         kept.keep(frame)
-        kept.shown = trials.condition.holds(seen)
+        kept.shown = not trials.condition.of_whole_run and trials.condition.holds(seen)
         return not kept.shown
 
     seen = observe(space, trials.budget, see, schedule=schedule)
@@ -61,8 +61,13 @@ def chronicle(
 
 def cut_time(smallest: Smallest, trials: Trials) -> bool:
     """Let the smallest scene end right after the failure and begin as late as it can; tell whether it changed."""
+    if smallest.steps <= 1:
+        return False
     kept, _ = chronicle(trials.space(smallest.scene), trials, every(0.0))
-    ended = kept.end is not None and kept.shown and end_at(smallest, kept.end)
+    if trials.condition.of_whole_run:
+        ended = _end_early(smallest, kept)
+    else:
+        ended = kept.end is not None and kept.shown and end_at(smallest, kept.end)
     return begin_late(smallest, smallest.document, kept) or ended
 
 
@@ -71,9 +76,21 @@ def end_at(smallest: Smallest, end: Moment) -> bool:
     document, whole = smallest.document, smallest.scene.time.duration
     for after in STEPS_AFTER:
         duration = end.time + after * end.dt
-        if 0.0 < duration < whole and smallest.takes(with_value(document, ("time", "duration"), duration)):
+        if 0.0 < duration < whole and smallest.takes_shorter(with_value(document, ("time", "duration"), duration)):
             return True
     return False
+
+
+def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
+    """Find the first state at which the smallest scene may end, by bisection; tell whether it is not the last."""
+    document, lo, hi = smallest.document, 1, len(kept.moments) - 1
+    while lo < hi:
+        middle = (lo + hi) // 2
+        if smallest.takes_shorter(with_value(document, ("time", "duration"), kept.moments[middle].time)):
+            hi = middle
+        else:
+            lo = middle + 1
+    return smallest.document != document
 
 
 def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
@@ -84,7 +101,7 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
     for moment in _backwards(earlier):
         for after in STEPS_AFTER:
             duration = (kept.end.time - moment.time) * (1.0 + ROUNDING) + after * kept.end.dt
-            if smallest.takes(at_moment(document, moment, duration)):
+            if smallest.takes_shorter(at_moment(document, moment, duration)):
                 return True
     return False
 

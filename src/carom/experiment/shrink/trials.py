@@ -9,14 +9,13 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.shrink.budget import Budget, OutOfTime
 from carom.experiment.shrink.condition import Condition
 from carom.experiment.shrink.literal import BODIES, Document
-from carom.experiment.shrink.observation import Observation, Touches
+from carom.experiment.shrink.observation import Observation, Touches, said_by
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.schedule import Every, Schedule
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
@@ -89,13 +88,9 @@ def observe(
         except (OutOfTime, ExperimentError):
             raise
         except Exception as error:  # a fault in the engine, which may be what is looked for
-            return Observation(space, initial, frames, warnings, touches, said_by(error))
+            stated = isinstance(error, PhysicsError)
+            return Observation(space, initial, frames, warnings, touches, said_by(error), stated)
     return seen
-
-
-def said_by(error: Exception) -> str:
-    """Return the message of a PhysicsError; of any other exception also its type."""
-    return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"
 
 
 @dataclass(slots=True)
@@ -123,8 +118,15 @@ class Trials:
     watch: Callable[[], None] = lambda: None
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
 
-    def shows(self, document: Document) -> Observation | None:
+    def shows(self, document: Document, steps: int | None = None) -> Observation | None:
         """Run a candidate; return what is seen of it if it still shows the failure.
+
+        Parameters
+        ----------
+        document
+            The candidate.
+        steps
+            How many it may take; by default a few times as many as the smallest scene so far.
 
         Raises
         ------
@@ -132,24 +134,24 @@ class Trials:
             If the time is over.
         """
         self.budget.check()
-        key = hash(toml_text(document))
+        key = hash((toml_text(document), steps))
         if key in self._rejected:
             return None
         self.watch()
         self.count += 1
-        seen = self._judge(document)
+        seen = self._judge(document, steps or max(FEWEST_STEPS, STEPS_MORE * self.steps))
         if seen is None:
             self._rejected.add(key)
         return seen
 
-    def _judge(self, document: Document) -> Observation | None:
+    def _judge(self, document: Document, steps: int) -> Observation | None:
         if not document[BODIES]:
             return None
         try:
             space = self.space(scene_from_dict(document))
-        except (SceneError, PhysicsError):
+        except Exception:  # a scene that cannot be, or a fault that shows before the first step
             return None
-        seen = observe(space, self.budget, steps=max(FEWEST_STEPS, STEPS_MORE * self.steps))
+        seen = observe(space, self.budget, steps=steps + 1)
         return seen if seen is not None and self.condition.holds(seen) else None
 
     def space(self, scene: Scene) -> Space:

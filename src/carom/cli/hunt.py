@@ -1,0 +1,86 @@
+"""`carom hunt`: look for scenes that break a law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.cli.options import JsonOption
+from carom.cli.shrink import budget
+from carom.cli.text import say
+
+if TYPE_CHECKING:
+    from carom.experiment.hunt.hunt import Hunt, Tally
+
+
+def hunt(
+    seconds: Annotated[
+        float,
+        typer.Option(
+            "--budget",
+            parser=budget,
+            metavar="TIME",
+            help="How long to hunt, such as 60s or 2h. Default: 10min.",
+            show_default=False,
+        ),
+    ] = 600.0,
+    seed: Annotated[
+        int | None, typer.Option("--seed", metavar="N", help="Draw the same scenes again. Default: new ones.", min=0)
+    ] = None,
+    first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
+    scenes: Annotated[
+        int | None, typer.Option("--scenes", metavar="N", help="Judge so many scenes at most.", min=1)
+    ] = None,
+    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for what is found.")] = Path(
+        "recordings/hunt"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Draw random scenes, and hold each to the laws: ledger, momenta, impulses, replay, stated errors.
+
+    The first miss of each law is shrunk and filed as a scene with its recording. Exit with 1 if there is one.
+    """
+    import json
+    import secrets
+
+    from carom.experiment.hunt.hunt import Hunt, as_document
+
+    chosen = secrets.randbelow(2**32) if seed is None else seed
+    if not as_json:
+        say(f"seed {chosen}")
+    tally = _watched(Hunt(chosen, folder, seconds, first, scenes), quiet=as_json)
+    if as_json:
+        say(json.dumps(as_document(tally), indent=2, ensure_ascii=False))
+    else:
+        _print(tally)
+    if tally.misses:
+        raise typer.Exit(1)
+
+
+def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(stderr=True, quiet=quiet)
+    if not quiet:
+        announce_compilation()
+    if not console.is_terminal:
+        return hunt.hunt()
+    with console.status("hunting") as status:
+        hunt.watch = lambda tally: status.update(
+            f"{tally.scenes} scenes, {len(tally.misses)} misses, {tally.seconds:.0f} s"
+        )
+        return hunt.hunt()
+
+
+def _print(tally: Tally) -> None:
+    ran = tally.scenes - tally.refused
+    ends = f"{tally.refused} refused, {tally.stated} ended with a stated reason, {tally.given_up} given up as too long"
+    say(f"{tally.scenes} scenes in {tally.seconds:.3g} s, {ran} ran: {ends}.")
+    if not tally.misses:
+        say("No law was broken.")
+    for miss in tally.misses:
+        where = f"{miss.path}, {miss.bodies} bodies" if miss.path else "not filed, since this law is"
+        say(f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}")

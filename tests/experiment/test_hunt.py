@@ -1,0 +1,76 @@
+"""The hunt for scenes that break a law."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.experiment.hunt.laws import laws_of
+from carom.experiment.hunt.scenes import drawn
+from carom.physics.diagnostics.audit import Audit
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_dict
+from carom.scene.schema import Scene
+from command import carom
+
+
+def scenes(count: int) -> list[Scene]:
+    found = []
+    for index in range(count):
+        try:
+            found.append(scene_from_dict(drawn(0, index)))
+        except SceneError:
+            continue
+    return found
+
+
+def test_most_drawn_scenes_are_valid_and_each_law_applies_to_some() -> None:
+    drawn_scenes = scenes(60)
+    assert len(drawn_scenes) > 40
+    names = {law.name for scene in drawn_scenes for law in laws_of(scene)}
+    assert names == {"error", "ledger", "momentum", "angular momentum", "impulses", "replay"}
+
+
+def test_the_same_seed_draws_the_same_scene() -> None:
+    assert drawn(3, 4) == drawn(3, 4) != drawn(3, 5)
+
+
+def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.experiment.hunt.hunt.drawn", lambda seed, index: meeting(index))
+    book = Audit.book
+    monkeypatch.setattr(Audit, "book", lambda audit, work: book(audit, np.asarray(work) * [0.0, 1.0, 1.0]))
+    made = carom("hunt", "--seed", "7", "--scenes", "2", "-o", "found", "--json", cwd=tmp_path)
+    assert made.returncode == 1
+    tally: dict[str, Any] = json.loads(made.stdout)
+    first = next(miss for miss in tally["misses"] if miss["law"] == "ledger")
+    assert first["bodies"] <= 2 and (tmp_path / first["file"]).with_suffix(".rrd").exists()
+    assert "# carom hunt --seed 7 --from 0 --scenes 1" in (tmp_path / first["file"]).read_text()
+    assert [miss["file"] for miss in tally["misses"] if miss["law"] == "ledger"][1:] == [None]
+
+
+def meeting(index: int) -> dict[str, Any]:
+    """Three spheres, of which two meet head on."""
+    bodies = [{"name": f"ball {k}", "position": [3.0 * k, 0.0, 0.0], "velocity": [-k, 0.0, 0.0]} for k in range(3)]
+    return {
+        "body": bodies,
+        "gravity": {"constant": 0.0},
+        "contact": {"static_friction": 0.0},
+        "time": {"duration": 1.5 + index},
+        "record": {"every": "step"},
+    }
+
+
+@pytest.mark.slow
+def test_a_sound_engine_breaks_no_law_in_a_few_scenes(tmp_path: Path) -> None:
+    made = carom("hunt", "--seed", "1", "--scenes", "20", "-o", "found", cwd=tmp_path)
+    assert made.returncode == 0, made.stdout
+    assert "No law was broken." in made.stdout and not (tmp_path / "found").exists()
+
+
+def test_a_budget_that_is_no_time_is_refused_with_what_would_be_right(tmp_path: Path) -> None:
+    made = carom("hunt", "--budget", "soon", cwd=tmp_path)
+    assert made.returncode == 2 and "such as 60s, 10min or 2h" in made.stderr
