@@ -24,6 +24,7 @@ from carom.scene.error import SceneError
 from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
 from carom.scene.schema import Scene
+from seeds import chosen_seed
 
 POSITION = np.array([[0.0, 0.0, 0.1], [3.0, 0.0, 0.2], [0.0, 3.0, 0.3]])
 VELOCITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0 / 3.0, 0.0], [0.0, 0.0, 0.0]])
@@ -342,7 +343,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "noise in an archive": ("a.npz", noise, "not an .npz file"),
     "noise in a table": ("a.parquet", noise, "not a Parquet file"),
     "noise in an Arrow file": ("a.arrow", noise, "not an Arrow file"),
-    "noise in an HDF5 file": ("a.h5", noise, "not an HDF5 file"),
+    "noise in an HDF5 file": ("a.h5", noise, "not an HDF5 file, or damaged"),
     "noise in a Simulationarchive": ("a.bin", noise, "not a Simulationarchive"),
     "an empty text": ("a.csv", nothing, "not a table of values"),
     "an empty archive": ("a.npz", nothing, "not an .npz file"),
@@ -381,6 +382,30 @@ def test_a_format_whose_package_is_missing_names_what_to_install(
     noise(tmp_path / file)
     monkeypatch.setitem(sys.modules, package, None)
     assert f'pip install "carom[{extra}]"' in complaint(tmp_path, file)
+
+
+@pytest.mark.parametrize("file", [file for file in WRITERS if file != "a.bin"])
+def test_a_damaged_file_is_refused_in_one_sentence_or_read(tmp_path: Path, file: str) -> None:
+    WRITERS[file](tmp_path / file)
+    whole, rng = (tmp_path / file).read_bytes(), np.random.default_rng(chosen_seed())
+    for _ in range(40):
+        damaged = bytearray(whole)
+        for byte in rng.integers(len(damaged), size=rng.integers(1, 5)):
+            damaged[byte] = rng.integers(256)
+        (tmp_path / file).write_bytes(damaged[: rng.integers(len(damaged) // 2, 2 * len(damaged))])
+        try:
+            found = scene_of(tmp_path, file).data[0]
+        except SceneError as error:
+            assert "\n" not in str(error)
+        else:
+            assert np.isfinite(found.position).all()
+
+
+def test_a_dictionary_may_have_numpy_arrays_and_numbers() -> None:
+    body = {"position": np.array([1.0, 2.0, 3.0]), "radius": np.float64(2.0)}
+    scene = Scene.from_dict({"body": [body], "seed": np.int64(3)})
+    assert scene.body[0].position == (1.0, 2.0, 3.0)
+    assert scene.seed == 3
 
 
 def test_names_are_written_only_when_they_are_asked_for() -> None:

@@ -12,6 +12,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomlkit
 import tomlkit.exceptions
 from pydantic import BaseModel, ValidationError
@@ -141,8 +142,21 @@ def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> S
     """Build a scene from a plain dictionary; errors name the key. ``bodies`` as for `scene_from_text`."""
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
-    text = _written(data)
+    try:
+        text = toml_text(data)
+    except TypeError:
+        data = _without_arrays(data)
+        text = _written(data)
     return _validate(data, text, _Places("", "", {}), bodies)
+
+
+def _without_arrays(value: Any) -> Any:
+    """Return a value with lists and numbers in place of NumPy's arrays and numbers."""
+    if isinstance(value, dict):
+        return {key: _without_arrays(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_arrays(inner) for inner in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _written(data: dict[str, Any]) -> str:
@@ -407,6 +421,10 @@ def _wrong(detail: Any) -> str:
             return f"must be {kinds[detail['type'].split('_')[0]]}"
         case "literal_error":
             return f"must be {context['expected']}"
+        case "tuple_type" if isinstance(detail["input"], dict):
+            return "must be a list of sections; write it in double brackets"
+        case "too_short" | "too_long" if all(isinstance(each, str) for each in detail["input"]):
+            return "must be the names of three columns"
         case "too_short" | "too_long" | "tuple_type" | "missing":
             return "must be three numbers [x, y, z]"
         case "model_type" | "model_attributes_type" | "dict_type":

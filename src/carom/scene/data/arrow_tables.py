@@ -12,7 +12,7 @@ import pyarrow.csv
 import pyarrow.ipc
 import pyarrow.parquet as pq
 
-from carom.scene.data.table import MOST_BYTES, Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
 _Read = Callable[[list[str]], pa.Table]
@@ -24,11 +24,8 @@ def open_csv(path: Path, called: str, snapshot: int) -> Table:
     """Open a file of comma-separated values, or with tabs if it is called .tsv; the first line names the columns."""
     refuse_large(called, "file", path.stat().st_size)
     parse = pyarrow.csv.ParseOptions(delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
-    try:
-        with pyarrow.csv.open_csv(path, parse_options=parse) as reader:
-            names = reader.schema.names
-    except pa.ArrowException as error:
-        raise SceneError(f"{called}: not a table of values: {_reason(error)}") from None
+    with pyarrow.csv.open_csv(path, parse_options=parse) as reader:
+        names = reader.schema.names
 
     def read(wanted: list[str]) -> pa.Table:
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, strings_can_be_null=True)
@@ -41,34 +38,26 @@ def open_csv(path: Path, called: str, snapshot: int) -> Table:
 
 def open_parquet(path: Path, called: str, snapshot: int) -> Table:
     """Open a Parquet file."""
-    try:
-        file = pq.ParquetFile(path, memory_map=True)
-    except (pa.ArrowException, OSError) as error:
-        raise SceneError(f"{called}: not a Parquet file: {_reason(error)}") from None
+    file = pq.ParquetFile(path, memory_map=True)
     refuse_many_rows(called, file.metadata.num_rows)
     return _ArrowTable(called, file.schema_arrow.names, lambda wanted: file.read(columns=wanted), snapshot)
 
 
 def open_arrow(path: Path, called: str, snapshot: int) -> Table:
     """Open an Arrow file, an Arrow stream or a Feather file."""
-    try:
-        with pa.memory_map(str(path)) as source:
-            file = source.read(6) == b"ARROW1"
-            source.seek(0)
-            reader = pyarrow.ipc.open_file(source) if file else pyarrow.ipc.open_stream(source)
-            names = reader.schema.names
-            count = reader.num_record_batches if file else None
-            batches = (reader.get_batch(k) for k in range(count)) if count is not None else iter(reader)
-            found, rows = list[pa.RecordBatch](), 0
-            for batch in batches:
-                rows += batch.num_rows
-                refuse_many_rows(called, rows)
-                batch.validate(full=True)
-                found.append(batch)
-            table = pa.Table.from_batches(found, reader.schema)
-    except (pa.ArrowException, OSError, MemoryError) as error:
-        raise SceneError(f"{called}: not an Arrow file: {_reason(error)}") from None
-    return _ArrowTable(called, names, table.select, snapshot)
+    with pa.memory_map(str(path)) as source:
+        file = source.read(6) == b"ARROW1"
+        source.seek(0)
+        reader = pyarrow.ipc.open_file(source) if file else pyarrow.ipc.open_stream(source)
+        batches = (reader.get_batch(k) for k in range(reader.num_record_batches)) if file else iter(reader)
+        found, rows = list[pa.RecordBatch](), 0
+        for batch in batches:
+            rows += batch.num_rows
+            refuse_many_rows(called, rows)
+            batch.validate(full=True)
+            found.append(batch)
+        table = pa.Table.from_batches(found, reader.schema)
+    return _ArrowTable(called, reader.schema.names, table.select, snapshot)
 
 
 class _ArrowTable:
@@ -76,7 +65,7 @@ class _ArrowTable:
 
     def __init__(self, called: str, names: Sequence[str], read: _Read, snapshot: int) -> None:
         self.called = called
-        self.names = list(names)
+        self.names: Sequence[str] = list(names)
         self._read = read
         self._snapshot = snapshot
 
@@ -86,24 +75,16 @@ class _ArrowTable:
             if self.names.count(name) > 1:
                 raise SceneError(f'{self.called}: two columns are called "{name}"; give each column its own name')
         steps = [_STEP] if _STEP in self.names and _BODY in self.names and _STEP not in names else []
-        try:
-            table = self._read(list(dict.fromkeys([*names, *steps])))
-            if table.nbytes > MOST_BYTES * len(names):
-                refuse_large(self.called, names[0], table.nbytes)
-            if steps:
-                table = table.filter(pc.equal(table[_STEP], self._step(table[_STEP])))
-            return {name: self._array(name, table[name]) for name in names}
-        except pa.ArrowException as error:
-            raise SceneError(f"{self.called}: cannot be read: {_reason(error)}") from None
-        except MemoryError:
-            raise SceneError(f"{self.called}: too large for this machine's memory") from None
+        table = self._read(list(dict.fromkeys([*names, *steps])))
+        if steps:
+            table = table.filter(pc.equal(table[_STEP], self._step(table[_STEP])))
+        return {name: self._array(name, table[name]) for name in names}
 
     def _step(self, column: pa.ChunkedArray) -> pa.Scalar:
         steps = pc.unique(column)
-        try:
-            return steps[self._snapshot]
-        except IndexError:
-            raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(steps)}") from None
+        if not -len(steps) <= self._snapshot < len(steps):
+            raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(steps)}")
+        return steps[self._snapshot]
 
     def _array(self, name: str, column: pa.ChunkedArray) -> Raw:
         """Convert a column; nulls of numbers become NaN."""
@@ -112,9 +93,7 @@ class _ArrowTable:
             column, kind = column.cast(kind.value_type), kind.value_type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
             return self._vectors(name, column)
-        if pa.types.is_decimal(kind) or pa.types.is_float16(kind):
-            column = column.cast(pa.float64(), safe=False)
-        if column.null_count and pa.types.is_integer(kind):
+        if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
             column = column.cast(pa.float64(), safe=False)
         return np.asarray(column.to_numpy())
 
@@ -124,8 +103,3 @@ class _ArrowTable:
             row = int(np.argmax(lengths != 3))
             raise SceneError(f"{self.called}: column {name}, row {row}: {lengths[row]} numbers instead of [x, y, z]")
         return np.asarray(pc.list_flatten(column).to_numpy()).reshape(-1, 3)
-
-
-def _reason(error: BaseException) -> str:
-    """Return the first line of what pyarrow says."""
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -21,18 +21,15 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
         import h5py  # noqa: PLC0415 - an extra
     except ModuleNotFoundError:
         raise SceneError(f'{called}: HDF5 needs h5py; install it with: pip install "carom[hdf5]"') from None
-    try:
-        with h5py.File(path, "r") as file:
-            names = list[str]()
+    with h5py.File(path, "r") as file:
+        names = list[str]()
 
-            def see(name: str, node: Any) -> bool | None:
-                if isinstance(node, h5py.Dataset) and node.ndim:
-                    names.append(name)
-                return True if len(names) > _MOST_DATASETS else None
+        def see(name: str | bytes, node: Any) -> bool | None:
+            if isinstance(name, str) and isinstance(node, h5py.Dataset) and node.ndim:  # bytes: not UTF-8
+                names.append(name)
+            return True if len(names) > _MOST_DATASETS else None
 
-            file.visititems(see)  # follows no links, which could lead out of the file
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise SceneError(f"{called}: not an HDF5 file: {error}") from None
+        file.visititems(see)  # follows no links, which could lead out of the file
     return _Datasets(path, called, names)
 
 
@@ -46,15 +43,8 @@ class _Datasets:
         """Read datasets; their shapes are checked before memory is taken."""
         import h5py  # noqa: PLC0415 - an extra
 
-        try:
-            with h5py.File(self._path, "r") as file:
-                return {name: self._array(name, file[name]) for name in names}
-        except SceneError:
-            raise
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-            raise SceneError(f"{self.called}: cannot be read: {error}") from None
-        except MemoryError:
-            raise SceneError(f"{self.called}: too large for this machine's memory") from None
+        with h5py.File(self._path, "r") as file:
+            return {name: self._array(name, file[name]) for name in names}
 
     def _array(self, name: str, dataset: Any) -> Raw:
         if dataset.external or dataset.is_virtual:

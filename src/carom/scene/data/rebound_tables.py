@@ -20,24 +20,19 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
         raise SceneError(
             f'{called}: a Simulationarchive needs rebound; install it with: pip install "carom[rebound]"'
         ) from None
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("error", ".*corrupted.*", RuntimeWarning)
-            archive = rebound.Simulationarchive(str(path))
-        count = len(archive)
-        if not -count <= snapshot < count:
-            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
-        simulation = archive[snapshot % count]
-        refuse_many_rows(called, simulation.N)
-        arrays = {"position": np.zeros((simulation.N, 3)), "velocity": np.zeros((simulation.N, 3))}
-        arrays |= {"mass": np.zeros(simulation.N), "radius": np.zeros(simulation.N)}
-        simulation.serialize_particle_data(
-            xyz=arrays["position"], vxvyvz=arrays["velocity"], m=arrays["mass"], r=arrays["radius"]
-        )
-    except SceneError:
-        raise
-    except (RuntimeWarning, RuntimeError, ValueError, OSError, AttributeError) as error:
-        raise SceneError(f"{called}: not a Simulationarchive of REBOUND: {error}") from None
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*corrupted.*", RuntimeWarning)
+        archive = rebound.Simulationarchive(str(path))
+    count = len(archive)
+    if not -count <= snapshot < count:
+        raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
+    simulation = archive[snapshot % count]
+    refuse_many_rows(called, simulation.N)
+    arrays = {"position": np.zeros((simulation.N, 3)), "velocity": np.zeros((simulation.N, 3))}
+    arrays |= {"mass": np.zeros(simulation.N), "radius": np.zeros(simulation.N)}
+    simulation.serialize_particle_data(
+        xyz=arrays["position"], vxvyvz=arrays["velocity"], m=arrays["mass"], r=arrays["radius"]
+    )
     return _Particles(called, {name: array for name, array in arrays.items() if array.any() or name == "position"})
 
 

@@ -55,7 +55,8 @@ class DataFiles:
         """Read a file, if it is the one whose digest the scene has."""
         section = wanted.section
         if section.file is None:
-            raise SceneError("file is missing: the name of the data file")
+            arrays = "; the scene was made of arrays in Python" if section.sha256 else ""
+            raise SceneError(f"file is missing: the name of the data file{arrays}")
         path = self.folder / section.file
         try:
             digest = _digest(path)
