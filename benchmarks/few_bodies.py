@@ -166,9 +166,9 @@ def rebound_steps(problem: Problem, integrator: str) -> Steps:
     simulation.dt = LEAP
 
     def take(span: float) -> float:
-        first, began = simulation.steps_done, time.process_time()
+        first, began = int(simulation.steps_done), time.process_time()
         simulation.integrate(simulation.t + span, exact_finish_time=0)
-        return (time.process_time() - began) / (simulation.steps_done - first)
+        return (time.process_time() - began) / (int(simulation.steps_done) - first)
 
     return take
 

@@ -171,7 +171,7 @@ MEETING = {
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
-FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.choose"}
+FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.target"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
 OPTIONAL = ("contact.continuous.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP

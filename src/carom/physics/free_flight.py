@@ -24,10 +24,10 @@ from carom.physics.diagnostics.activity import remembered
 from carom.physics.forces.gravity.direct import FEW, pull_few
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
-from carom.physics.parallel.jit import kernel, long_kernel, unowned
+from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn
-from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, chosen, ends_run
+from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, settle, target
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
@@ -126,7 +126,7 @@ def can_fly(world: World) -> bool:
     return len(world.bodies) <= FEW and known and not is_audited and not loses_turns
 
 
-@long_kernel
+@borrowing
 def _fly(
     plan: Records,
     substeps: FloatArray,
@@ -161,14 +161,13 @@ def _fly(
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
         if P.fixed_dt > 0.0:
-            length, why, following = P.fixed_dt, FIXED, average
-            if ends_run(length, end - time):
-                length, why = end - time, END
+            length, why, _ = settle(P.fixed_dt, FIXED, 1.0, 0.0, end - time)
+            following = average
         else:
-            length, why, following = chosen(
-                *(rule, average, end - time, position, velocity, acceleration, radius, mass, inverse_mass, borne),
-                *(field, found, False),
+            length, why = target(
+                *(rule, position, velocity, acceleration, radius, mass, inverse_mass, borne, field, found, False)
             )
+            length, why, following = settle(length, why, rule[0].smoothing, average, end - time)
         after = end if why == END else time + length
         if not after > time:
             break
@@ -220,7 +219,7 @@ def _fly(
     return steps, before, time, dt, limit, average, struck
 
 
-@kernel
+@unowned
 def _copy(x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray) -> None:
     """Copy positions, velocities and accelerations, (n, 3) each."""
     for i in range(len(x)):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.parallel.jit import kernel, long_kernel, unowned
+from carom.physics.parallel.jit import borrowing, kernel, long_kernel
 from carom.physics.pull_time import step_of_largest, step_of_pairs
 
 FloatArray = NDArray[np.float64]
@@ -57,74 +57,24 @@ LIMITS = np.dtype(
 )
 
 
-@unowned
-def chosen(
-    rule: Records,
-    previous: float,
-    remaining: float,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    radius: FloatArray,
-    mass: FloatArray,
-    inverse_mass: FloatArray,
-    borne: FloatArray,
-    field: FloatArray,
-    found: Records,
-    is_found: bool,
-) -> tuple[float, int, float]:
-    """Choose the next step; return it in s, the limit that set it, and the new average in s.
+@kernel
+def settle(dt: float, limit: int, smoothing: float, previous: float, remaining: float) -> tuple[float, int, float]:
+    """Smooth a step where it grows, and cut the last one; return it in s, its limit, and the new average in s.
 
     Parameters
     ----------
-    rule
-        (1,) `RULE`.
-    previous
-        s, the average; 0 if there is none.
+    dt, limit
+        s, the step that the limits allow, and the one that set it.
+    smoothing, previous
+        Weight of the new step in the average, and the average so far in s; 0 if there is none.
     remaining
         s, until the run ends.
-    borne
-        (n + p,) m/s², what contacts bear; empty if none do.
-    field
-        (3,) m/s², the acceleration that does not count.
-    found
-        (k,) `LIMITS`, a row for each block of bodies.
-    is_found
-        Whether ``found`` has been filled; otherwise it is, if need be.
     """
-    dt, limit = _target(
-        rule, position, velocity, acceleration, radius, mass, inverse_mass, borne, field, found, is_found
-    )
     if 0.0 < previous < dt:
-        smoothing = rule[0].smoothing
         dt, limit = previous + smoothing * (dt - previous), limit if smoothing == 1.0 else GROWTH
-    average = dt
     if ends_run(dt, remaining):
-        dt, limit = remaining, END
-    return dt, limit, average
-
-
-@kernel
-def choose(
-    rule: Records,
-    previous: float,
-    remaining: float,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    radius: FloatArray,
-    mass: FloatArray,
-    inverse_mass: FloatArray,
-    borne: FloatArray,
-    field: FloatArray,
-    found: Records,
-    is_found: bool,
-) -> tuple[float, int, float]:
-    """Choose the next step for a caller in Python; see `chosen`."""
-    return chosen(
-        *(rule, previous, remaining, position, velocity, acceleration, radius, mass, inverse_mass, borne),
-        *(field, found, is_found),
-    )
+        return remaining, END, dt
+    return dt, limit, dt
 
 
 @kernel
@@ -133,8 +83,8 @@ def ends_run(dt: float, remaining: float) -> bool:
     return remaining <= dt * (1.0 + END_TOLERANCE)
 
 
-@unowned
-def _target(
+@borrowing
+def target(
     rule: Records,
     position: FloatArray,
     velocity: FloatArray,
@@ -147,7 +97,21 @@ def _target(
     found: Records,
     is_found: bool,
 ) -> tuple[float, int]:
-    """Return the step that the limits allow, before smoothing, and the limit that set it."""
+    """Return the step that the limits allow, in s, before smoothing, and the limit that set it.
+
+    Parameters
+    ----------
+    rule
+        (1,) `RULE`.
+    borne
+        (n + p,) m/s², what contacts bear; empty if none do.
+    field
+        (3,) m/s², the acceleration that does not count.
+    found
+        (k,) `LIMITS`, a row for each block of bodies.
+    is_found
+        Whether ``found`` has been filled; otherwise it is, if need be.
+    """
     R = rule[0]
     dt, limit = R.max_dt, CAP
     a_max, a_free, b_max, every, fastest, turn = 0.0, 0.0, 0.0, np.inf, np.inf, np.inf

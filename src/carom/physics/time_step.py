@@ -19,8 +19,6 @@ that a limit guarantees. Here a decrease takes effect at once.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,7 +27,7 @@ from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.pull_time import PullTime
-from carom.physics.step_rule import BODIES_PER_BLOCK, LIMIT_NAMES, LIMITS, RULE, choose, ends_run, look
+from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, settle, target
 from carom.plan.step_limits import HELD_PART, StepLimits
 from carom.scene.schema import Scene, Time
 
@@ -64,7 +62,7 @@ class Timestep:
     Attributes
     ----------
     rule
-        (1,) `RULE`, the limits for `choose` of `step_rule`.
+        (1,) `RULE`, the limits for `target` of `step_rule`.
     fixed_dt
         s, a constant step in their place; None if there is none.
     spares_held
@@ -98,6 +96,7 @@ class Timestep:
             rule["pull_fraction"], rule["pull_of_pairs"] = pull.fraction, pull.of_pairs
             rule["constant"], rule["softening"], rule["mean"] = pull.constant, pull.softening, pull.mean
         self.fixed_dt = time.fixed_dt
+        self._smoothing = smoothing
         self.field = field
         self.spares_held = held_dx is not None
         self.previous = 0.0
@@ -138,8 +137,10 @@ class Timestep:
             "growth" (the average), "fixed" or "end".
         """
         if self.fixed_dt is not None:
-            return (remaining, "end") if ends_run(self.fixed_dt, remaining) else (self.fixed_dt, "fixed")
-        dt, limit, self.previous = self._choose(bodies, self.previous, remaining, borne)
+            dt, limit, _ = settle(self.fixed_dt, FIXED, 1.0, 0.0, remaining)
+        else:
+            allowed, limit = self._target(bodies, borne)
+            dt, limit, self.previous = settle(allowed, limit, self._smoothing, self.previous, remaining)
         return dt, LIMIT_NAMES[limit]
 
     def first(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> float:
@@ -148,11 +149,11 @@ class Timestep:
 
     def target(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
-        dt, limit, _ = self._choose(bodies, 0.0, math.inf, borne)
+        dt, limit = self._target(bodies, borne)
         return dt, LIMIT_NAMES[limit]
 
-    def _choose(self, bodies: Bodies, previous: float, remaining: float, borne: FloatArray) -> tuple[float, int, float]:
-        """Choose a step; see `choose` of `step_rule`."""
+    def _target(self, bodies: Bodies, borne: FloatArray) -> tuple[float, int]:
+        """Return the same with the number of the limit."""
         x, v, a, m = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
         found = self.room(bodies)
         rule, is_found = self.rule[0], self._team.size > 1 and len(found) >= MIN_SHARED_BLOCKS
@@ -161,7 +162,7 @@ class Timestep:
             by_size = v, a, bodies.radius, borne, self.field, float(rule["cfl"]) or 1.0
             self._team.divide(len(found), 1, look, *by_size, *V, found)
         state = x, v, a, bodies.radius, m, bodies.ends.inverse_mass, borne, self.field
-        return choose(self.rule, previous, remaining, *state, found, is_found)
+        return target(self.rule, *state, found, is_found)
 
     def room(self, bodies: Bodies) -> Records:
         """Return room for the limits of all blocks of bodies."""
