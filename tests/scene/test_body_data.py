@@ -270,8 +270,8 @@ CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
         {"x": 0.0, "y": 0.0, "z": [0.0, 0.5, 1.0]},
         "",
         [
-            "row 1 of a.csv and row 2 of a.csv overlap by 0.8 m",
-            "so do row 0 of a.csv and row 1 of a.csv",
+            "row 1 and row 2 of a.csv overlap by 0.8 m",
+            "; so do row 0 and row 1 of a.csv",
             "allow_overlap",
         ],
     ),

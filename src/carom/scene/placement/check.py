@@ -21,13 +21,18 @@ MOST_PAIRS = 3  # that a message names
 
 def key_of(scene: Scene, number: int, names: Sequence[str]) -> str:
     """Name a body whose position is given by its key in the scene, or by its row in the data."""
+    return "".join(_place_of(scene, number, names))
+
+
+def _place_of(scene: Scene, number: int, names: Sequence[str]) -> tuple[str, str]:
+    """Return the key of a body in the scene, or its row, and the data that it is a row of."""
     row, name = number - len(scene.body), names[number]
     if row < 0:
-        return body_key(number, name)
+        return body_key(number, name), ""
     for section, columns in zip(scene.bodies, scene.data, strict=True):
         if row < len(columns):
             own = f' ("{name}")' if columns.name else ""
-            return f"row {row} of {section.called}{own}"
+            return f"row {row}{own}", f" of {section.called}"
         row -= len(columns)
     raise IndexError(number)
 
@@ -75,7 +80,8 @@ def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
     others = [k for k in deep[: MOST_PAIRS + 1] if k != worst][:MOST_PAIRS]
 
     def called(k: int) -> str:
-        return " and ".join(key_of(scene, int(number), start.name) for number in pairs[k])
+        (first, source), (second, its) = (_place_of(scene, int(number), start.name) for number in pairs[k])
+        return f"{first}{'' if source == its else source} and {second}{its}"
 
     more = ""
     if others:
