@@ -69,7 +69,8 @@ def test_each_halving_of_leapfrogs_step_in_rebound_quarters_its_error(tmp_path: 
 @pytest.mark.parametrize(
     ("sections", "lack"),
     [
-        ({"contact": {"enabled": True}}, "contacts"),
+        ({"contact": {"enabled": True}}, "friction"),
+        ({"contact": {"enabled": True}, "plane": [{"point": [0.0, 0.0, -5.0]}]}, "planes"),
         ({"gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]}}, "a uniform field"),
         ({"drag": {"relaxation_time": 1.0}}, "drag"),
         ({"body": [PLANET, {**STAR, "fixed": True}]}, "fixed bodies"),

@@ -15,6 +15,7 @@ import typer
 from carom.cli import (
     clip,
     contacts,
+    crosscheck,
     diff,
     explain,
     export,
@@ -87,7 +88,13 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
         "diff": diff.diff,
         "shrink": shrink.shrink,
     },
-    "Measure": {"tradeoff": tradeoff.tradeoff, "tune": tune.tune, "stress": stress.stress, "hunt": hunt.hunt},
+    "Measure": {
+        "tradeoff": tradeoff.tradeoff,
+        "tune": tune.tune,
+        "stress": stress.stress,
+        "hunt": hunt.hunt,
+        "crosscheck": crosscheck.crosscheck,
+    },
     "Keep and share": {
         "clip": clip.clip,
         "repair": repair.repair,

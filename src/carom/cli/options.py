@@ -50,9 +50,11 @@ def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
 
 def bundled(incomplete: str) -> list[str]:
     """Complete the name of a bundled scene; if none fits, the shell completes files."""
-    from carom.scene.bundled import bundled_scenes, extreme_scenes
+    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
 
-    return [name for name in (*bundled_scenes(), *extreme_scenes()) if name.startswith(incomplete)]
+    return [
+        name for name in (*bundled_scenes(), *extreme_scenes(), *crosscheck_scenes()) if name.startswith(incomplete)
+    ]
 
 
 SceneArgument = Annotated[

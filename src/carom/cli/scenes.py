@@ -20,7 +20,7 @@ def scenes(
     """List the bundled scenes."""
     import json
 
-    from carom.scene.bundled import bundled_scenes, extreme_scenes
+    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
     from carom.scene.schema import Scene
 
     if schema:
@@ -46,6 +46,7 @@ def scenes(
     Terminal().print(table)
     typer.echo("\nRun one with `carom run NAME`; copy one with `carom new FILE --from NAME`.")
     typer.echo(f"`carom stress` runs the numerical extremes: {', '.join(extreme_scenes())}.")
+    typer.echo(f"`carom crosscheck` runs bug reports of other engines: {', '.join(crosscheck_scenes())}.")
 
 
 def new(
@@ -56,12 +57,12 @@ def new(
     force: ForceOption = False,
 ) -> None:
     """Write a scene file with comments on every key, to start from."""
-    from carom.scene.bundled import bundled_scenes, extreme_scenes, starter
+    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes, starter
     from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    bundled = bundled_scenes() | extreme_scenes()
+    bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if source and source not in bundled:
         raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
     if path.exists() and not force:

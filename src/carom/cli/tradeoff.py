@@ -35,7 +35,7 @@ EngineOption = Annotated[
     typer.Option(
         "--engine",
         metavar="NAME",
-        help="Compare with another engine's integrators on the same scene: rebound. Needs that package.",
+        help="Compare with another engine on the same scene: rebound, mujoco, box3d, pybullet. Needs its package.",
     ),
 ]
 COLUMNS = {

@@ -100,13 +100,13 @@ class Recorder:
         self._setup: Setup | None = None
         self._ring: deque[tuple[int, State]] | None = None if last is None else deque(maxlen=last)
         self._sink: _Writer | None = None
-        self._written = 0
+        self._written = self._taken = 0
         self.faults: list[Fault] = []
 
     @property
     def frames(self) -> int:
         """How many frames were recorded, or are in memory."""
-        return self._sink.taken if self._sink else len(self._ring or ())
+        return self._taken if self._ring is None else len(self._ring)
 
     def frame(self) -> bool:
         """Record the present state; return whether the recording goes on.
@@ -134,6 +134,7 @@ class Recorder:
             self._ring.append((call, _copy(state)))
         elif self._sink is not None:
             self._sink.put(call, state)
+            self._taken += 1
         return True
 
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
@@ -234,8 +235,6 @@ class _Writer:
     """The thread that makes frames of states and gives them to the recorder of frames."""
 
     def __init__(self, path: Path, observer: Observer, header: Any, force: bool) -> None:
-        self.taken = 0
-        self.faults: list[Fault] = []
         self._observer = observer
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
@@ -257,7 +256,6 @@ class _Writer:
         except queue.Empty:
             spare = None
         self._queue.put((step, _copy(state, spare)))
-        self.taken += 1
 
     def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
         """Write what is left, close the file, and return the first fault of each law."""
@@ -269,17 +267,10 @@ class _Writer:
             for fault in faults:
                 audit.note(fault)
             extremes = self._observer.extremes.named(self._observer.names)
-            counts: dict[str, Scalar] = {f"laws.{law}.frames": count for law, count in audit.counts.items()}
-            for law, first in audit.first.items():
-                counts |= {
-                    f"laws.{law}.step": first.step,
-                    f"laws.{law}.time": first.time,
-                    f"laws.{law}.text": first.text,
-                }
             steps, time = self._last
             totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
             events = (*(fault.event for fault in faults), *self._observer.extremes.highlights(self._observer.names, SI))
-            self._recorder.finish(outcome, totals | closing_of(extremes) | counts, events)
+            self._recorder.finish(outcome, totals | closing_of(extremes) | dict(audit.closing()), events)
         finally:
             self._stack.close()
         return sorted(audit.first.values(), key=lambda fault: fault.step)

@@ -62,6 +62,11 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
     return schedule.quiet(step, time) if isinstance(schedule, Every | At) else (1, time)
 
 
+def looks_before(schedule: Schedule) -> bool:
+    """Tell whether a schedule may look at the state before each step: a stranger is asked before anything moves."""
+    return not isinstance(schedule, Every | At)
+
+
 def _multiples(time: float, interval: float) -> float:
     """Count the multiples of an interval up to a time, with a tolerance, since the clock is a sum of steps."""
     return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0

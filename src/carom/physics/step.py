@@ -16,7 +16,7 @@ from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
-from carom.physics.schedule import quiet
+from carom.physics.schedule import looks_before, quiet
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
@@ -101,7 +101,7 @@ class KickDriftStepper:
     def advance(self, goal: Goal, checked: bool) -> bool:
         """Do a step, or many if nothing touches; return whether a frame is due."""
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
-        if flight is None or not (contact is None or contact.is_quiet):
+        if flight is None or not (contact is None or contact.is_quiet) or looks_before(goal.schedule):
             return self._advance_once(goal, checked)
         most, until = goal.most, np.inf
         if most > 1:

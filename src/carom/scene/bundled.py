@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
+CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
 EXTREMES = "extremes"  # the folder of the numerical extremes, and the first part of their names
 
 
@@ -16,6 +17,11 @@ def bundled_scenes() -> dict[str, Path]:
 def extreme_scenes() -> dict[str, Path]:
     """Return the path of each numerical extreme by its name, such as ``extremes/mass-ratio``, in order of the names."""
     return {f"{EXTREMES}/{name}": path for name, path in _scenes(_folder() / EXTREMES).items()}
+
+
+def crosscheck_scenes() -> dict[str, Path]:
+    """Return the path of each scene of a bug report of another engine, such as ``crosscheck/jolt-higher-bounce``."""
+    return {f"{CROSSCHECK}/{name}": path for name, path in _scenes(_folder() / CROSSCHECK).items()}
 
 
 def _scenes(folder: Path) -> dict[str, Path]:

@@ -17,7 +17,7 @@ import tomlkit
 import tomlkit.exceptions
 from pydantic import BaseModel, ValidationError
 
-from carom.scene.bundled import bundled_scenes, extreme_scenes
+from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
 from carom.scene.command import command
 from carom.scene.conversion import Wrong, converted
 from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
@@ -197,7 +197,7 @@ def _found(source: str | Path) -> Path:
         raise SceneError(f"{path}: a folder, not a scene; give a .toml file in it")
     if path.exists():
         return path
-    bundled = bundled_scenes() | extreme_scenes()
+    bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if str(source) in bundled:
         return bundled[str(source)]
     near = difflib.get_close_matches(str(source), bundled, n=1) or difflib.get_close_matches(path.stem, bundled, n=1)

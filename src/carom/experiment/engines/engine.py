@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from carom.experiment.engines.box3d import Box3D
+from carom.experiment.engines.mujoco import MuJoCo
+from carom.experiment.engines.pybullet import PyBullet
 from carom.experiment.engines.rebound import Rebound
+from carom.experiment.engines.stepped import Simulation
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
@@ -17,6 +21,21 @@ class Engine(Protocol):
     @property
     def name(self) -> str:
         """The name in ``--engine`` and in names of settings."""
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError with the line that installs the engine, if it is not there."""
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if the engine cannot represent a scene; the message says what it lacks."""
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Say what is translated differently, a clause each."""
+
+    def examined(self, scene: Scene) -> list[Setting]:
+        """Return the few settings for `carom crosscheck`."""
+
+    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+        """Build a scene at its start, to be taken step by step."""
 
     def settings(self, scene: Scene) -> list[Setting]:
         """Return the engine's settings that are worth comparing on a scene.
@@ -40,7 +59,7 @@ class Engine(Protocol):
         """Run a scene without sampling; return the seconds that the engine took."""
 
 
-ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(),)}
+ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet())}
 
 
 def engine_called(name: str) -> Engine:

@@ -1,4 +1,4 @@
-"""REBOUND: bodies that pull each other and do not touch. An optional package, under the GPL.
+"""REBOUND: bodies that pull each other, or smooth hard spheres. An optional package, under the GPL.
 
 Every integrator that can run the scene is compared: IAS15, which controls its error, and those with a constant step at
 several steps. The symplectic maps for one dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the
@@ -8,16 +8,22 @@ shortest period about that body.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from carom.experiment.engines.stepped import FINER, Simulation
+from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.settings_grid import STEPS, Setting
 from carom.experiment.work_precision.trajectory import FloatArray, IntArray, Trajectory
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.hierarchy import DOMINANT
+from carom.recording.source.adapters.rebound import rebound as record
+from carom.recording.source.source import Source, State
+from carom.scene.half_space import half_spaces
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -29,6 +35,7 @@ OLDEST = 5  # major version; earlier ones name the settings of integrators other
 ANY = ("leapfrog",)  # with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # unless asked to end every step with a state that can be read
+TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
 PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
 
 
@@ -39,9 +46,12 @@ class Rebound:
 
     def settings(self, scene: Scene) -> list[Setting]:
         """Return IAS15, leapfrog at the scene's steps, and the maps for a dominant body; see `Engine`."""
-        _package()
-        _refuse(scene)
+        self.ensure_installed()
+        self.check(scene)
         units = scene.unit_system
+        if require(scene).contact.modelled:
+            step = scene.time.fixed_dt or Space(scene, 1).first_dt
+            return [_setting(TOUCHING, units, step / finer) for finer in FINER]
         found = [_setting("ias15", units)]
         step = scene.time.fixed_dt or Space(scene, 1).first_dt
         found += [_setting(name, units, step * factor) for name in ANY for factor in STEPS]
@@ -49,8 +59,37 @@ class Rebound:
             found += [_setting(name, units, period / part) for name in DOMINATED for part in PARTS]
         return found
 
+    def examined(self, scene: Scene) -> list[Setting]:
+        """Return the settings for `carom crosscheck`."""
+        known = {setting.overrides: setting for setting in self.settings(scene)}
+        if require(scene).contact.modelled:
+            return list(known.values())
+        step = scene.time.fixed_dt or Space(scene, 1).first_dt
+        units = scene.unit_system
+        return [known[_setting("ias15", units).overrides], known[_setting(ANY[0], units, step).overrides]]
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError if REBOUND is not installed."""
+        _package()
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if REBOUND cannot represent a scene."""
+        _refuse(scene)
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Say what is translated differently."""
+        return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
+
+    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+        """Build a scene at its start, to be taken step by step."""
+        simulation = _simulation(scene, setting, safe=True)
+        order = np.argsort(_heaviest_first(place(scene).mass))
+        return Simulation(_InOrder(record(simulation), order), lambda: simulation.steps(1), simulation.dt)
+
     def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
         """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
+        if require(scene).contact.modelled:
+            return watch(self.begin(scene, setting), scene, times).trajectory
         simulation = _simulation(scene, setting, safe=True)
         space = Space(scene, 1)
         scale, mass = space.energy().scale, space.state.mass
@@ -114,15 +153,16 @@ def shortest_period(scene: Scene) -> float:
 
 
 def _refuse(scene: Scene) -> None:
-    """Refuse a scene that has more than point masses that pull each other."""
+    """Refuse a scene that has more than smooth spheres that pull and strike each other."""
     parts, start = require(scene), place(scene)
     lacks = {
-        "contacts (contact.enabled = false leaves them out)": parts.contact.modelled,
-        "a boundary": scene.domain.boundary != "open",
+        "friction (contact.static_friction = 0 leaves it out)": parts.contact.modelled and parts.friction.modelled,
+        "planes": bool(len(half_spaces(scene))),
+        "a periodic box": scene.domain.boundary == "periodic",
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
         "fixed bodies": bool(np.any(start.fixed)),
-        "bodies without gravity": not parts.gravity.modelled,
+        "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
     }
     found = [what for what, there in lacks.items() if there]
     if found:
@@ -147,15 +187,37 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
     simulation = rebound.Simulation()
     simulation.G = scene.gravity.constant
     simulation.softening = scene.gravity.softening
-    simulation.integrator = keys["integrator"]
+    simulation.integrator = keys["integrator"].partition(",")[0]
+    parts = require(scene)
+    if not parts.gravity.modelled:
+        simulation.gravity = "none"
+    if parts.contact.modelled:
+        restitution = scene.contact.restitution
+        simulation.collision, simulation.collision_resolve = "direct", "hardsphere"
+        simulation.coefficient_of_restitution = lambda engine, speed: restitution
     if "dt" in keys:
         simulation.dt = float(keys["dt"])
     if keys["integrator"] in UNSYNCHRONISED:
         simulation.integrator.safe_mode = int(safe)
     for k in _heaviest_first(start.mass).tolist():
         (x, y, z), (vx, vy, vz) = start.position[k].tolist(), start.velocity[k].tolist()
-        simulation.add(m=float(start.mass[k]), x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+        radius = float(start.radius[k]) if parts.contact.modelled else 0.0
+        simulation.add(m=float(start.mass[k]), r=radius, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
     return simulation
+
+
+class _InOrder:
+    """A source whose bodies are put into the order of the scene."""
+
+    def __init__(self, source: Source, order: IntArray) -> None:
+        model = source.model
+        self._source, self._order = source, order
+        self.model = replace(model, mass=model.mass[order], radius=model.radius[order], names=None)
+
+    def state(self) -> State:
+        """Return the present state."""
+        state = self._source.state()
+        return State(state.time, state.position[self._order], state.velocity[self._order])
 
 
 def _heaviest_first(mass: FloatArray) -> IntArray:

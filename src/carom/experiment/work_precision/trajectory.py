@@ -204,7 +204,7 @@ class _Watch:
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             h = self._times[len(self.position)] - begin
             ends = (a, frame.acceleration) if self._space.ends_with_forces else None
-            smooth = _between(h / dt, dt, way, v, frame.velocity, ends)
+            smooth = between(h / dt, dt, way, v, frame.velocity, ends)
             while flown < len(impacts) and impacts.time[flown] < h:
                 flight.bend(impacts.pairs[flown], float(impacts.time[flown]), impacts.after[flown])
                 flown += 1
@@ -246,7 +246,7 @@ class _Flight:
         self._v[who], self._since[who] = after[moving], moment
 
 
-def _between(
+def between(
     s: float, dt: float, way: FloatArray, v0: FloatArray, v1: FloatArray, forces: tuple[FloatArray, FloatArray] | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return displacement and velocity at s in [0, 1] of the Hermite polynomial of degree five or three."""

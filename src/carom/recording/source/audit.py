@@ -29,9 +29,10 @@ from carom.scene.names import Names, bodies_called
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-UNCHANGED = 0.01  # of the closing speed; a contact that changes it less did nothing
+UNCHANGED = 1e-3  # of the closing speed; a contact that changes it less did nothing
 TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it through each other did not collide
-SHALLOW = 1e-3  # of the smaller radius; a contact this deep must have been found
+SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
+FOUND = 5e-3  # of the smaller radius; a contact this deep must push, even a soft one
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
 AT_LEAST = 1e-2  # of a typical body's momentum or energy: what changes by less is noise
 MOST_NAMED = 8  # bodies in a sentence
@@ -117,6 +118,7 @@ class Audit:
         self._told: dict[str, int] = {}
         self.counts: dict[str, int] = {}  # frames that broke each law
         self.first: dict[str, Fault] = {}
+        self.broken: list[tuple[float, str]] = []  # s and law, of each of these frames
 
     def see(
         self, step: int, before: Moment, now: Moment, near: Near, potentials: tuple[float, float] | None
@@ -156,6 +158,13 @@ class Audit:
         fault = Fault("energy", step, time, abs(relative), text)
         return fault if self._tell(fault) else None
 
+    def closing(self) -> Iterator[tuple[str, str | int | float]]:
+        """Yield the first fault of each law and how many frames broke it, under the dotted keys of `outcome`."""
+        for law, first in self.first.items():
+            key = f"laws.{law}"
+            yield f"{key}.frames", self.counts[law]
+            yield from ((f"{key}.step", first.step), (f"{key}.time", first.time), (f"{key}.text", first.text))
+
     def note(self, fault: Fault) -> None:
         """Count a fault that was found elsewhere."""
         self._tell(fault)
@@ -163,6 +172,7 @@ class Audit:
     def _tell(self, fault: Fault) -> bool:
         """Count a fault; return whether it is one of the first of its law."""
         self.first.setdefault(fault.law, fault)
+        self.broken.append((fault.time, fault.law))
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
         return self.counts[fault.law] <= TOLD
 
@@ -325,14 +335,14 @@ class Audit:
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
         overlapped = near.gap_before < -SHALLOW * near.small
-        ignored = overlapped & (closing > still) & (after > (1.0 - UNCHANGED) * closing)
+        ignored = (near.gap_before < -FOUND * near.small) & (closing > still) & (after > (1.0 - UNCHANGED) * closing)
         inside = np.einsum("ij,ij->i", near.now, normal) < 0.0
         passed = np.where(plane, inside, (near.gap_now >= -SHALLOW * near.small) | inside)
         through = _deep(near) & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
         missed = np.flatnonzero(known & (ignored | through))
         if len(missed):
             worst = int(missed[np.argmax(closing[missed])])
-            how = "passed through each other" if through[worst] else "touch, and nothing pushes them apart"
+            how = "passed through each other" if through[worst] else "touch, and this step did not push them apart"
             text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {closing[worst]:.3g} m/s."
             yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))

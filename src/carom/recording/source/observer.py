@@ -12,9 +12,9 @@ from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.activity import Activity
-from carom.physics.diagnostics.energy import EnergyAccount
+from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MonitorState
-from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumAccount
@@ -60,6 +60,7 @@ class Observer:
         self.audit = Audit(setup, tolerances, self.names)
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
+        self._lowest_error, self._gain = 0.0, NOTHING
         self._pull: float | None = None  # J, at the last frame
         self._before: Moment | None = None
         self._began = first.time
@@ -81,7 +82,7 @@ class Observer:
         statistics = self._statistics(contacts, seen)
         events = [*self._first_contact(step, now.time, contacts), *(fault.event for fault in faults)]
         self.extremes.see_contacts(step, now.time, statistics)
-        self.extremes.see_energy(step, now.time, energy)
+        self._see_energy(step, now.time, energy)
         self.extremes.see_momentum(step, now.time, momentum)
         if before is not None:
             self._activity.see(len(contacts), seen.struck)
@@ -154,11 +155,22 @@ class Observer:
             return Finding(), contacts
         return self.audit.see(step, before, now, near, potentials), contacts
 
+    def _see_energy(self, step: int, time: float, energy: Energy) -> None:
+        """Update the extremes of the energy; what soft contacts give back is no gain."""
+        extremes = self.extremes
+        extremes.see_energy(step, time, energy)
+        self._lowest_error = min(self._lowest_error, energy.integration_error)
+        gain = energy.relative(energy.integration_error - self._lowest_error)
+        self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
+        extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
+
     def _statistics(self, contacts: CollisionGraph, seen: Finding) -> ContactStatistics:
         deepest, pair = 0.0, (0, 0)
         if len(contacts):
             radius = np.append(self.setup.radius, np.full(len(self.setup.planes), np.inf))
-            depth = contacts.overlaps / radius[contacts.pairs].min(axis=1)
+            judged = np.append(self.setup.judged, np.ones(len(self.setup.planes), bool))
+            known = judged[contacts.pairs].all(axis=1)
+            depth = np.where(known, contacts.overlaps / radius[contacts.pairs].min(axis=1), 0.0)
             worst = int(np.argmax(depth))
             deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
         return ContactStatistics(

@@ -11,6 +11,7 @@ from carom.recording.source.adapters.package import engine_package, named_versio
 from carom.recording.source.source import SPHERE, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
+UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
 class PyBullet:
@@ -115,4 +116,5 @@ def _plane(package: Any, body: int, shape: Any, number: int, client: int) -> Pla
 
 def _name(package: Any, body: int, number: int, client: int) -> str:
     base, name = (text.decode(errors="replace") for text in package.getBodyInfo(body, client))
-    return name or (base if base not in ("", "baseLink") else f"body {number}")
+    called = name or base
+    return f"body {number}" if called in UNNAMED else called

@@ -1,0 +1,69 @@
+"""The figure of a crosscheck: how far each run is from the reference, over time. Needs the extra ``plot``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carom.experiment.crosscheck import PARTED, Crosscheck
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.figure import FAINT, INK, LEAST
+
+OWN_COLOUR = "#1b2a3a"
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
+STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
+MOST_IMPACTS = 40  # that are marked; more would fill the figure
+
+
+def draw(check: Crosscheck, path: Path) -> None:
+    """Draw a crosscheck into a PNG or SVG.
+
+    Raises
+    ------
+    ExperimentError
+        If matplotlib is not there, or nothing is measured.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415
+    except ImportError:
+        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+    reference = check.study.reference
+    runs = [result for result in check.results if result.status == "measured"]
+    if reference is None or not runs:
+        raise ExperimentError("nothing is measured yet that could be drawn")
+    with mpl.rc_context({"font.size": 9, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}):
+        figure = Figure(figsize=(10.0, 5.2), layout="constrained", dpi=110)
+        ax = figure.subplots()
+        for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:
+            ax.axvline(float(met), color=FAINT, linewidth=0.6, alpha=0.5)
+        engines = {engine.name: COLOURS[k % len(COLOURS)] for k, engine in enumerate(check.engines)}
+        seen: dict[str, int] = {}
+        for result in runs:
+            engine = result.setting.engine
+            style = STYLES[seen.get(engine, 0) % len(STYLES)]
+            seen[engine] = seen.get(engine, 0) + 1
+            run = check.study.trajectory(result)
+            distance, _ = reference.scale.apart(run, reference.trajectory)
+            shown = np.maximum(distance, LEAST)
+            time = reference.trajectory.time[: len(shown)]
+            colour = engines.get(engine, OWN_COLOUR)
+            ax.plot(time, shown, style, color=colour, linewidth=1.4, label=result.setting.name)
+            _mark(ax, check.examinations.get(result.setting.name), time, shown, colour)
+        ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
+        ax.annotate("parted", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
+        ax.set(yscale="log", xlabel="time / s", ylabel="rms distance from the reference / size", xlim=(0.0, None))
+        ax.set_title(f"{check.scene.title}\ngrey lines: first contacts; crosses: a law is broken first", fontsize=10)
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
+        figure.savefig(path)
+
+
+def _mark(ax: Any, examination: Any, time: Any, distance: Any, colour: str) -> None:
+    """Mark the first frame that broke each law."""
+    laws = {} if examination is None else examination.laws
+    for broken in laws.values():
+        if len(time) and broken["time"] <= time[-1]:
+            ax.plot(broken["time"], np.interp(broken["time"], time, distance), "x", color=colour, markersize=8, mew=2.0)

@@ -1,0 +1,81 @@
+"""What a scene asks of an engine that knows spheres, planes, a uniform field and Coulomb friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.error import ExperimentError
+from carom.plan.features import require
+from carom.recording.source.source import SPHERE
+from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.placement import Start, place
+from carom.scene.schema import Scene
+from carom.scene.schema.contact import Material
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A scene in the terms of a game or robot engine."""
+
+    start: Start
+    planes: HalfSpaces
+    between: Material  # of two bodies
+    at_planes: list[Material]
+    field: FloatArray  # (3,) m/s²
+    collides: bool
+    duration: float  # s
+
+    @property
+    def extent(self) -> float:
+        """The distance in m from the middle of the bodies at the start to the farthest, or a radius if that is more."""
+        centre = self.start.position.mean(axis=0)
+        away = np.linalg.norm(self.start.position - centre, axis=1)
+        return float(max(away.max(), self.start.radius.max()))
+
+    @property
+    def reach(self) -> float:
+        """How far in m a plane must go on, for bodies that keep the largest speed for the whole run."""
+        speed = float(np.linalg.norm(self.start.velocity, axis=1).max())
+        fall = 0.5 * float(np.linalg.norm(self.field)) * self.duration**2
+        return 10.0 * (self.extent + speed * self.duration + fall)
+
+
+def problem_of(engine: str, scene: Scene) -> Problem:
+    """Translate a scene for an engine of rigid bodies.
+
+    Raises
+    ------
+    ExperimentError
+        If the scene has what such engines lack; the message names all of it.
+    """
+    parts = require(scene)
+    lacks = {
+        "the bodies' own gravity": parts.gravity.modelled,
+        "a periodic box": scene.domain.boundary == "periodic",
+        "drag": scene.drag is not None,
+    }
+    refuse(engine, lacks)
+    start, solids = place(scene), half_spaces(scene)
+    solid_spheres = np.allclose(start.inertia, SPHERE * start.mass * start.radius**2, rtol=1e-12)
+    refuse(engine, {"moments of inertia other than those of solid spheres": not solid_spheres})
+    return Problem(
+        start=start,
+        planes=solids,
+        between=scene.contact.material,
+        at_planes=[Material(*row.tolist()) for row in solids.material],
+        field=np.array(scene.gravity.uniform, dtype=np.float64),
+        collides=parts.contact.modelled,
+        duration=scene.time.duration,
+    )
+
+
+def refuse(engine: str, lacks: dict[str, bool]) -> None:
+    """Raise ExperimentError if a scene has anything that an engine lacks."""
+    found = [what for what, there in lacks.items() if there]
+    if found:
+        raise ExperimentError(f"{engine} cannot represent this scene: {', '.join(found)}")

@@ -1,0 +1,117 @@
+"""`carom crosscheck`, run as a person runs it."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from carom.recording.read.recording import Recording
+from carom.scene.bundled import crosscheck_scenes
+from carom.scene.schema import Scene
+from command import carom
+
+SCENE = """
+title = "Light on heavy"
+
+[time]
+duration = 1.0
+max_dt = 0.01
+
+[gravity]
+constant = 0.0
+
+[contact]
+restitution = 1.0
+static_friction = 0.0
+
+[[body]]
+name = "light"
+position = [-0.5, 0.0, 0.0]
+velocity = [1.0, 0.0, 0.0]
+radius = 0.1
+mass = 1.0
+
+[[body]]
+name = "heavy"
+position = [0.0, 0.05, 0.0]
+radius = 0.1
+mass = 3.0
+
+[expect]
+energy_error = 1e-3
+momentum_error = 1e-9
+max_overlap = 1e-3
+"""
+
+
+@pytest.fixture(scope="module")
+def checked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("crosscheck")
+    (folder / "pair.toml").write_text(SCENE, encoding="utf-8")
+    done = carom("crosscheck", "pair.toml", "--engine", "rebound,mujoco", "--repeats", "1", "-o", "out", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "printed.txt").write_text(done.stdout, encoding="utf-8")
+    return folder
+
+
+def test_each_engine_is_judged_by_the_criteria_and_by_the_reference(checked: Path) -> None:
+    document = json.loads((checked / "out" / "crosscheck.json").read_text(encoding="utf-8"))
+    runs = {run["name"].split(",")[0].split(" ")[0]: run for run in document["runs"]}
+    assert all(criterion["met"] for criterion in runs["carom"]["criteria"]) and runs["carom"]["parting"] is None
+    missed = [each["name"] for each in runs["mujoco"]["criteria"] if not each["met"]]
+    assert missed == ["max_overlap"]  # its contacts are springs
+    parting = next(run["parting"] for run in document["runs"] if run["engine"] == "mujoco" and "0.01 s" in run["name"])
+    assert parting["impact"] == 1 and parting["between"] == 'body 0 "light" and body 1 "heavy"'
+    assert parting["laws"] == ["overlap"]
+    assert runs["rebound"]["laws"] == {} and runs["rebound"]["errors"]["momentum"] < 1e-12  # a few roundings
+    assert all(len(run["costs"]) == 1 for run in document["runs"])
+
+
+def test_there_are_a_table_a_figure_and_a_recording_of_all_and_of_each(checked: Path) -> None:
+    printed = (checked / "printed.txt").read_text(encoding="utf-8")
+    for part in ("criteria", "not max_overlap", "impact 1, body 0", "contacts are springs", "Reference, exact"):
+        assert part in printed
+    folder = checked / "out"
+    assert (folder / "crosscheck.png").read_bytes().startswith(b"\x89PNG")
+    assert Recording.open(folder / "crosscheck.rrd").is_overlay
+    assert Recording.open(folder / "mujoco-dt-0.01-s.rrd").engine.startswith("mujoco ")
+    assert Recording.open(folder / "carom.rrd").outcome == "completed"
+
+
+def test_the_same_command_measures_nothing_twice(checked: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in (checked / "out").glob("mujoco*.rrd")}
+    words = ("crosscheck", "pair.toml", "--engine", "rebound,mujoco", "--repeats", "1", "-o", "out", "--json")
+    done = carom(*words, cwd=checked)
+    assert done.returncode == 0, done.stderr
+    assert [len(run["costs"]) for run in json.loads(done.stdout)["runs"]] == [1] * 5
+    assert before == {path.name: path.stat().st_mtime_ns for path in (checked / "out").glob("mujoco*.rrd")}
+
+
+def test_what_an_engine_cannot_represent_is_named_before_anything_runs(tmp_path: Path) -> None:
+    done = carom("crosscheck", "kepler-orbits", "--engine", "mujoco", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "mujoco cannot represent this scene: the bodies' own gravity" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    done = carom("crosscheck", "two-spheres", "--engine", "pybullet", "-o", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "carom: --engine pybullet: the engine pybullet is not installed: pip install pybullet\n"
+    unknown = carom("crosscheck", "two-spheres", "--engine", "bullet", cwd=tmp_path)
+    assert unknown.returncode == 2 and "--engine bullet: unknown; known engines: rebound" in unknown.stderr
+
+
+@pytest.mark.parametrize("name", crosscheck_scenes())
+def test_a_scene_of_a_bug_report_names_the_report_and_promises_what_is_right(name: str) -> None:
+    path = crosscheck_scenes()[name]
+    first = path.read_text(encoding="utf-8").splitlines()[0]
+    assert first.startswith("# From https://github.com/") and "/issues/" in first
+    assert Scene.load(path).expect.max_overlap is not None
