@@ -16,8 +16,7 @@ from carom.experiment.engines.translation import problem_of
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.recording.source.adapters.mujoco import mujoco as source_of
 from carom.recording.source.adapters.package import engine_package
-from carom.scene.schema import Scene
-from carom.scene.schema.contact import Material
+from carom.scene.schema import Coefficients, Scene
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
@@ -75,7 +74,7 @@ class MuJoCo(SteppedEngine):
         return Simulation(source_of(model, data), lambda: engine.mj_step(model, data), dt)
 
 
-def _set_law(geom: Any, law: Material, dt: float) -> None:
+def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
     """Give a shape its friction, and the spring that bounces as the coefficient of restitution says."""
     # x'' + 2 ζ ω x' + ω² x = 0 bounces with e = exp(-π ζ / √(1 - ζ²)) after the time π / (ω √(1 - ζ²))
     if law.restitution > 0.0:

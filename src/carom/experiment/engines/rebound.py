@@ -24,6 +24,7 @@ from carom.plan.hierarchy import DOMINANT
 from carom.recording.source.adapters.rebound import rebound as record
 from carom.recording.source.source import Source, State
 from carom.scene.half_space import half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -158,6 +159,7 @@ def _refuse(scene: Scene) -> None:
     lacks = {
         "friction (contact.static_friction = 0 leaves it out)": parts.contact.modelled and parts.friction.modelled,
         "planes": bool(len(half_spaces(scene))),
+        "bodies of several materials": len(pair_coefficients(scene).places) > 0,
         "a periodic box": scene.domain.boundary == "periodic",
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
@@ -192,7 +194,7 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
     if not parts.gravity.modelled:
         simulation.gravity = "none"
     if parts.contact.modelled:
-        restitution = scene.contact.restitution
+        restitution = pair_coefficients(scene).of(0, 1).restitution
         simulation.collision, simulation.collision_resolve = "direct", "hardsphere"
         simulation.coefficient_of_restitution = lambda engine, speed: restitution
     if "dt" in keys:

@@ -11,9 +11,9 @@ from carom.experiment.error import ExperimentError
 from carom.plan.features import require
 from carom.recording.source.source import SPHERE
 from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.placement import Start, place
-from carom.scene.schema import Scene
-from carom.scene.schema.contact import Material
+from carom.scene.schema import Coefficients, Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -24,8 +24,8 @@ class Problem:
 
     start: Start
     planes: HalfSpaces
-    between: Material  # of two bodies
-    at_planes: list[Material]
+    between: Coefficients  # of two bodies
+    at_planes: list[Coefficients]
     field: FloatArray  # (3,) m/s²
     collides: bool
     duration: float  # s
@@ -53,21 +53,23 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     ExperimentError
         If the scene has what such engines lack; the message names all of it.
     """
-    parts = require(scene)
+    parts, coefficients = require(scene), pair_coefficients(scene)
     lacks = {
         "the bodies' own gravity": parts.gravity.modelled,
         "a periodic box": scene.domain.boundary == "periodic",
         "drag": scene.drag is not None,
+        "bodies of several materials": len(coefficients.places) > 0,
     }
     refuse(engine, lacks)
     start, solids = place(scene), half_spaces(scene)
     solid_spheres = np.allclose(start.inertia, SPHERE * start.mass * start.radius**2, rtol=1e-12)
     refuse(engine, {"moments of inertia other than those of solid spheres": not solid_spheres})
+    laws = [Coefficients(*row.tolist()) for row in coefficients.rows]
     return Problem(
         start=start,
         planes=solids,
-        between=scene.contact.material,
-        at_planes=[Material(*row.tolist()) for row in solids.material],
+        between=laws[0],
+        at_planes=laws[1:],
         field=np.array(scene.gravity.uniform, dtype=np.float64),
         collides=parts.contact.modelled,
         duration=scene.time.duration,
