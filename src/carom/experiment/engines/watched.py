@@ -23,6 +23,7 @@ from carom.recording.source.observer import Observer, header_of_source, not_fini
 from carom.recording.source.source import State, setup_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
+from carom.scene.units.system import SI
 
 if TYPE_CHECKING:
     from carom.experiment.engines.stepped import Simulation
@@ -97,7 +98,7 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
                 recorder.put(frame)
                 due = frame.time + end / FRAMES
         if recorder:
-            recorder.finish(outcome, _closing(observer, frame), observer.extremes.highlights(observer.names))
+            recorder.finish(outcome, _closing(observer, frame), observer.extremes.highlights(observer.names, SI))
     if outcome != "completed" and path is None:
         raise ExperimentError(outcome.removeprefix("failed: "))
     audit = observer.audit
