@@ -217,7 +217,8 @@ class ContactPipeline:
     def rest(self) -> None:
         """Note steps in which nothing touched, after a step that was quiet."""
         self.held, self.impacts, self.statistics = NOTHING_HELD, NO_IMPACTS, NO_CONTACTS
-        self._seen = None
+        if self._seen is EMPTY_SNAPSHOT:  # of no step; otherwise that of the last step is empty, too
+            self._seen = None
 
     def begin_flight(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
