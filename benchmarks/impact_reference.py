@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.space import Space
 from carom.scene.half_space import half_spaces
+from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[Any]
@@ -53,15 +54,14 @@ class Spheres:
         self.radius = state.radius.astype(precision)
         self.mass, self.inertia = state.mass.astype(precision), state.inertia.astype(precision)
         self.normal, self.offset = planes.normal.astype(precision), planes.offset.astype(precision)
-        self.law = scene.contact.material
-        self.surfaces = planes.material
+        self.coefficients = pair_coefficients(scene)
         self.touches = scene.contact.enabled
         periodic = scene.domain.boundary == "periodic"
         self.box = np.array(scene.domain.size, dtype=precision) if periodic else None
 
     def strike(self, i: int, j: int) -> None:
         """Resolve the impact of body i on body or plane j: change velocities and spins."""
-        law = self.law if j < self.n else type(self.law)(*self.surfaces[j - self.n])
+        law = self.coefficients.of(i, j)
         if j < self.n:
             away = self.x[j] - self.x[i]
             if self.box is not None:

@@ -14,6 +14,7 @@ from carom.scene.data.columns import BodyColumns
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import made_of
+from carom.scene.neighbours import overlapping_pairs
 from carom.scene.placement.check import (
     key_of,
     refuse_immersion,
@@ -21,14 +22,19 @@ from carom.scene.placement.check import (
     refuse_overlaps,
     refuse_unresolved,
 )
+from carom.scene.placement.compression import DENSEST, compressed, shrunken
+from carom.scene.placement.lattice import lattice
 from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
-from carom.scene.placement.random_placement import positions
-from carom.scene.placement.region import default_region, packing_fraction
+from carom.scene.placement.plummer import drawn_velocities, mass_within
+from carom.scene.placement.random_placement import clear_of, positions
+from carom.scene.placement.region import default_region, half_extent, packing_fraction, plummer_lengths
 from carom.scene.placement.start import Start, join
-from carom.scene.schema import Body, Group, Scene
+from carom.scene.schema import Body, Group, Region, Scene
+from carom.scene.schema.group import LATTICES
 
 FloatArray = NDArray[np.float64]
 
+MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 
 
@@ -52,11 +58,12 @@ def place(scene: Scene) -> Start:
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         refuse_overlaps(scene, parts[0], box)
         refuse_immersion(scene, parts[0], solids)
+    pull = 0.0 if scene.gravity.method == "none" else scene.gravity.constant
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
     _refuse_full_box(scene)
     for index, group in enumerate(scene.group):
         made = made_of(scene, group)
-        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index])))
+        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index]), pull))
     start = join(parts)
     refuse_overflow(start)
     return start if box is None else replace(start, position=_inside(start.position, box))
@@ -118,23 +125,29 @@ def _group(
     solids: HalfSpaces,
     box: FloatArray | None,
     rng: np.random.Generator,
+    constant: float,
 ) -> Start:
-    packing = packing_fraction(group)
-    if packing > FULLEST:
-        raise SceneError(
-            f"group.{index}.region is too small: {group.count} bodies would fill {packing:.3g} of it, and random "
-            f"placement jams at {FULLEST}; enlarge the region or lower count or radius"
-        )
+    if group.arrangement not in LATTICES:
+        _refuse_full_region(index, group)
     n = group.count
     radius = drawn_radii(group, rng)
     region = group.region or default_region(index, radius)
-    room = region.radius if region.radius is not None else 0.5 * max(region.size or ())
+    room = float(half_extent(region).max())
     refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()))
-    position = positions(index, region, radius, placed, solids, box, rng)
+    position = _arranged(index, group, region, radius, placed, solids, box, rng)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
     velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
     velocity = velocity + np.cross(rotation, position - np.array(region.centre))
+    if group.velocity.virial is not None:
+        if constant == 0.0:
+            raise SceneError(
+                f"group.{index}.velocity.virial without gravity of the bodies; set gravity.constant, or leave it out"
+            )
+        scale, cut = plummer_lengths(region)
+        distance = np.sqrt(((position - np.array(region.centre)) ** 2).sum(axis=1))
+        whole = constant * float(mass.sum()) / mass_within(cut, scale)
+        velocity = velocity + drawn_velocities(distance, scale, whole, group.velocity.virial, rng)
     name = group.name or f"group {index}"
     return Start(
         name=[f"{name} {k}" for k in range(n)],
@@ -149,12 +162,58 @@ def _group(
     )
 
 
+def _arranged(
+    index: int,
+    group: Group,
+    region: Region,
+    radius: FloatArray,
+    placed: list[Start],
+    solids: HalfSpaces,
+    box: FloatArray | None,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the centres of a group, (n, 3) m."""
+    if group.arrangement in LATTICES:
+
+        def is_clear(points: FloatArray) -> NDArray[np.bool_]:
+            return clear_of(points, np.full(len(points), radius.max()), placed, solids, box)
+
+        found = lattice(index, group, region, radius, is_clear)
+        if box is not None and len(overlapping_pairs(found, radius, box)):
+            raise SceneError(
+                f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
+                "smaller than the box by a spacing"
+            )
+        return found
+    if group.arrangement == "random":
+        return positions(index, region, radius, placed, solids, box, rng)
+    small = shrunken(radius, packing_fraction(group))
+    loose = positions(index, region, small, placed, solids, box, rng)
+    return compressed(index, region, loose, radius, placed, solids, box)
+
+
+def _refuse_full_region(index: int, group: Group) -> None:
+    packing, fullest, way_out = packing_fraction(group), FULLEST, ""
+    if group.arrangement == "compressed":
+        fullest, jams = DENSEST, "compression is slow above"
+    else:
+        jams = "random placement jams at"
+        if packing <= DENSEST and (group.region is None or group.region.shape != "plummer"):
+            way_out = ', or set arrangement = "compressed"'
+    if packing > fullest:
+        raise SceneError(
+            f"group.{index}.region is too small: {group.count} bodies would fill {packing:.3g} of it, and {jams} "
+            f"{fullest}; enlarge the region or lower count or radius{way_out}"
+        )
+
+
 def _refuse_full_box(scene: Scene) -> None:
     """Refuse groups that do not fit into a periodic box or between walls, however large their regions are."""
     if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
         return
     filled = sum(mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
-    if filled > FULLEST:
+    loosest = all(group.arrangement == "random" for group in scene.group)
+    if filled > (FULLEST if loosest else MOST_FILLED):
         raise SceneError(
             f"domain.size: the groups would fill {filled:.3g} of the box, and random placement jams at "
             f"{FULLEST}; enlarge the box or lower count or radius"

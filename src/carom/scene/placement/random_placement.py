@@ -40,24 +40,37 @@ def positions(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
-
     refuse_too_large(index, region, radius)
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
     obstacles = [(start.position, start.radius) for start in placed]
     for members in reversed(size_classes(radius)):
-        trees = [
-            (cKDTree(wrapped(centres[same], box), boxsize=box), centres[same], radii[same])
-            for centres, radii in obstacles
-            for same in size_classes(radii)
-        ]
-        position[members] = _place_class(index, region, radius[members], trees, solids, box, rng, packing)
+        position[members] = _place_class(
+            index, region, radius[members], _trees(obstacles, box), solids, box, rng, packing
+        )
         obstacles.append((position[members], radius[members]))
     return position
 
 
 _Tree = tuple["cKDTree", FloatArray, FloatArray]
+
+
+def _trees(obstacles: list[tuple[FloatArray, FloatArray]], box: FloatArray | None) -> list[_Tree]:
+    """Return a tree of each size class of spheres, given centres and radii."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+    return [
+        (cKDTree(wrapped(centres[same], box), boxsize=box), centres[same], radii[same])
+        for centres, radii in obstacles
+        for same in size_classes(radii)
+    ]
+
+
+def clear_of(
+    position: FloatArray, radius: FloatArray, placed: list[Start], solids: HalfSpaces, box: FloatArray | None
+) -> NDArray[np.bool_]:
+    """Tell which spheres touch no plane and none of the bodies placed before, (k,)."""
+    return _clear_of(position, radius, _trees([(start.position, start.radius) for start in placed], box), solids, box)
 
 
 def _place_class(

@@ -9,12 +9,15 @@ from numpy.typing import NDArray
 
 from carom.scene.error import SceneError
 from carom.scene.placement.matter import mean_volume
+from carom.scene.placement.plummer import drawn_distances, mass_within
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, Group, Region
 
 FloatArray = NDArray[np.float64]
 
 DEFAULT_PACKING = 0.1  # of a group without a region
+FARTHEST = 10.0  # times the scale of a plummer region, its farthest centre by default; 98.5 % of the mass is nearer
+ROUNDING = 1e-12  # of the size of a region
 
 
 def packing_fraction(group: Group) -> float:
@@ -25,16 +28,72 @@ def packing_fraction(group: Group) -> float:
 
 
 def volume(region: Region) -> float:
-    """Return the volume of a region in m³."""
-    if region.radius is not None:
-        return 4.0 / 3.0 * math.pi * region.radius**3
-    return math.prod(region.size or ())
+    """Return the volume of a region in m³; for Plummer's model that of its mass at the density of its centre."""
+    radius = 0.0 if region.radius is None else region.radius
+    match region.shape:
+        case "box":
+            return math.prod(region.size or ())
+        case "cylinder":
+            return math.pi * radius * radius * (region.height or 0.0)
+        case "shell":
+            return 4.0 / 3.0 * math.pi * (_cube(radius) - _cube(region.inner_radius or 0.0))
+        case "plummer":
+            scale, cut = plummer_lengths(region)
+            return 4.0 / 3.0 * math.pi * _cube(scale) * mass_within(cut, scale)
+    return 4.0 / 3.0 * math.pi * _cube(radius)
+
+
+def _cube(x: float) -> float:
+    return x * x * x
+
+
+def plummer_lengths(region: Region) -> tuple[float, float]:
+    """Return the scale of a plummer region and the farthest distance of a centre, in m."""
+    scale = region.scale or 0.0
+    return scale, FARTHEST * scale if region.radius is None else region.radius
 
 
 def bounds(region: Region) -> tuple[FloatArray, FloatArray]:
     """Return the lower and the upper corner of the box around a region, (3,) m each."""
-    half = np.full(3, region.radius) if region.radius is not None else 0.5 * np.array(region.size)
+    half = half_extent(region)
     return np.array(region.centre) - half, np.array(region.centre) + half
+
+
+def half_extent(region: Region) -> FloatArray:
+    """Return half of the size of the box around a region, (3,) m."""
+    match region.shape:
+        case "box":
+            return 0.5 * np.array(region.size)
+        case "cylinder":
+            radius = region.radius or 0.0
+            return np.array([radius, radius, 0.5 * (region.height or 0.0)])
+        case "plummer":
+            return np.full(3, plummer_lengths(region)[1])
+    return np.full(3, region.radius)
+
+
+def contains(region: Region, position: FloatArray, radius: float) -> NDArray[np.bool_]:
+    """Tell which spheres of one radius are inside a region, up to rounding, (k,)."""
+    outside = confined(region, position, np.full(len(position), radius)) - position
+    return np.asarray((np.abs(outside) <= ROUNDING * half_extent(region)).all(axis=1))
+
+
+def confined(region: Region, position: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the nearest centres at which spheres are inside a region, (n, 3) m."""
+    offset = position - np.array(region.centre)
+    if region.shape == "box":
+        most = half_extent(region) - radius[:, None]
+        return np.asarray(np.array(region.centre) + np.clip(offset, -most, most))
+    radial = 2 if region.shape == "cylinder" else 3
+    distance = np.sqrt((offset[:, :radial] * offset[:, :radial]).sum(axis=1))
+    farthest = np.maximum(0.0, half_extent(region)[0] - radius)
+    nearest = (region.inner_radius + radius) if region.inner_radius is not None else np.zeros(len(radius))
+    right = np.minimum(np.maximum(distance, nearest), farthest)
+    offset[:, :radial] *= (right / np.where(distance > 0.0, distance, 1.0))[:, None]
+    if region.shape == "cylinder":
+        most = half_extent(region)[2] - radius
+        offset[:, 2] = np.clip(offset[:, 2], -most, most)
+    return np.asarray(np.array(region.centre) + offset)
 
 
 def default_region(index: int, radius: FloatArray) -> Region:
@@ -49,7 +108,9 @@ def default_region(index: int, radius: FloatArray) -> Region:
 
 def refuse_too_large(index: int, region: Region, radius: FloatArray) -> None:
     """Refuse bodies larger than their region."""
-    room = region.radius if region.radius is not None else min(region.size or ()) / 2
+    room = float(half_extent(region).min())
+    if region.inner_radius is not None:
+        room = 0.5 * (room - region.inner_radius)
     if radius.max() > room:
         raise SceneError(
             f"group.{index}: a body of radius {radius.max():g} m does not fit into its region; enlarge the region"
@@ -59,10 +120,29 @@ def refuse_too_large(index: int, region: Region, radius: FloatArray) -> None:
 def drawn_centres(region: Region, radius: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Draw centres uniformly so that every sphere lies inside the region."""
     n = len(radius)
-    if region.radius is not None:
-        direction = rng.standard_normal((n, 3))
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        offset = direction * ((region.radius - radius) * cube_root(rng.random(n)))[:, None]
-    else:
-        offset = (rng.random((n, 3)) - 0.5) * (np.array(region.size) - 2 * radius[:, None])
+    match region.shape:
+        case "box":
+            offset = (rng.random((n, 3)) - 0.5) * (np.array(region.size) - 2 * radius[:, None])
+        case "cylinder":
+            across = rng.standard_normal((n, 2))
+            across /= np.sqrt((across * across).sum(axis=1))[:, None]
+            farthest, height = half_extent(region)[0] - radius, (region.height or 0.0) - 2 * radius
+            offset = np.empty((n, 3))
+            offset[:, :2] = across * (farthest * np.sqrt(rng.random(n)))[:, None]
+            offset[:, 2] = (rng.random(n) - 0.5) * height
+        case "shell":
+            inner, outer = (region.inner_radius or 0.0) + radius, half_extent(region)[0] - radius
+            inner, outer = inner * inner * inner, outer * outer * outer
+            offset = _directions(n, rng) * cube_root(inner + (outer - inner) * rng.random(n))[:, None]
+        case "plummer":
+            offset = _directions(n, rng) * drawn_distances(*plummer_lengths(region), n, rng)[:, None]
+        case _:
+            offset = _directions(n, rng) * ((half_extent(region)[0] - radius) * cube_root(rng.random(n)))[:, None]
     return np.array(region.centre) + offset
+
+
+def _directions(count: int, rng: np.random.Generator) -> FloatArray:
+    """Draw unit vectors, (count, 3)."""
+    direction = rng.standard_normal((count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    return direction

@@ -1,0 +1,92 @@
+"""Bodies on the points of a lattice: simple cubic, face-centred cubic or hexagonal close-packed.
+
+The lattice begins at the lower corner of the region. Points are taken from below upwards, those left out where a body
+would reach out of the region or touch a plane or a body placed before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.error import SceneError
+from carom.scene.placement.region import bounds, contains, volume
+from carom.scene.portable_math import cube_root
+from carom.scene.schema import Group, Region
+
+FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+# Edges of the orthogonal cell in multiples of the distance of neighbours, and its points in parts of these edges.
+CELLS = {
+    "cubic": ((1.0, 1.0, 1.0), ((0.0, 0.0, 0.0),)),
+    "fcc": ((math.sqrt(2.0),) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))),
+    "hcp": (
+        (1.0, math.sqrt(3.0), math.sqrt(8.0 / 3.0)),
+        ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 5.0 / 6.0, 0.5), (0.0, 1.0 / 3.0, 0.5)),
+    ),
+}
+WIDEST = 1.2  # times the spacing at which the region would hold just so many points without its border
+NARROWER = 0.995  # of the spacing, each time that the region holds too few points
+TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding lets no two neighbours overlap
+MOST_POINTS = 50_000_000
+
+
+def lattice(
+    index: int, group: Group, region: Region, radius: FloatArray, is_clear: Callable[[FloatArray], Flags]
+) -> FloatArray:
+    """Return the centres of a group on a lattice, (n, 3) m; ``is_clear`` tells which of some points are free.
+
+    Raises
+    ------
+    SceneError
+        If the region has too few points.
+    """
+    n, least = len(radius), 2.0 * float(radius.max()) * TOUCHING
+    if group.spacing is not None:
+        if group.spacing < 2.0 * radius.max():
+            widest = 2.0 * float(radius.max())
+            raise SceneError(
+                f"group.{index}.spacing = {group.spacing:g} m is less than a diameter, {widest:g} m; raise it"
+            )
+        found = _points(index, group, region, max(group.spacing, least), float(radius.max()))
+        found = found[is_clear(found)]
+        if len(found) < n:
+            raise SceneError(
+                f"group.{index}.region has room for {len(found)} of {n} bodies at spacing = {group.spacing:g} m; "
+                "enlarge the region or lower spacing or count"
+            )
+        return found[:n]
+    edges, points = CELLS[group.arrangement]
+    per_point = math.prod(edges) / len(points)
+    spacing = WIDEST * float(cube_root(np.array(volume(region) / (n * per_point))))
+    while True:
+        found = _points(index, group, region, max(spacing, least), float(radius.max()))
+        found = found[is_clear(found)]
+        if len(found) >= n:
+            return found[:n]
+        if spacing <= least:
+            raise SceneError(
+                f"group.{index}.region has room for {len(found)} of {n} bodies on a lattice; enlarge the region or "
+                "lower count or radius"
+            )
+        spacing *= NARROWER
+
+
+def _points(index: int, group: Group, region: Region, spacing: float, radius: float) -> FloatArray:
+    """Return all points of a lattice at which a sphere is inside the region, from below upwards."""
+    edges, fractions = CELLS[group.arrangement]
+    cell = spacing * np.array(edges)
+    low, high = bounds(region)
+    low, high = low + radius, high - radius
+    counts = [max(0, math.floor(extent)) + 1 for extent in ((high - low) / cell).tolist()]
+    if math.prod(counts) * len(fractions) > MOST_POINTS:
+        raise SceneError(f"group.{index}.region: more than {MOST_POINTS:g} points of the lattice; raise spacing")
+    x, y, z = np.meshgrid(*(np.arange(count, dtype=np.float64) for count in counts), indexing="ij")
+    corners = np.stack((x.ravel(), y.ravel(), z.ravel()), axis=1)
+    points = np.concatenate([low + (corners + np.array(fraction)) * cell for fraction in fractions])
+    points = points[contains(region, points, radius)]
+    return points[np.lexsort((points[:, 0], points[:, 1], points[:, 2]))]
