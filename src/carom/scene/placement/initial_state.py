@@ -195,7 +195,7 @@ def _arranged(
 def _refuse_full_region(index: int, group: Group) -> None:
     packing, fullest, way_out = packing_fraction(group), FULLEST, ""
     if group.arrangement == "compressed":
-        fullest, jams = DENSEST, "compression is slow above"
+        fullest, jams = DENSEST, "compression goes up to"
     else:
         jams = "random placement jams at"
         if packing <= DENSEST and (group.region is None or group.region.shape != "plummer"):
