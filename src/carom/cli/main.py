@@ -19,6 +19,7 @@ from carom.cli import (
     diff,
     explain,
     export,
+    fork,
     hunt,
     inspect,
     movie,
@@ -86,6 +87,7 @@ COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in th
         "why": why.why,
         "replay": replay.replay,
         "diff": diff.diff,
+        "fork": fork.fork,
         "shrink": shrink.shrink,
     },
     "Measure": {

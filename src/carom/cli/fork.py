@@ -1,0 +1,253 @@
+"""`carom fork`: goes on from a moment of a recording, under other parameters or from almost the same state."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.live_line import LiveLine, bar
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, SetOption, seconds
+from carom.cli.text import say
+from carom.scene.command import command
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carom.experiment.fork.branch import Branch, Start
+    from carom.experiment.fork.ensemble import Ensemble
+    from carom.experiment.fork.fork import Fork
+    from carom.experiment.fork.inevitable import Inevitable
+    from carom.experiment.fork.workers import Workers
+
+MOST_SEEDS = 100_000
+
+
+def fork(
+    file: RecordingArgument,
+    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="When to fork (s).")],
+    overrides: SetOption = None,
+    perturb: Annotated[
+        str | None,
+        typer.Option(
+            "--perturb", metavar="ULPS", help="Move every coordinate by so many units in the last place: 1ulp."
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option("--seeds", metavar="N", min=1, max=MOST_SEEDS, help="Number of perturbed forks.")
+    ] = 1,
+    outcome: Annotated[
+        str | None,
+        typer.Option(
+            "--outcome",
+            metavar="CONDITION",
+            help="Count the forks that end so: an expression on `carom inspect --json`, or x_3, speed_3 of body 3.",
+        ),
+    ] = None,
+    when: Annotated[
+        bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="BOTH.rrd", help="File for the viewer. Default: FILE-fork.rrd."),
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Go on from a moment of a recording, under other parameters or from a state that differs in the last bits.
+
+    Only the steps after the moment are run. Both courses and their difference are written into one file; with --seeds,
+    the band of many.
+    """
+    import json
+
+    from carom.experiment.error import ExperimentError
+    from carom.experiment.fork.branch import Branch, start_of
+    from carom.experiment.output import refuse_output
+    from carom.recording.edit.bundle import opened
+    from carom.recording.errors import RecordingError
+
+    ulps = _ulps(perturb)
+    if overrides is None and perturb is None:
+        raise ExperimentError("nothing to change: give --set KEY=VALUE or --perturb 1ulp")
+    if perturb is None and (seeds > 1 or when):
+        raise ExperimentError("without --perturb all forks have the same bits; add --perturb 1ulp")
+    if when and outcome is None:
+        raise ExperimentError('--inevitable needs an --outcome, such as "x_0 < 0"')
+    if outcome is not None and seeds == 1:
+        raise ExperimentError("--outcome counts forks: add --perturb 1ulp --seeds 100")
+    target = output or file.with_name(f"{file.stem}-fork.rrd")
+    refuse_output(target, force)
+    with opened(file) as path:
+        if target.exists() and target.samefile(path):
+            raise RecordingError(f"{target} is the recording itself; choose another file with -o")
+        branch = Branch(path, at, tuple(overrides or ()))
+        start = start_of(branch)
+        if seeds == 1:
+            document, lines = _one(start, target, None if perturb is None else 1, ulps)
+        else:
+            document, lines = _many(start, branch, target, seeds, ulps, outcome, when)
+    if as_json:
+        say(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    for line in [*lines, f"{target} written; {command('view', target)}"]:
+        say(line)
+
+
+def _ulps(text: str | None) -> int:
+    """Read ``1ulp`` or ``3 ulps``."""
+    if text is None:
+        return 0
+    match = re.fullmatch(r"\s*(\d{1,9})\s*(ulps?)?\s*", text)
+    if match is None or int(match[1]) == 0:
+        raise typer.BadParameter(f"{text}: expected a number of units in the last place, such as 1ulp")
+    return int(match[1])
+
+
+def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str]]:
+    from carom.experiment.fork.fork import fork as go_on
+    from carom.experiment.fork.fork import text_of
+
+    found: Fork = go_on(start, target, shift, ulps)
+    text = text_of(start, found.diff)
+    document = {
+        "at": start.checkpoint.time,
+        "step": start.checkpoint.step,
+        "end": found.outcome.sim_time,
+        "steps": found.outcome.steps,
+        "status": found.outcome.status,
+        "scene": {key: list(values) for key, values in found.diff.scene.items()},
+        "text": text,
+        "rms": float(found.diff.curve.rms[-1]),
+    }
+    lines = [f"{text[0].upper()}{text[1:]}."]
+    if not found.outcome.ok:
+        lines.append(f"The fork ended early, {found.outcome.status}: {found.outcome.reason}.")
+    if found.diff.divergence is not None and found.diff.divergence.is_exponential:
+        rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
+        lines.append(f"The distance grows by e^(λt), λ = {rate:.3g} ± {error:.1g} /s.")
+    return document, lines
+
+
+def _many(
+    start: Start, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, when: bool
+) -> tuple[dict[str, Any], list[str]]:
+    from carom.cli.extras import needing
+
+    with needing("cluster", "carom fork --seeds", "distributed", "dask"):
+        from carom.experiment.fork.ensemble import ensemble
+        from carom.experiment.fork.fork import write_ensemble
+        from carom.experiment.fork.workers import Workers
+        from carom.experiment.sweep.cluster import connected
+
+    class Line(LiveLine):
+        def update(self, done: int) -> None:
+            self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks")
+
+    with connected(None, None, seeds) as client, Line() as line:
+        workers = Workers(client)
+        found = ensemble(start, branch, seeds, ulps, workers, outcome, line.update)
+        moment = _when(start, branch, ulps, seeds, outcome, found, workers) if when and outcome else None
+    document = _document(start, found, outcome, moment)
+    lines = list(_lines(start, found, outcome, moment))
+    write_ensemble(start, found, "\n\n".join(lines), target)
+    return document, lines
+
+
+def _when(
+    start: Start, branch: Branch, ulps: int, seeds: int, outcome: str, found: Ensemble, workers: Workers
+) -> Inevitable:
+    """Look for the moment from which the outcome that came about was inevitable."""
+    from dataclasses import replace
+
+    from carom.experiment.fork.inevitable import inevitable
+    from carom.experiment.fork.workers import Task
+
+    def draw(time: float) -> Iterator[bool]:
+        tasks = [Task(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
+        for result in workers.results(tasks):
+            yield result.outcome == found.reference_outcome
+
+    return inevitable(draw, start.checkpoint.time, start.scene.time.duration)
+
+
+def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    import numpy as np
+
+    def numbers(values: Any) -> list[float | None]:
+        return [float(v) if np.isfinite(v) else None for v in values]
+
+    return {
+        "at": start.checkpoint.time,
+        "step": start.checkpoint.step,
+        "seeds": len(found.rms),
+        "time": numbers(found.time),
+        "low": numbers(found.band[0]),
+        "median": numbers(found.band[1]),
+        "high": numbers(found.band[2]),
+        "growth": None if found.growth is None else asdict(found.growth),
+        "rates": {"count": len(found.rates), "median": _median(found), "spread": _finite(found.rate_error)},
+        "spread": numbers(found.spread[-1]) if len(found.spread) else [],
+        "outcome": None
+        if outcome is None
+        else {
+            "condition": outcome,
+            "unperturbed": found.reference_outcome,
+            "forks": len(found.outcomes),
+            "hits": sum(found.outcomes),
+            "inevitable": None if moment is None else asdict(moment),
+        },
+    }
+
+
+def _median(found: Ensemble) -> float | None:
+    import numpy as np
+
+    return float(np.median(found.rates)) if len(found.rates) else None
+
+
+def _finite(value: float) -> float | None:
+    from math import isfinite
+
+    return value if isfinite(value) else None
+
+
+def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
+    import numpy as np
+
+    low, median, high = found.band[:, -1]
+    radius = start.recording.bodies.radius
+    yield (
+        f"{len(found.rms)} forks at step {start.checkpoint.step}, t = {start.checkpoint.time:.9g} s, "
+        f"up to t = {found.time[-1]:.9g} s."
+    )
+    yield f"At the end bodies are {median:.3g} m apart (rms, median); 5 to 95 %: {low:.3g} to {high:.3g} m."
+    lost = int(np.count_nonzero(found.spread[-1] > radius))
+    yield f"{lost} of {len(radius)} bodies can no longer be predicted to within their radius."
+    if len(found.rates):
+        rate = float(np.median(found.rates))
+        yield (
+            f"The distance grows by e^(λt), λ = {rate:.3g} ± {found.rate_error:.1g} /s, "
+            f"twice as much every {np.log(2.0) / rate:.3g} s."
+        )
+    else:
+        yield "The distance does not grow exponentially."
+    if outcome is not None:
+        hits, forks = sum(found.outcomes), len(found.outcomes)
+        known = "holds" if found.reference_outcome else "does not hold"
+        yield f"{outcome}: in {hits} of {forks} forks, {hits / forks:.0%}; without perturbation it {known}."
+    if moment is not None:
+        state = "was" if found.reference_outcome else "was not"
+        for tested in moment.tested:
+            yield f"  forked at t = {tested.time:.9g} s: {tested.hits} of {tested.forks} end in the same way"
+        if moment.always:
+            yield f"That it {state} so was inevitable at t = {moment.latest:.9g} s already; fork earlier."
+        else:
+            yield (
+                f"That it {state} so was inevitable from t = {moment.latest:.9g} s on, "
+                f"and not yet at t = {moment.earliest:.9g} s."
+            )

@@ -1,0 +1,73 @@
+"""Goes on from a moment of a recording, and records it beside what it did before."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from carom.experiment.diff.diff import Diff, diff, overlay
+from carom.experiment.fork.branch import Start
+from carom.experiment.fork.ensemble import Ensemble
+from carom.experiment.run import Outcome, Watcher, simulate
+from carom.recording.read.recording import Recording
+from carom.recording.view.forecast import Forecast, write_forecast
+
+
+@dataclass(frozen=True, slots=True)
+class Fork:
+    """A branch compared with the recording that it left."""
+
+    outcome: Outcome
+    diff: Diff
+
+
+def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher | None = None) -> Fork:
+    """Run one branch to its end, and write it and the recording into one file.
+
+    Parameters
+    ----------
+    start
+        The state at the fork.
+    out
+        The ``.rrd`` to write.
+    shift, ulps
+        Seed and size of a perturbation; see `Start.space`.
+    watch
+        Called several times a second with where the run stands.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    with tempfile.TemporaryDirectory(prefix=".carom-fork-", dir=out.parent) as folder:
+        part = Path(folder) / f"{out.stem}.rrd"
+        outcome = simulate(start.space(None, shift, ulps), part, watch=watch)
+        branch = Recording.open(part)
+        found = diff(start.recording, branch)
+        overlay(
+            start.recording, branch, replace(found, verdict=replace(found.verdict, text=text_of(start, found))), out
+        )
+    return Fork(outcome, found)
+
+
+def text_of(start: Start, found: Diff) -> str:
+    """Say when a branch left its recording, what is other in it, and how far they are apart at the end."""
+    changes = ", ".join(f"{key} = {other}, before {one}" for key, (one, other) in found.scene.items())
+    what = f" with {changes}" if changes else ""
+    curve, first = found.curve, found.verdict.first
+    forked = f"forked at step {start.checkpoint.step}, t = {start.checkpoint.time:.9g} s{what}"
+    if first is None:
+        return f"{forked}: the same bits up to the end"
+    return (
+        f"{forked}: the first frame that differs is step {curve.step[first]}, t = {curve.time[first]:.6g} s; "
+        f"at the end counterparts are {curve.rms[-1]:.3g} m apart (rms), in a system of {curve.size:.3g} m"
+    )
+
+
+def write_ensemble(start: Start, found: Ensemble, text: str, out: Path) -> None:
+    """Write an ensemble for the viewer. RecordingError if it cannot be written."""
+    title = f"{start.recording.title}: {len(found.rms)} forks at t = {start.checkpoint.time:.6g} s"
+    forecast = Forecast(title, f"# {title}\n\n{text}", found.time, found.reference, found.spread, found.band)
+    write_forecast(out, start.recording, forecast)

@@ -1,0 +1,81 @@
+"""`Path`: where the bodies of one branch are at given times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.fork.branch import Start
+from carom.experiment.shrink.expression import Expression, UnknownNameError, explain_unknown
+from carom.experiment.shrink.observation import Observation, Touches
+from carom.physics.schedule import Every
+from carom.plan.auto import frame_interval
+
+FloatArray = NDArray[np.float64]
+
+MOST_FRAMES = 200
+_MULTIPLE = 1e-9  # relative, as in `Every`
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """Positions at multiples of an interval, and whether an outcome came about."""
+
+    time: FloatArray  # (k,) s
+    position: FloatArray  # (k, n, 3) m
+    outcome: bool | None  # None if none is asked for
+
+
+def interval_of(start: Start) -> float:
+    """Return the interval in s at which branches are compared: that of the frames, or longer if these are many."""
+    return float(max(frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES))
+
+
+def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | None, threads: int | None = 1) -> Path:
+    """Run a branch to its end.
+
+    Frames come at the first step at or after each multiple. The bodies are taken back to it along their velocities,
+    since branches may take other steps.
+    """
+    interval, origin = interval_of(start), start.checkpoint.time
+    space = start.space(threads, shift, ulps)
+    first = int(np.floor(origin / interval * (1.0 + _MULTIPLE))) + 1
+    last = int(np.floor(start.scene.time.duration / interval * (1.0 + _MULTIPLE)))
+    time = interval * np.arange(first, last + 1).astype(np.float64)
+    position = np.full((len(time), *space.state.position.shape), np.nan)
+    seen, initial, count, filled = Touches(space), space.status.energy.total, 0, 0
+    for frame in space.run(schedule=Every(interval)):
+        count += 1
+        if outcome is not None:
+            seen.see(frame)
+        row = int(np.floor(frame.time / interval * (1.0 + _MULTIPLE))) - first
+        for earlier in range(filled, min(row + 1, len(time))):  # more than one where steps are longer
+            position[earlier] = frame.position - frame.velocity * (frame.time - time[earlier])
+        filled = max(filled, row + 1)
+    came = None
+    if outcome is not None:
+        summary = Observation(space, initial, count, [], seen).summary
+        summary |= _of_bodies(outcome, space.state.position, space.state.velocity)
+        try:
+            came = outcome.holds(summary)
+        except UnknownNameError as error:
+            explained = explain_unknown(outcome.text, error.name, summary)
+            raise ExperimentError(explained.replace("--while", "--outcome", 1)) from None
+    return Path(time, position, came)
+
+
+def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
+    """Return what an outcome asks of single bodies: ``x_3`` in m, likewise y and z, and ``speed_3`` in m/s."""
+    found: dict[str, float] = {}
+    for name in outcome.names:
+        what, _, number = name.partition("_")
+        if number.isdigit() and int(number) < len(position):
+            body = int(number)
+            if what in ("x", "y", "z"):
+                found[name] = float(position[body, "xyz".index(what)])
+            elif what == "speed":
+                found[name] = float(np.linalg.norm(velocity[body]))
+    return found

@@ -1,0 +1,95 @@
+"""Runs branches on the workers of a sweep, one thread each. Needs `carom[cluster]`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from distributed import Client, KilledWorker, as_completed
+from numpy.typing import NDArray
+
+from carom.experiment.error import ExperimentError
+from carom.experiment.fork.branch import Branch, Start, start_of
+from carom.experiment.fork.path import Path, path_of
+from carom.experiment.shrink.expression import Expression
+
+FloatArray = NDArray[np.float64]
+
+_STARTS = 4  # moments and reference paths that a worker keeps
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One perturbed branch."""
+
+    branch: Branch
+    seed: int
+    ulps: int
+    outcome: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """How far the bodies of a perturbed branch are from those of the unperturbed one."""
+
+    seed: int
+    apart: NDArray[np.float32]  # (k, n) m
+    outcome: bool | None
+
+
+class Workers:
+    """The workers of a sweep. The bits do not depend on how many there are.
+
+    Parameters
+    ----------
+    client
+        Connected to them; see `sweep.cluster.connected`.
+    """
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def results(self, tasks: Iterable[Task]) -> Iterator[Result]:
+        """Yield results as they come; what has not begun when the caller stops is dropped.
+
+        Raises
+        ------
+        ExperimentError
+            If the workers died.
+        """
+        futures: list[Any] = self._client.map(execute, list(tasks), pure=False)
+        try:
+            for future in as_completed(futures, loop=self._client.loop):  # type: ignore[no-untyped-call]
+                yield future.result()
+        except KilledWorker as error:
+            raise ExperimentError(
+                f"the workers died, {error.last_worker.address} last; is there enough memory?"
+            ) from None
+        finally:
+            self._client.cancel(futures)  # type: ignore[no-untyped-call]
+
+
+def execute(task: Task) -> Result:
+    """Run one branch."""
+    start, reference = _prepared(task.branch)
+    outcome = None if task.outcome is None else Expression(task.outcome)
+    path = path_of(start, task.seed, task.ulps, outcome)
+    return Result(task.seed, apart(path.position, reference.position, start).astype(np.float32), path.outcome)
+
+
+def apart(a: FloatArray, b: FloatArray, start: Start) -> FloatArray:
+    """Return the distances of counterparts, (k, n) m, through the boundary of a periodic box where that is nearer."""
+    off = a - b
+    if start.scene.domain.boundary == "periodic":
+        box = np.asarray(start.scene.domain.size, dtype=np.float64)
+        off -= box * np.round(off / box)
+    return np.asarray(np.sqrt((off * off).sum(axis=2)))
+
+
+@lru_cache(_STARTS)
+def _prepared(branch: Branch) -> tuple[Start, Path]:
+    start = start_of(branch)
+    return start, path_of(start, None, 0, None)

@@ -1,0 +1,128 @@
+"""Writes how far many perturbed branches of a run spread: bodies shaded by it, and the band of distances."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.camera import CameraFit, View
+from carom.recording.view.plot_views import whole_time
+from carom.recording.write.chunk_writer import Writer
+from carom.recording.write.statics import curve_style
+
+FloatArray = NDArray[np.float64]
+Colours = NDArray[np.uint32]
+
+_BODIES, _TEXT = "world/bodies", "fork"
+_BAND = (
+    ("spread/low", "5 %", palette.LINES["grey"]),
+    ("spread/median", "median", palette.LINES["red"]),
+    ("spread/high", "95 %", palette.LINES["blue"]),
+)
+# by spread over radius, each a factor of ten: from known to unknown
+_SHADES = np.array([0x56B4E9FF, 0x7FC8E8FF, 0xA9DCE5FF, 0xF0E442FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)
+_SURE = 1e-5  # spread over radius at which the first shade ends
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What is drawn."""
+
+    title: str
+    text: str  # Markdown
+    time: FloatArray  # (k,) s
+    position: FloatArray  # (k, n, 3) m
+    spread: FloatArray  # (k, n) m
+    band: FloatArray  # (3, k) m: 5 %, median and 95 %
+
+
+def shades(spread: FloatArray, radius: FloatArray) -> Colours:
+    """Return colours of bodies by the spread of their positions (m), from blue, known, to red, unknown."""
+    with np.errstate(divide="ignore"):
+        decade = np.ceil(np.log10(spread / (_SURE * radius)))
+    place = np.clip(np.nan_to_num(decade, nan=0.0, neginf=0.0), 0, len(_SHADES) - 1).astype(np.int64)
+    colours: Colours = _SHADES[place]
+    return colours
+
+
+def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
+    """Write a recording for the viewer. RecordingError if it cannot be written."""
+    radius, origin = recording.bodies.radius, recording.origin
+    clock = Clock(float(recording.info["time_scale"]))
+    steps = list(range(len(forecast.time)))
+    index = clock.columns(steps, forecast.time.tolist())
+    count = [len(radius)] * len(steps)
+    shown = forecast.position - origin
+    camera = CameraFit(radius, shown[0])
+    camera.look(shown[-1])
+    application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
+    with Writer(out, application, str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        writer.log(_TEXT, rr.TextDocument(forecast.text, media_type=rr.MediaType.MARKDOWN))
+        half = np.repeat(radius.astype(np.float32), 3).reshape(-1, 3)
+        names = list(recording.bodies.name)
+        solid = rr.components.FillMode.Solid
+        writer.log(
+            _BODIES, rr.Ellipsoids3D.from_fields(half_sizes=half, fill_mode=solid, labels=names, show_labels=False)
+        )
+        for path, name, colour in _BAND:
+            writer.log(path, curve_style(name, colour))
+        writer.send_property("carom", {"title": forecast.title, "time_scale": clock.scale, "bodies": len(radius)})
+        writer.send_property("diff", {"a": recording.path.name, "b": "fork", "verdict": forecast.title})
+        colours = np.concatenate([shades(row, radius) for row in forecast.spread])
+        centres = shown.reshape(-1, 3).astype(np.float32)
+        writer.send_columns(_BODIES, index, rr.Ellipsoids3D.columns(centers=centres, colors=colours).partition(count))
+        with np.errstate(divide="ignore"):
+            logarithms = np.log10(forecast.band)
+        for (path, _, _), values in zip(_BAND, logarithms, strict=True):
+            drawn = np.where(np.isfinite(values), values, np.nan)
+            writer.send_columns(path, index, rr.Scalars.columns(scalars=drawn))
+        times = pa.array(forecast.time)
+        fingerprints = pa.array([0] * len(steps), pa.uint64())
+        writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
+        writer.send_layout(_layout(camera.view()))
+        writer.flush()
+
+
+def _layout(view: View) -> rrb.Blueprint:
+    eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
+    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(
+                name="Bodies by spread: blue is known, red is not",
+                origin="/",
+                contents=[_BODIES],
+                background=background,
+                line_grid=False,
+                eye_controls=eye,
+            ),
+            rrb.Vertical(
+                rrb.TimeSeriesView(
+                    name="log₁₀ of rms distance (m): median, 5 and 95 %",
+                    origin="/",
+                    contents=[path for path, _, _ in _BAND],
+                    axis_x=whole_time(),
+                ),
+                rrb.TextDocumentView(name="Fork", origin=_TEXT),
+                row_shares=[3, 2],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )

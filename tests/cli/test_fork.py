@@ -1,0 +1,66 @@
+"""`carom fork`: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import carom as library
+from command import carom, carom_process
+from examples import pair
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the recording of two spheres that collide once, at 1 s."""
+    folder = tmp_path_factory.mktemp("run")
+    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
+    library.run(scene, folder / "run.rrd")
+    return folder
+
+
+def test_both_courses_are_written_and_their_difference_is_told(folder: Path) -> None:
+    done = carom("fork", "run.rrd", "--at", "0.5", "--set", "contact.restitution=0", "--force", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "Forked at step 5, t = 0.5 s with contact.restitution = 0" in done.stdout
+    assert (folder / "run-fork.rrd").exists()
+    options = ("--set", "contact.restitution=0", "-o", "other.rrd", "--json")
+    told = json.loads(carom("fork", "run.rrd", "--at", "0.5", *options, cwd=folder).stdout)
+    assert told["step"] == 5 and told["rms"] == pytest.approx(0.5, rel=0.15)  # 0.5 m/s for about a second
+    assert [path.name for path in folder.iterdir() if path.name.startswith(".carom")] == []
+
+
+@pytest.mark.slow
+def test_many_forks_run_on_workers_and_give_a_band(folder: Path) -> None:
+    options = ("--perturb", "1ulp", "--seeds", "3", "--outcome", "x_0 < 0", "--inevitable", "-o", "many.rrd", "--json")
+    done = carom_process("fork", "run.rrd", "--at", "0.5", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["seeds"] == 3 and len(told["median"]) == len(told["time"]) == 200
+    assert None not in told["median"]
+    assert told["outcome"]["hits"] == 3 and told["outcome"]["unperturbed"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--at", "0.5"), "nothing to change: give --set KEY=VALUE or --perturb 1ulp"),
+        (("--at", "7", "--perturb", "1ulp"), "goes from 0 to 2 s, 7 s is not in it"),
+        (("--at", "0.5", "--set", "body.0.radius=2"), "a fork keeps the bodies of the checkpoint"),
+        (("--at", "0.5", "--set", "contact.restitutio=0"), 'did you mean "restitution"'),
+        (("--at", "0.5", "--set", "contact.restitution=0", "--seeds", "3"), "add --perturb 1ulp"),
+        (("--at", "0.5", "--perturb", "1ulp", "--outcome", "x_0 < 0"), "--seeds 100"),
+        (("--at", "0.5", "--perturb", "1ulp", "--seeds", "9", "--inevitable"), "needs an --outcome"),
+        (("--at", "0.5", "--perturb", "1ulp", "-o", "run.rrd", "--force"), "is the recording itself"),
+    ],
+)
+def test_a_mistake_is_one_sentence_and_exit_code_2(folder: Path, options: tuple[str, ...], message: str) -> None:
+    before = (folder / "run.rrd").read_bytes()
+    target = () if "-o" in options else ("-o", "new.rrd")
+    done = carom("fork", "run.rrd", *options, *target, cwd=folder)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert (folder / "run.rrd").read_bytes() == before

@@ -1,0 +1,167 @@
+"""`carom fork`: what a branch shares with its recording, what it may change, and how many branches spread."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+import carom
+from carom.experiment.error import ExperimentError
+from carom.experiment.fork.branch import Branch, start_of
+from carom.experiment.fork.ensemble import Ensemble, ensemble
+from carom.experiment.fork.fork import fork, write_ensemble
+from carom.experiment.fork.inevitable import inevitable, judge
+from carom.experiment.fork.workers import Result, Task, Workers, execute
+from carom.recording.read.recording import Recording
+from carom.recording.view.forecast import shades
+from carom.scene.schema import Scene
+from examples import cloud
+
+
+def box_of_balls(duration: float) -> Scene:
+    """Balls between walls, which double a difference every few steps."""
+    group = {
+        "count": 12,
+        "radius": 0.3,
+        "region": {"shape": "box", "size": [2.2] * 3},
+        "velocity": {"dispersion": 1.0},
+    }
+    return Scene.from_dict(
+        {
+            "seed": 5,
+            "group": [group],
+            "domain": {"boundary": "walls", "size": [3.0] * 3},
+            "gravity": {"constant": 0.0},
+            "contact": {"restitution": 1.0, "timing": "time-of-impact", "static_friction": 0, "kinetic_friction": 0},
+            "time": {"duration": duration, "fixed_dt": 0.02},
+            "record": {"every": 0.1},
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def gas(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gas") / "gas.rrd"
+    carom.run(box_of_balls(14.0), path)
+    return path
+
+
+class Here:
+    """Runs branches in this process."""
+
+    def results(self, tasks: Iterable[Task]) -> Iterator[Result]:
+        return map(execute, tasks)
+
+
+def many(path: Path, at: float, seeds: int, outcome: str | None = None) -> Ensemble:
+    branch = Branch(path, at)
+    return ensemble(start_of(branch), branch, seeds, 1, cast(Workers, Here()), outcome)
+
+
+@pytest.mark.parametrize("override", ["contact.restitution=0.5", "gravity.constant=1.0", "record.check_every=3"])
+def test_a_fork_that_changes_nothing_has_the_bits_of_the_recording(override: str, tmp_path: Path) -> None:
+    scene = cloud(10, time={"duration": 2.0}, contact={"restitution": 0.5})
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    start = start_of(Branch(recording.path, 1.1, (override,)))
+    found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert found.diff.verdict.kind == "same"
+    assert found.diff.frames[1] < 0.6 * found.diff.frames[0]  # the price of the suffix
+
+
+def test_other_parameters_act_from_the_fork_on(gas: Path, tmp_path: Path) -> None:
+    start = start_of(Branch(gas, 2.0, ("gravity.uniform=[0, 0, -1]",)))
+    space = start.space(1)
+    assert space.state.acceleration[:, 2] == pytest.approx(-1.0)
+    found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert found.outcome.status == "completed" and found.diff.scene["gravity.uniform"][1] == [0.0, 0.0, -1.0]
+    assert not found.diff.curve.differs[0] and found.diff.curve.differs[-1]
+    assert Recording.open(tmp_path / "both.rrd").is_overlay
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("group.0.count=3", "a fork keeps the bodies"),
+        ("seed=8", "a fork keeps the bodies"),
+        ("domain.size=[9, 9, 9]", "cannot change in the middle of a run"),
+        ("contact.static_friction=0.2;contact.kinetic_friction=0.2", "changes whether bodies spin"),
+        ("time.integrator=yoshida4", "changes the integrator"),
+        ("time.duration=1.0", "nothing to go on to"),
+    ],
+)
+def test_what_a_checkpoint_holds_cannot_be_overridden(gas: Path, override: str, message: str) -> None:
+    with pytest.raises(ExperimentError, match=message):
+        start_of(Branch(gas, 2.0, tuple(override.split(";"))))
+
+
+def test_a_perturbed_start_differs_by_one_unit_in_the_last_place_of_each_coordinate(gas: Path) -> None:
+    start = start_of(Branch(gas, 2.0))
+    here, there = start.space(1).state.position, start.space(1, shift=3).state.position
+    assert (np.abs(there - here) == np.spacing(np.abs(here))).mean() > 0.9  # less below a power of two
+    assert np.array_equal(there, start.space(1, shift=3).state.position)
+    assert not np.array_equal(there, start.space(1, shift=4).state.position)
+
+
+def test_the_band_and_the_spread_grow_and_outcomes_are_counted(gas: Path, tmp_path: Path) -> None:
+    found = many(gas, 2.0, 5, "x_0 > -9 and contacts.impacts > 3")
+    assert found.rms.shape == (5, 120) and found.time[0] == pytest.approx(2.1) and found.time[-1] == pytest.approx(14.0)
+    assert (np.diff(found.band, axis=0) >= 0.0).all()
+    assert found.band[1, 0] < 1e-14 and found.band[1, -1] > 1e6 * found.band[1, 0]
+    assert found.outcomes == [True] * 5 and found.reference_outcome
+    squares = (found.spread.astype(np.float64) ** 2).mean(axis=1)
+    assert squares == pytest.approx((found.rms**2).mean(axis=0), rel=1e-5)  # distances come as float32
+    start = start_of(Branch(gas, 2.0))
+    write_ensemble(start, found, "text", tmp_path / "many.rrd")
+    assert Recording.open(tmp_path / "many.rrd").is_overlay
+
+
+@pytest.mark.slow
+def test_the_growth_of_forks_is_the_growth_that_diff_finds(gas: Path, tmp_path: Path) -> None:
+    found = many(gas, 0.1, 12)
+    assert found.growth is not None and found.growth.is_exponential
+    one = fork(start_of(Branch(gas, 0.1)), tmp_path / "both.rrd", 99, 1).diff.divergence
+    assert one is not None
+    error = np.hypot(found.rate_error, one.standard_error)
+    assert abs(one.rate - np.median(found.rates)) < 3.0 * error  # errors are standard deviations of single branches
+    assert found.rate_error < 0.5 * float(np.median(found.rates))
+
+
+def test_an_unknown_name_in_an_outcome_is_refused_with_the_nearest_one(gas: Path) -> None:
+    with pytest.raises(ExperimentError, match=r'--outcome contacts\.impact > 1: .* did you mean "contacts\.impacts"'):
+        many(gas, 7.8, 1, "contacts.impact > 1")
+
+
+def test_bodies_are_shaded_by_decades_of_their_spread_over_their_radius() -> None:
+    found = shades(np.array([0.0, 1e-9, 2e-4, 5e-3, 50.0]), np.ones(5))
+    assert found[0] == found[1] and len(set(found.tolist())) == 4
+
+
+def test_the_moment_of_inevitability_is_found_by_bisection() -> None:
+    rng = np.random.default_rng(1)
+
+    def draw(time: float) -> Iterator[bool]:
+        while True:
+            yield bool(rng.random() < (1.0 if time >= 3.7 else 0.5))
+
+    found = inevitable(draw, 0.0, 8.0)
+    assert found.earliest < 3.7 <= found.latest and found.latest - found.earliest == pytest.approx(8.0 / 256)
+    assert not found.always and len(found.tested) == 9
+    assert all(tested.forks == 31 for tested in found.tested if tested.inevitable)
+    assert inevitable(draw, 4.0, 8.0).always
+
+
+def test_the_sequential_test_errs_rarely() -> None:
+    rng = np.random.default_rng(2)
+
+    def draw(probability: float) -> Iterator[bool]:
+        while True:
+            yield bool(rng.random() < probability)
+
+    wrong = sum(judge(draw, 0.9).inevitable for _ in range(400)) + sum(
+        not judge(draw, 0.99).inevitable for _ in range(400)
+    )
+    assert wrong <= 0.05 * 800 + 3.0 * np.sqrt(0.05 * 0.95 * 800)  # errors of 5 %, within three deviations
