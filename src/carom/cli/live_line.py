@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -11,9 +12,11 @@ from rich.live import Live
 from rich.text import Text
 
 from carom.cli.terminal import Terminal
+from carom.cli.units import duration_text
 
 LINE_EVERY = 5.0  # s between lines where the output is not a terminal
 BAR = 24  # characters
+PATIENCE = 1.0  # s of work before a line says what it is
 
 
 class LiveLine:
@@ -53,6 +56,38 @@ class LiveLine:
         elif now - self._last_line >= LINE_EVERY:
             self._last_line = now
             self.say(line(now))
+
+
+class Patience(LiveLine):
+    """A line on a terminal while work that tells nothing takes longer than `PATIENCE`; nothing elsewhere."""
+
+    def __init__(self, text: str, beside: LiveLine) -> None:
+        super().__init__()
+        self._console = beside._console  # so that what is said there meanwhile stands above this line
+        self._text = text
+        self._timer = threading.Timer(PATIENCE, self._begin)
+        self._timer.daemon = True
+
+    def __enter__(self) -> Self:
+        self._restart()
+        if self._console.is_terminal and not self._console.quiet:
+            self._timer.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._timer.cancel()
+        if self._timer.is_alive():
+            self._timer.join()
+        super().__exit__(kind, error, traceback)
+
+    def _begin(self) -> None:
+        self._live = Live(console=self._console, refresh_per_second=8, transient=True, get_renderable=self._line)
+        self._live.start()
+
+    def _line(self) -> Text:
+        return Text(f"{self._text}  {duration_text(time.perf_counter() - self._began)}")
 
 
 def bar(done: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from carom.cli.progress import Progress
     from carom.experiment.run import Outcome
+    from carom.scene.schema import Scene
 
 RECORDINGS = Path("recordings")
 
@@ -63,13 +64,21 @@ def run(
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
-        if loaded.time.accuracy is not None and loaded.promise is None:
-            progress.say(f"Looking ahead for the step that keeps {loaded.time.accuracy:g} …")
-        space = recording_space(loaded, threads)
+        with _looking_ahead(loaded, progress):
+            space = recording_space(loaded, threads)
         address = live_viewer() if live else None
         with progress, telling_of(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
+
+
+def _looking_ahead(scene: Scene, progress: Progress) -> AbstractContextManager[object]:
+    """Say that carom looks for the step that keeps an accuracy, if that takes long."""
+    from carom.cli.live_line import Patience
+
+    if scene.time.accuracy is None or scene.promise is not None:
+        return nullcontext()
+    return Patience(f"looking ahead for the step that keeps {scene.time.accuracy:g} …", progress)
 
 
 @contextmanager

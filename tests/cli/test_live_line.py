@@ -1,0 +1,34 @@
+"""The lines that say where long work is."""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import Any
+
+import pytest
+
+from carom.cli import live_line
+from carom.cli.live_line import LiveLine, Patience
+from carom.cli.terminal import Terminal
+
+TEXT = "looking ahead for the step that keeps 1e-06 …"
+
+
+@pytest.mark.parametrize(
+    ("on_terminal", "quiet", "seconds", "expected"),
+    [(True, False, 0.5, True), (True, False, 0.0, False), (False, False, 0.5, False), (True, True, 0.5, False)],
+)
+def test_work_that_takes_long_is_named_on_a_terminal_only(
+    on_terminal: bool, quiet: bool, seconds: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = io.StringIO()
+
+    def terminal(**options: Any) -> Terminal:
+        return Terminal(file=out, force_terminal=on_terminal, width=80, quiet=options["quiet"])
+
+    monkeypatch.setattr(live_line, "Terminal", terminal)
+    monkeypatch.setattr(live_line, "PATIENCE", 0.1)
+    with Patience(TEXT, LiveLine(quiet)):
+        time.sleep(seconds)
+    assert (TEXT in out.getvalue()) == expected
