@@ -80,7 +80,7 @@ def shrink(
 
     from carom.experiment.output import refuse_output
     from carom.experiment.shrink.condition import condition_from
-    from carom.experiment.shrink.result import key_of, state_of
+    from carom.experiment.shrink.result import earlier, key_of
     from carom.experiment.shrink.source import source_of
     from carom.experiment.shrink.whole_run import CommandShows
 
@@ -90,15 +90,15 @@ def shrink(
     path = output or Path(f"{Path(source).stem}-small.toml")
     given = source_of(source, list(overrides or []))
     key = key_of(given.scene.toml, asked.text)
-    state = "" if force else state_of(path, key)
-    if state == "minimal":
+    known = None if force else earlier(path, key)
+    if known and known.finished:
         say(f"{path} is the smallest scene already; give --force to find it again.")
         return
-    if state:
-        given = source_of(str(path), [])
+    reducer = _reducer(asked, seconds)
+    if known:
+        given, reducer.before = source_of(str(path), []), known.before
     else:
         refuse_output(path, force)
-    reducer = _reducer(asked, seconds)
     result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
@@ -117,15 +117,20 @@ def _reducer(asked: Any, seconds: float | None) -> Reducer:
 
 def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
     """Reduce, print the progress, and leave the smallest scene so far in the file."""
-    from carom.experiment.shrink.result import text_of, write
+    from carom.experiment.shrink.result import text_of, unfinished_text, write
 
     asked = reducer.condition.text
-    reducer.keep = lambda document, said: write(path, text_of(document, asked, None, said, key, command))
+
+    def keep(document: dict[str, Any], said: str) -> None:
+        assert reducer.before is not None, "the scene has run"
+        write(path, unfinished_text(document, asked, said, reducer.before, key, command))
+
+    reducer.keep = keep
     if quiet:
         result = reducer.reduce(given.scene, given.start)
     else:
         result = _watched(reducer, lambda: reducer.reduce(given.scene, given.start))
-    write(path, text_of(result.document, asked, result, result.said, key, command))
+    write(path, text_of(result, asked, key, command))
     return result
 
 

@@ -28,7 +28,7 @@ from carom.scene.load import scene_from_dict, scene_from_text
 from carom.scene.schema import Scene
 
 AUDIT = 1e-9  # of a speed, that impulses may leave unexplained: some 10⁶ roundings
-STEPS = 2000  # after which a scene is given up
+STEPS = 400  # after which a scene is given up
 SHARE = 0.2  # of the budget for the shrinking of one miss
 LONGEST = 60.0  # s, likewise
 
@@ -141,7 +141,7 @@ class Hunt:
             result = Reducer(condition, min(LONGEST, SHARE * self.seconds)).reduce(scene)
             key = key_of(scene.toml, condition.text)
             how = command("hunt", "--seed", self.seed, "--from", index, "--scenes", 1)
-            small = text_of(result.document, f"{law.name}: {law.says}", result, result.said, key, how)
+            small = text_of(result, f"{law.name}: {law.says}", key, how)
             bodies, said = result.bodies, result.said
         except ExperimentError as error:
             said = f"{said} ({error})"

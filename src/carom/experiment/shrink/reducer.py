@@ -78,13 +78,16 @@ class Reducer:
     watch
         Called before each candidate, and when a smaller scene is found.
     keep
-        Called with each smaller scene.
+        Called with each smaller scene and what it shows.
+    before
+        Bodies and steps of the scene, if an earlier reduction began with a larger one.
     """
 
     condition: Condition
     seconds: float = math.inf
     watch: Callable[[Progress], None] = lambda progress: None
     keep: Callable[[Document, str], None] = lambda document, said: None
+    before: tuple[int, int] | None = None
     _progress: Progress = field(default_factory=Progress)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -110,7 +113,7 @@ class Reducer:
             trials = Trials(self.condition, budget)
             trials.watch = lambda: self._look(trials)
             try:
-                smallest, before = self._begin(scene, start or place(scene), trials)
+                smallest = self._begin(scene, start or place(scene), trials)
             except OutOfTime as ended:
                 raise ExperimentError(f"{ended} before the failure was seen; nothing is written") from None
             stopped = self._pass_all(smallest, trials)
@@ -119,29 +122,29 @@ class Reducer:
                 said=smallest.said,
                 bodies=smallest.bodies,
                 steps=smallest.steps,
-                before=before,
+                before=self.before or (smallest.bodies, smallest.steps),
                 stages=self._stages,
                 seconds=budget.spent,
                 candidates=trials.count,
                 stopped=stopped,
             )
 
-    def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, tuple[int, int]]:
+    def _begin(self, scene: Scene, start: Start, trials: Trials) -> Smallest:
         """Run the scene up to the failure, write its bodies out, and begin as late as that allows."""
         trials.budget.check()
         threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)
-        before = len(start.name), space.step
-        self._progress.bodies, self._progress.steps = before
+        self._progress.bodies, self._progress.steps = len(start.name), space.step
+        self.before = self.before or (len(start.name), space.step)
         whole = literal(scene, start)
         smallest = Smallest(whole, seen, trials, self._taken(trials))
         self._progress.stage = "cutting time"
         if not begin_late(smallest, whole, kept):
             self._write_out(smallest, whole, kept, trials)
         self._end_stage("cut time", smallest, trials)
-        return smallest, before
+        return smallest
 
     def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
         """Begin at the start of the run, with every body written out."""

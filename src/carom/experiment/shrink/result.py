@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 from carom.experiment.environment import versions
@@ -12,7 +13,9 @@ from carom.experiment.shrink.reducer import Reduction, Stage
 from carom.experiment.shrink.text import commented
 from carom.recording.errors import RecordingError
 
-_MARK = re.compile(r"^# shrink ([0-9a-f]{12}), (unfinished|minimal)$", re.MULTILINE)
+_MARK = re.compile(
+    r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
+)
 _HEAD = 10_000  # characters, in which the mark stands
 
 
@@ -21,35 +24,64 @@ def key_of(scene_toml: str, condition: str) -> str:
     return hashlib.sha256(f"{scene_toml}\0{condition}".encode()).hexdigest()[:12]
 
 
-def state_of(path: Path, key: str) -> str:
-    """Return ``unfinished`` or ``minimal`` if a file is the result for a key; empty otherwise."""
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """What an earlier reduction left."""
+
+    finished: bool
+    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene that it began with
+
+
+def earlier(path: Path, key: str) -> Earlier | None:
+    """Return what is known of a file if it is the result for a key."""
     try:
         with path.open(encoding="utf-8") as file:
             found = _MARK.search(file.read(_HEAD))
     except (OSError, UnicodeDecodeError):
-        return ""
-    return found[2] if found and found[1] == key else ""
+        return None
+    if found is None or found[1] != key:
+        return None
+    return Earlier(found[4] == "minimal", (int(found[2]), int(found[3])))
 
 
-def text_of(document: Document, asked: str, reduction: Reduction | None, said: str, key: str, command: str) -> str:
-    """Write a reduced scene with its comments; without a reduction, one that is still going on."""
-    finished = reduction is not None and reduction.minimal
+def unfinished_text(
+    document: Document, asked: str, said: str, before: tuple[int, int], key: str, command: str, why: str = ""
+) -> str:
+    """Write the smallest scene so far, from which the same command continues."""
     comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
-    if reduction is not None:
-        comments += _history(reduction)
-    if not finished:
-        why = reduction.stopped if reduction else "still at work"
-        comments.append(f"Not finished ({why}): the same command goes on from here.")
-    return commented(document, [*comments, f"shrink {key}, {'minimal' if finished else 'unfinished'}"])
+    comments.append(f"Not finished ({why or 'still at work'}): the same command goes on from here.")
+    return commented(document, [*comments, _mark(key, before, "unfinished")])
+
+
+def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
+    """Write a reduced scene with its comments."""
+    made, before = reduction.document, reduction.before
+    if not reduction.minimal:
+        return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
+    comments = [command, f"Asked for: {asked}", f"Shown here: {reduction.said}", *_history(reduction)]
+    return commented(made, [*comments, _mark(key, before, "minimal")])
+
+
+def _mark(key: str, before: tuple[int, int], state: str) -> str:
+    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
 
 
 def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
-    end = "Leaving out any body, key or digit makes it go away." if reduction.minimal else ""
     left = f"Left: {_counted(reduction.bodies, 'body')} of {bodies}, {_counted(reduction.steps, 'step')} of {steps}."
-    found = "; ".join(_told(stage) for stage in reduction.stages)
+    found = "; ".join(_told(stage) for stage in _turns(reduction.stages))
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
-    return [f"{left} {end}".strip(), f"{how}: {found}."]
+    return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]
+
+
+def _turns(stages: list[Stage]) -> list[Stage]:
+    """Return the first stage of each name, and those that changed the number of bodies or steps."""
+    told: list[Stage] = []
+    for stage in stages:
+        known = any(stage.name == other.name for other in told)
+        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
+            told.append(stage)
+    return told
 
 
 def _told(stage: Stage) -> str:
