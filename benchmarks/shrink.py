@@ -20,7 +20,8 @@ from carom.scene.schema import Scene
 from planted_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "shrink.json"
-BUDGET = 60.0  # s of wall time
+BUDGET = 600.0  # s of wall time, on a machine that others use, too
+CPU = 60.0  # s that a reduction should take at most
 
 
 def main(part: str = "") -> None:
@@ -29,7 +30,8 @@ def main(part: str = "") -> None:
     for row in rows:
         print(" | ".join(str(value) for value in row.values()))
     small = [row for row in rows if row.get("bodies", 99) <= 5 and row["steps"] <= 20 and row["lines"] <= 40]
-    print(f"{len(small)} of {len(rows)} have at most 5 bodies, 20 steps and 40 lines")
+    small = [row for row in small if row["cpu_s"] <= CPU and row["only_with_the_fault"]]
+    print(f"{len(small)} of {len(rows)}: at most 5 bodies, 20 steps, 40 lines and {CPU:g} s of CPU, by the fault alone")
     if not part:
         RESULTS.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n")
 

@@ -10,8 +10,6 @@ from carom.experiment.shrink.trials import Trials
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 
-FEW_STEPS = 10  # that a candidate may take, however few the smallest scene takes
-
 
 class Smallest:
     """Takes over every candidate that still shows the failure.
@@ -57,8 +55,8 @@ class Smallest:
         return self.steps > 1 and self.takes(document, self.steps - 1)
 
     def takes_as_short(self, document: Document) -> bool:
-        """Take over a candidate if it shows the failure in no more steps, but for a few."""
-        return self.takes(document, max(self.steps, FEW_STEPS))
+        """Take over a candidate if it shows the failure in no more steps."""
+        return self.takes(document, max(self.steps, 1))
 
     def takes(self, document: Document, steps: int | None = None) -> bool:
         """Take over a candidate if it shows the failure, in at most so many steps; see `Trials.shows`.
