@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import JsonOption, RecordingArgument, seconds
+from carom.cli.options import JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from carom.experiment.why.account import Account, Cause, FloatArray
     from carom.experiment.why.answer import Answer
     from carom.scene.names import Names
+    from carom.scene.units.system import UnitSystem
 
 MOST_CAUSES = 12  # of a body that are printed for people
 MOST_EDGES = 8
@@ -29,9 +31,7 @@ def why(
     body: Annotated[
         str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
     ] = None,
-    at: Annotated[
-        Seconds, typer.Option("--at", parser=seconds, metavar="T", help="When (s). Default: at the end.")
-    ] = None,
+    at: Annotated[Seconds, typer.Option("--at", parser=seconds, metavar="T", help="When. Default: at the end.")] = None,
     event: Annotated[
         str | None,
         typer.Option(
@@ -42,9 +42,7 @@ def why(
     ] = None,
     start: Annotated[
         Seconds,
-        typer.Option(
-            "--from", parser=seconds, metavar="T", help="Go back to this time (s). Default: as far as is cheap."
-        ),
+        typer.Option("--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as is cheap."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -65,14 +63,15 @@ def why(
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
-        question = question_of(recording, body, at, event)
+        units = recording.units
+        question = question_of(recording, body, simulated_or_none(at, units), event)
         with replaying(recording) as watch:
-            answer = answer_to(recording, question, start, watch)
+            answer = answer_to(recording, question, simulated_or_none(start, units), watch)
         names = names_of(recording)
         if as_json:
             say(json.dumps(_document(answer, names), indent=2, ensure_ascii=False))
         else:
-            _print(answer, names, file)
+            _print(answer, names, units, file)
 
 
 def _document(answer: Answer, names: Names) -> dict[str, Any]:
@@ -162,45 +161,47 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
     }
 
 
-def _print(answer: Answer, names: Names, file: Path) -> None:
+def _print(answer: Answer, names: Names, units: UnitSystem, file: Path) -> None:
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
     console.print(answer.question.text, style="bold")
     for account in answer.accounts:
         say("")
-        for line in _summary(account, answer, names):
+        for line in _summary(account, answer, names, units):
             say(line)
-        _print_causes(account, names)
+        _print_causes(account, names, units)
     say("")
-    for line in _behind(answer, names):
+    for line in _behind(answer, names, units):
         say(line)
-    say(f"From t = {answer.begin:.9g} s on, {answer.source}.")
+    say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
     if answer.begin_step > 0:
         say("What is older is not looked at; --from 0 goes back to the beginning.")
     best = _to_look_at(answer)
     if best is not None:
         time, ends = best
         pair = f"--bodies {ends[0]},{ends[1]}" if max(ends) < len(names.bodies) else ""
-        say(f"Look: {command('view', file, '--at', f'{time:.9g}', *pair.split())}")
+        say(f"Look: {command('view', file, '--at', f'{units.shown(time, TIME):.9g}', *pair.split())}")
 
 
-def _summary(account: Account, answer: Answer, names: Names) -> Iterator[str]:
+def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     """Say what the velocity is and what it is the sum of."""
-    yield f"{names.of(account.body)}: {_speed(account.velocity)} at t = {answer.time:.9g} s, which is"
+    at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
+    yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
     parts = (
-        (account.start_velocity, account.start_share, f"it had at t = {answer.begin:.9g} s"),
+        (account.start_velocity, account.start_share, f"it had at t = {since}"),
         (account.by_forces, account.forces_share, "forces gave it"),
         (account.by_contacts, sum(cause.share for cause in account.causes), _contacts_text(account)),
     )
     for velocity, share, text in parts:
         if velocity.any() or share:
-            yield f"  {_speed(velocity)}  {share:5.0%}  {text}"
+            yield f"  {_speed(velocity, units)}  {share:5.0%}  {text}"
 
 
-def _speed(velocity: FloatArray) -> str:
-    x, y, z = velocity.tolist()
-    return f"{(x * x + y * y + z * z) ** 0.5:.4g} m/s ({x:.3g}, {y:.3g}, {z:.3g})"
+def _speed(velocity: FloatArray, units: UnitSystem) -> str:
+    x, y, z = (units.shown(part, VELOCITY) for part in velocity.tolist())
+    unit = f" {units.unit(VELOCITY)}" if units.unit(VELOCITY) else ""
+    return f"{(x * x + y * y + z * z) ** 0.5:.4g}{unit} ({x:.3g}, {y:.3g}, {z:.3g})"
 
 
 def _contacts_text(account: Account) -> str:
@@ -210,7 +211,7 @@ def _contacts_text(account: Account) -> str:
     return f"{' and '.join(counts)} gave it"
 
 
-def _print_causes(account: Account, names: Names) -> None:
+def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     from rich.table import Table
 
     from carom.cli.terminal import Terminal
@@ -218,15 +219,18 @@ def _print_causes(account: Account, names: Names) -> None:
     if not account.causes:
         return
     table = Table(box=None, padding=(0, 1), header_style="bold")
-    table.add_column("look at t (s)", justify="right", no_wrap=True)
+    table.add_column(units.labelled("look at t", TIME), justify="right", no_wrap=True)
     table.add_column("with", no_wrap=True)
     table.add_column("kind", no_wrap=True)
-    for column in ("impulse (N s)", "work (J)", "lost (J)", "share"):
+    measured = (("impulse", IMPULSE), ("work", ENERGY), ("lost", ENERGY))
+    for column in (*(units.labelled(*each) for each in measured), "share"):
         table.add_column(column, justify="right", no_wrap=True)
     for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_CAUSES]:
-        lost = "" if cause.energy_lost is None else f"{cause.energy_lost:.4g}"
-        numbers = (f"{cause.size:.4g}", f"{cause.work:+.4g}", lost, f"{cause.share:.1%}")
-        table.add_row(f"{cause.moment:.9g}", names.of(cause.partner), _kind(cause), *numbers)
+        lost = "" if cause.energy_lost is None else f"{units.shown(cause.energy_lost, ENERGY):.4g}"
+        impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
+        numbers = (f"{impulse:.4g}", f"{work:+.4g}", lost, f"{cause.share:.1%}")
+        time = f"{units.shown(cause.moment, TIME):.9g}"
+        table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     console = Terminal()
     console.width = max(console.width, 160)
     console.print(table)
@@ -234,13 +238,13 @@ def _print_causes(account: Account, names: Names) -> None:
         say(f"  … and {len(account.causes) - MOST_CAUSES} more; --json has all.")
 
 
-def _kind(cause: Cause) -> str:
+def _kind(cause: Cause, units: UnitSystem) -> str:
     if not cause.holds:
         return "impact"
-    return f"contact for {cause.last - cause.first:.3g} s"
+    return f"contact for {units.text(cause.last - cause.first, TIME, '.3g')}"
 
 
-def _behind(answer: Answer, names: Names) -> Iterator[str]:
+def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     """Say what is behind the impulses: a chain of impacts, or a flow over contacts."""
     cone = answer.cone
     others = len(answer.bodies) - len(answer.question.bodies)
@@ -251,13 +255,14 @@ def _behind(answer: Answer, names: Names) -> Iterator[str]:
         )
         for edge in answer.edges[:MOST_EDGES]:
             between = names.pair((edge.i, edge.j))
-            yield f"  {edge.share:6.1%}  {between}: {edge.impulse:.4g} N s in {edge.count} impulses"
+            impulse = units.text(edge.impulse, IMPULSE, ".4g")
+            yield f"  {edge.share:6.1%}  {between}: {impulse} in {edge.count} impulses"
     elif answer.chain:
         yield "The chain of causes, backwards:"
         for link in answer.chain:
             yield (
-                f"  t = {link.time:.9g} s: {names.of(link.by)} hits {names.of(link.body)}, "
-                f"{link.impulse:.4g} N s, share {link.share:.1%}"
+                f"  t = {units.text(link.time, TIME, '.9g')}: {names.of(link.by)} hits {names.of(link.body)}, "
+                f"{units.text(link.impulse, IMPULSE, '.4g')}, share {link.share:.1%}"
             )
         first = answer.first_cause
         given = "had its velocity before, or forces gave it"
@@ -266,7 +271,8 @@ def _behind(answer: Answer, names: Names) -> Iterator[str]:
     left = float(cone.shares.sum())
     bodies = f"{others} other {'body' if others == 1 else 'bodies'}" if others else "no other body"
     yield f"In all, {bodies} of {cone.count - 1} could have had an effect by contacts."
-    yield f"Behind it all: velocities at t = {answer.begin:.9g} s {left:.0%}, forces since then {forces:.0%}."
+    since = units.text(answer.begin, TIME, ".9g")
+    yield f"Behind it all: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
 
 
 def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:

@@ -9,6 +9,7 @@ from carom.recording.read.body_names import body_number
 from carom.recording.read.names import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.view.pair import event as event_of
+from carom.scene.units.dimension import TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +53,19 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     number = body_number(recording, body)
     time = recording.moment(float(recording.fingerprints()["time"][-1].as_py()) if at is None else at)
     name = names_of(recording).of(number)
-    return Question((number,), None, time, f"Why does {name} move as it does at t = {time:.9g} s?")
+    when = recording.units.text(time, TIME, ".9g")
+    return Question((number,), None, time, f"Why does {name} move as it does at t = {when}?")
 
 
 def _of_event(recording: Recording, event: str) -> Question:
     time, pair = event_of(recording, event)
+    when = recording.units.text(time, TIME, ".9g")
     if pair is None or (pair.j is None and pair.plane is None):
         raise RecordingError(
-            f'the event "{event}" names no two bodies; ask about one with --body, at t = {time:.9g} s with --at'
+            f'the event "{event}" names no two bodies; ask about one with --body, at t = {when} with --at'
         )
     count = len(recording.bodies.mass)
     j = pair.j if pair.j is not None else count + (pair.plane or 0)
     bodies = (pair.i,) if j >= count else (pair.i, j)
-    text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {time:.9g} s?"
+    text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {when}?"
     return Question(bodies, (pair.i, j), time, text, event)

@@ -18,6 +18,7 @@ from carom.experiment.why.question import Question
 from carom.recording.errors import RecordingError
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -76,7 +77,9 @@ def _windows(recording: Recording, time: float, start: float | None) -> list[int
     if not times:
         raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
     if start is not None and start > time:
-        raise ExperimentError(f"--from {start:g} s is after {time:.9g} s, the moment asked about")
+        units = recording.units
+        begin, moment = units.text(start, TIME, "g"), units.text(time, TIME, ".9g")
+        raise ExperimentError(f"--from {begin} is after {moment}, the moment asked about")
     earlier = [step for step, at in times.items() if at < time - tolerance(time)] or [next(iter(times))]
     chosen = [earlier.pop()]
     frames = recording.fingerprints()

@@ -13,6 +13,8 @@ from carom.scene.names import body_called, body_key
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.placement.start import Start
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH
+from carom.scene.units.system import UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -37,13 +39,14 @@ def _place_of(scene: Scene, number: int, names: Sequence[str]) -> tuple[str, str
     raise IndexError(number)
 
 
-def refuse_unresolved(key: str, reach: float, radius: float, remedy: str = "") -> None:
+def refuse_unresolved(key: str, reach: float, radius: float, units: UnitSystem, remedy: str = "") -> None:
     """Refuse bodies smaller than the spacing of floating-point numbers at their positions; lengths in m."""
     step = float(np.spacing(reach))
     if step > radius:
+        away, apart, size = (units.text(length, LENGTH, ".3g") for length in (reach, step, radius))
         raise SceneError(
-            f"{key}: {reach:.3g} m from the origin, positions are {step:.3g} m apart, and the radius is "
-            f"{radius:.3g} m; place it nearer to the origin or enlarge the radius{remedy}"
+            f"{key}: {away} from the origin, positions are {apart} apart, and the radius is "
+            f"{size}; place it nearer to the origin or enlarge the radius{remedy}"
         )
 
 
@@ -87,9 +90,9 @@ def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
     if others:
         left = len(deep) - 1 - len(others)
         more = f"; so do {', '.join(map(called, others))}{f' and {left} more pairs' if left else ''}"
+    depth = scene.unit_system.text(overlap[worst], LENGTH)
     raise SceneError(
-        f"{called(worst)} overlap by {overlap[worst]:.6g} m at the start{more}; "
-        "move them apart, or set contact.allow_overlap = true"
+        f"{called(worst)} overlap by {depth} at the start{more}; move them apart, or set contact.allow_overlap = true"
     )
 
 
@@ -99,8 +102,9 @@ def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
     rounding = _rounding(start, start.radius)[:, None]
     if len(solids) and np.max(depth - rounding) > 0.0:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
+        deep = scene.unit_system.text(depth[body, plane], LENGTH)
         raise SceneError(
-            f"{key_of(scene, int(body), start.name)} reaches {depth[body, plane]:.6g} m into {solids.name[plane]} "
+            f"{key_of(scene, int(body), start.name)} reaches {deep} into {solids.name[plane]} "
             "at the start; move it out, or set contact.allow_overlap = true"
         )
 

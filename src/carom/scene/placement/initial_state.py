@@ -31,6 +31,7 @@ from carom.scene.placement.region import default_region, half_extent, packing_fr
 from carom.scene.placement.start import Start, join
 from carom.scene.schema import Body, Group, Region, Scene
 from carom.scene.schema.group import LATTICES
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ def place(scene: Scene) -> Start:
         reach = np.abs(parts[0].position).max(axis=1)
         worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
         remedy, key = ", or set contact.enabled = false", key_of(scene, worst, parts[0].name)
-        refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), remedy)
+        refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), scene.unit_system, remedy)
     solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         refuse_overlaps(scene, parts[0], box)
@@ -61,9 +62,10 @@ def place(scene: Scene) -> Start:
     pull = 0.0 if scene.gravity.method == "none" else scene.gravity.constant
     streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
     _refuse_full_box(scene)
+    units = scene.unit_system
     for index, group in enumerate(scene.group):
         made = made_of(scene, group)
-        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index]), pull))
+        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index]), pull, units))
     start = join(parts)
     refuse_overflow(start)
     return start if box is None else replace(start, position=_inside(start.position, box))
@@ -126,6 +128,7 @@ def _group(
     box: FloatArray | None,
     rng: np.random.Generator,
     constant: float,
+    units: UnitSystem = SI,
 ) -> Start:
     if group.arrangement not in LATTICES:
         _refuse_full_region(index, group)
@@ -133,7 +136,7 @@ def _group(
     radius = drawn_radii(group, rng)
     region = group.region or default_region(index, radius)
     room = float(half_extent(region).max())
-    refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()))
+    refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()), units)
     position = _arranged(index, group, region, radius, placed, solids, box, rng)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
