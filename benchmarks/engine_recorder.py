@@ -1,0 +1,149 @@
+"""What recording every step costs other engines: 1000 spheres that pile up, or that pull each other.
+
+python benchmarks/engine_recorder.py [ENGINE …]
+
+CPU time, which other work on the machine hardly changes. "frame" is what the engine's own thread spends on reading and
+handing over a state: it is what a run gets longer by where another core is free. "threads" is what the recorder's
+threads spend on the frame besides, on the audit, the encoding and the file.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+import carom
+
+BODIES = 1000
+RADIUS = 0.1  # m
+SETTLING = 150  # steps before the first measurement
+MEASURED = 40  # steps
+
+Stepper = tuple[Callable[[], None], Callable[[], Any]]  # one step; the source
+
+
+def positions() -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return a loose block of spheres above a plane, (n, 3) m."""
+    side = round(BODIES ** (1 / 3))
+    grid = np.array([(i, j, k) for k in range(side) for j in range(side) for i in range(side)], dtype=np.float64)
+    return grid * 2.05 * RADIUS + [0.0, 0.0, RADIUS] + np.random.default_rng(1).normal(size=(BODIES, 3)) * 0.01 * RADIUS
+
+
+def mujoco() -> Stepper:
+    import mujoco as engine  # noqa: PLC0415 - only the engines that are asked for
+
+    balls = "".join(
+        f'<body pos="{x} {y} {z}"><freejoint/><geom type="sphere" size="{RADIUS}" mass="1"/></body>'
+        for x, y, z in positions()
+    )
+    text = (
+        '<mujoco><option timestep="0.002"/><size memory="1G"/>'
+        f'<worldbody><geom type="plane" size="0 0 1"/>{balls}</worldbody></mujoco>'
+    )
+    model = engine.MjModel.from_xml_string(text)
+    data = engine.MjData(model)
+    return lambda: engine.mj_step(model, data), lambda: carom.record.mujoco(model, data)
+
+
+def pybullet() -> Stepper:
+    import pybullet as engine  # noqa: PLC0415 - only the engines that are asked for
+
+    engine.connect(engine.DIRECT)
+    engine.setGravity(0.0, 0.0, -9.81)
+    engine.setTimeStep(0.002)
+    engine.createMultiBody(0, engine.createCollisionShape(engine.GEOM_PLANE))
+    ball = engine.createCollisionShape(engine.GEOM_SPHERE, radius=RADIUS)
+    for place in positions():
+        engine.createMultiBody(1.0, ball, basePosition=place.tolist())
+    return engine.stepSimulation, lambda: carom.record.pybullet(0.002, (0.0, 0.0, -9.81))
+
+
+def box3d() -> Stepper:
+    import robox3d as engine  # noqa: PLC0415 - only the engines that are asked for
+
+    world = engine.World()
+    floor = world.create_body(position=(0.0, 0.0, -1.0), kind="static")
+    floor.add_box((100.0, 100.0, 1.0))
+    for place in positions():
+        world.create_body(position=place).add_sphere(RADIUS)
+    plane = carom.record.Plane((0.0, 0.0, 1.0), 0.0, "floor")
+    return lambda: world.step(0.002), lambda: carom.record.box3d(world, (plane,))
+
+
+def rebound() -> Stepper:
+    import rebound as engine  # noqa: PLC0415 - only the engines that are asked for
+
+    simulation = engine.Simulation()
+    for x, y, z in positions():
+        simulation.add(m=1.0, r=RADIUS, x=x, y=y, z=z)
+    simulation.G, simulation.dt, simulation.integrator, simulation.collision = 1e-4, 0.002, "leapfrog", "direct"
+    simulation.collision_resolve = "hardsphere"
+    return lambda: simulation.steps(1), lambda: carom.record.rebound(simulation)
+
+
+def newton() -> Stepper:
+    import newton as engine  # noqa: PLC0415 - only the engines that are asked for
+    import warp  # noqa: PLC0415 - only the engines that are asked for
+
+    builder = engine.ModelBuilder()
+    builder.add_ground_plane()
+    for place in positions():
+        builder.add_shape_sphere(builder.add_body(xform=warp.transform(place, warp.quat_identity())), radius=RADIUS)
+    model = builder.finalize(device="cpu")
+    solver, pipeline = engine.solvers.SolverXPBD(model), engine.CollisionPipeline(model)
+    contacts, control = pipeline.contacts(), model.control()
+    states, clock = [model.state(), model.state()], [0.0]
+
+    def step() -> None:
+        states[0].clear_forces()
+        pipeline.collide(states[0], contacts)
+        solver.step(states[0], states[1], control, contacts, 0.002)
+        states.reverse()
+        clock[0] += 0.002
+
+    return step, lambda: carom.record.newton(model, lambda: (states[0], clock[0]))
+
+
+ENGINES = {"rebound": rebound, "mujoco": mujoco, "pybullet": pybullet, "box3d": box3d, "newton": newton}
+
+
+def measured(begin: Callable[[], Stepper], folder: Path) -> tuple[float, float, float]:
+    """Return the medians of a step and of `frame` in the engine's thread, and what others spend on a frame, in s."""
+    step, source = begin()
+    for _ in range(SETTLING):
+        step()
+    steps, frames = [], []
+    with carom.record.Recorder(source(), folder / "run.rrd", force=True) as recorder:
+        step()
+        recorder.frame()
+        time.sleep(2.0)  # kernels are loaded
+        whole, own = time.process_time(), time.thread_time()
+        for _ in range(MEASURED):
+            began = time.thread_time()
+            step()
+            stepped = time.thread_time()
+            recorder.frame()
+            frames.append(time.thread_time() - stepped)
+            steps.append(stepped - began)
+    own = time.thread_time() - own
+    return median(steps), median(frames), (time.process_time() - whole - own) / MEASURED
+
+
+def main() -> None:
+    print(f"{'engine':10}{'step':>12}{'frame':>12}{'share':>8}{'threads':>12}")
+    with tempfile.TemporaryDirectory() as folder:
+        for name in sys.argv[1:] or ENGINES:
+            step, frame, threads = measured(ENGINES[name], Path(folder))
+            share = frame / step
+            print(f"{name:10}{step * 1e3:9.3f} ms{frame * 1e3:9.3f} ms{share:8.1%}{threads * 1e3:9.3f} ms", flush=True)
+
+
+if __name__ == "__main__":
+    main()
