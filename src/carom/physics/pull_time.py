@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import kernel, unowned
+from carom.physics.parallel.jit import inline, unowned
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 
@@ -49,7 +49,7 @@ class PullTime(NamedTuple):
         return cls(fraction, gravity.constant, gravity.softening, mean, len(bodies) <= PAIRS_UP_TO)
 
 
-@kernel
+@inline
 def step_of_largest(largest: float, mean: float, softening: float, fraction: float) -> float:
     """Return the longest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:

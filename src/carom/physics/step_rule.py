@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.parallel.jit import borrowing, kernel, long_kernel
+from carom.physics.parallel.jit import borrowing, inline, kernel, long_kernel
 from carom.physics.pull_time import step_of_largest, step_of_pairs
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +77,7 @@ def settle(dt: float, limit: int, smoothing: float, previous: float, remaining: 
     return dt, limit, dt
 
 
-@kernel
+@inline
 def ends_run(dt: float, remaining: float) -> bool:
     """Tell whether a step of dt is the last one, where so much time remains, both in s."""
     return remaining <= dt * (1.0 + END_TOLERANCE)
@@ -139,7 +139,7 @@ def target(
     return dt, limit
 
 
-@kernel
+@inline
 def _of_acceleration(
     dx: float, held_dx: float, held_part: float, a_max: float, a_free: float, b_max: float, turn: float
 ) -> tuple[float, int]:
