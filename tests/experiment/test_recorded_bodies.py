@@ -25,6 +25,7 @@ from carom.recording.export.export import write
 from carom.recording.export.snapshot import snapshots
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene
+from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
 SCENE = """
@@ -206,3 +207,9 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
     again = Recording.open(tmp_path / "again.rrd")
     assert again.shown == small.shown[:3]
     assert again.bodies.name[again.shown[2]] == f"grain {again.shown[2]}"
+
+
+def test_recorded_bodies_cannot_be_changed_without_their_file(recording: Recording) -> None:
+    assert recorded_scene(recording, ["time.duration=3"]).time.duration == 3.0
+    with pytest.raises(SceneError, match=r"bodies\.0: it cannot be changed, because its file is not at hand"):
+        recorded_scene(recording, ["bodies.0.radius=2"])

@@ -43,7 +43,10 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
         raise RecordingError(
             f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
         )
-    scene = scene_from_text(text, f"the scene in {recording.path}", overrides, RecordedBodies(recording))
+    source = f"the scene in {recording.path}"
+    scene = scene_from_text(text, source, bodies=RecordedBodies(recording))
+    if overrides:
+        scene = scene_from_text(text, source, overrides, scene.held)
     if scene.count != len(recording.bodies.mass):
         raise RecordingError(
             f"{recording.path} has {len(recording.bodies.mass)} bodies, but its scene has {scene.count}: it is damaged"
