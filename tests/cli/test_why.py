@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import carom as library
+from carom.recording.read.recording import Recording
 from command import carom
 from examples import pair
 
@@ -60,3 +61,14 @@ def test_a_mistake_is_one_sentence_and_exit_code_2(folder: Path, options: tuple[
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_the_bodies_and_contacts_behind_it_are_written_for_the_viewer(folder: Path) -> None:
+    done = carom("why", "run.rrd", "--body", "0", "-o", "why.rrd", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.rstrip().endswith("why.rrd written; carom view why.rrd")
+    found = Recording.open(folder / "why.rrd")
+    paths = {entry.entity_path for entry in found.store.entries}
+    assert found.is_overlay and {"world/cone", "world/edges", "graph", "why"} <= paths
+    done = carom("why", "run.rrd", "--body", "0", "-o", "run.rrd", "--force", cwd=folder)
+    assert done.returncode == 2 and "is the recording itself" in done.stderr

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import JsonOption, RecordingArgument, seconds, simulated_or_none
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
@@ -44,6 +44,11 @@ def why(
         Seconds,
         typer.Option("--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as is cheap."),
     ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="WHY.rrd", help="Write what is behind it for the viewer."),
+    ] = None,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
@@ -54,12 +59,19 @@ def why(
     import json
 
     from carom.cli.replaying import replaying
+    from carom.experiment.output import refuse_output
+    from carom.experiment.why.picture import write_answer
     from carom.experiment.why.question import question_of
     from carom.experiment.why.why import why as answer_to
     from carom.recording.edit.bundle import opened
+    from carom.recording.errors import RecordingError
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
+    if output is not None:
+        if output.exists() and file.exists() and output.samefile(file):
+            raise RecordingError(f"{output} is the recording itself; choose another file with -o")
+        refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
@@ -68,10 +80,14 @@ def why(
         with replaying(recording) as watch:
             answer = answer_to(recording, question, simulated_or_none(start, units), watch)
         names = names_of(recording)
+        if output is not None:
+            write_answer(output, recording, answer, _markdown(answer, names, units))
         if as_json:
             say(json.dumps(_document(answer, names), indent=2, ensure_ascii=False))
         else:
             _print(answer, names, units, file)
+            if output is not None:
+                say(f"{output} written; {command('view', output)}")
 
 
 def _document(answer: Answer, names: Names) -> dict[str, Any]:
@@ -236,6 +252,21 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     console.print(table)
     if len(account.causes) > MOST_CAUSES:
         say(f"  … and {len(account.causes) - MOST_CAUSES} more; --json has all.")
+
+
+def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
+    """Write the answer for the viewer."""
+    lines = [f"## {answer.question.text}", ""]
+    for account in answer.accounts:
+        lines += [f"{line}  " for line in _summary(account, answer, names, units)]
+        lines.append("")
+        for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_EDGES]:
+            lines.append(
+                f"- {cause.share:.1%}: {_kind(cause, units)}, {names.of(cause.partner)}, "
+                f"{units.text(cause.size, IMPULSE, '.3g')}, t = {units.text(cause.moment, TIME, '.9g')}"
+            )
+        lines.append("")
+    return "\n".join([*lines, *(f"{line}  " for line in _behind(answer, names, units))])
 
 
 def _kind(cause: Cause, units: UnitSystem) -> str:
