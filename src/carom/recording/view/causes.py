@@ -27,11 +27,12 @@ FloatArray = NDArray[np.float64]
 MOST_EDGES = 200  # that are drawn, of the largest shares
 _MOST_NODES = 16  # of the graph; more are a hairball
 _CONE, _OTHERS, _EDGES, _GRAPH, _TEXT = "world/cone", "world/others", "world/edges", "graph", "why"
-_FADED = 0x8A93A630
+_FADED = 0x232A35FF
 _ASKED = palette.YELLOW
 _SHARES = np.array([0x9AA5B8FF, 0x56B4E9FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)  # below 1, 5 and 20 %, and above
 _LIMITS = (0.01, 0.05, 0.2)
 _WIDTHS = (0.8, 1.6, 2.8, 4.5)  # pixels, of edges
+_LEAST = 0.003  # share of an edge that is drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,8 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
         index = clock.columns(steps, times)
         _bodies(writer, index, recording, inside, position, _colours(causes)[inside], solid=True)
         _bodies(writer, index, recording, outside, position, np.full(len(outside), _FADED, np.uint32), solid=False)
-        _edges(writer, index, causes.edges[:MOST_EDGES], np.array(times), position)
+        drawn = [edge for edge in causes.edges[:MOST_EDGES] if edge.share >= _LEAST]
+        _edges(writer, index, drawn, np.array(times), position)
         _graph(writer, recording, causes)
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         columns = rr.AnyValues.columns(True, time=pa.array(times), fingerprint=fingerprints)
