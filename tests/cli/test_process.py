@@ -135,6 +135,7 @@ def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: 
     assert f"{recording.frames} frames" in summary
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:
     read, write = os.pipe()
     os.close(read)
@@ -167,9 +168,9 @@ def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path
     ("encoding", "arguments"),
     [
         ("ascii", ["explain", "two-spheres"]),
-        ("ascii", ["scenes"]),
+        pytest.param("ascii", ["scenes"], marks=pytest.mark.slow),
         ("ascii", ["sweep", "--help"]),
-        ("latin-1", ["explain", "two-spheres"]),
+        pytest.param("latin-1", ["explain", "two-spheres"], marks=pytest.mark.slow),
     ],
 )
 def test_other_encodings_than_utf_8_are_printed_without_what_they_lack(

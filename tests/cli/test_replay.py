@@ -54,7 +54,7 @@ def test_a_resumed_run_is_the_file_itself_or_another(folder: Path) -> None:
         (["replay", "ts.rrd", "--every", "day"], 'the only choice is "step"'),
         (["replay", "ts.rrd", "--from", "2", "--to", "1"], "before --from 2 s"),
         (["resume", "ts.rrd"], "simulated to 2 s already; give a later --until"),
-        (["resume", "ts.rrd", "--until", "-1"], "expected a time above 0 s"),
+        (["resume", "ts.rrd", "--until", "-1"], "expected a time later than the start"),
         (["report", "ts.rrd", "-o", "nowhere/x.zip"], "there is no folder nowhere"),
         (["report", "nowhere.rrd"], "there is no recording at nowhere.rrd"),
     ],

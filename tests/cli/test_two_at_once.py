@@ -39,6 +39,7 @@ def under_way(*arguments: str, cwd: Path, grows: str) -> Iterator[subprocess.Pop
         process.communicate()
 
 
+@pytest.mark.slow
 def test_a_second_run_into_the_file_of_a_first_is_refused_even_with_force(tmp_path: Path) -> None:
     with under_way("run", "elastic-gas", *LONG, "-o", "x.rrd", cwd=tmp_path, grows="x.rrd") as first:
         second = carom("run", "two-spheres", "-o", "x.rrd", "--force", cwd=tmp_path)

@@ -144,7 +144,7 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
         assert part.same and part.compared == part.frames > 2
 
 
-@pytest.mark.parametrize("every", ["step", 0.05])
+@pytest.mark.parametrize("every", [pytest.param("step", marks=pytest.mark.slow), 0.05])
 def test_a_clip_replays_wherever_it_begins(every: str | float, tmp_path: Path) -> None:
     scene = cloud(12, time={"duration": 1.0, "max_dt": 0.02}, record={"every": every, "impacts": "all"})
     run = carom.run(scene, tmp_path / "run.rrd")

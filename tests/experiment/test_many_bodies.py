@@ -37,6 +37,7 @@ def assert_read_by_all(recording: carom.Recording, folder: Path, monkeypatch: py
     assert "same bits" in report(recording, folder / "x.zip").replayed
 
 
+@pytest.mark.slow
 def test_a_scene_of_more_than_4_mb_is_replayed_resumed_and_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

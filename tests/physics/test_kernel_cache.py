@@ -110,6 +110,7 @@ def damage(rng: random.Random, files: list[Path]) -> None:
         file.write_bytes(ways[k % len(ways)])
 
 
+@pytest.mark.slow
 def test_damaged_and_exchanged_files_are_compiled_anew(package: Path, seed: int) -> None:
     expected = [2.0 + k for k in range(COUNT)]
     assert call(package)[:2] == (expected, COUNT + 1)

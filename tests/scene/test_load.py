@@ -308,10 +308,10 @@ def test_several_mistakes_are_named_at_once(tmp_path: Path) -> None:
 
 
 def test_of_thousands_of_mistakes_the_first_few_are_explained_and_the_others_counted(tmp_path: Path) -> None:
-    # each explanation reads the file once: all 5000 took 40 s
-    said = complaint(tmp_path, "".join(f"k{i} = 1\n" for i in range(5000)) + ONE_BODY).splitlines()
+    # each explanation reads the file once: 5000 took 40 s
+    said = complaint(tmp_path, "".join(f"k{i} = 1\n" for i in range(2000)) + ONE_BODY).splitlines()
     assert len(said) == 9
-    assert said[0].startswith(f"{tmp_path}/scene.toml:1: unknown key k0") and said[-1] == "… and 4992 more"
+    assert said[0].startswith(f"{tmp_path}/scene.toml:1: unknown key k0") and said[-1] == "… and 1992 more"
 
 
 def test_a_dictionary_that_contains_itself_is_refused() -> None:

@@ -53,7 +53,7 @@ def resume(
     from carom.recording.read.recording import Recording
 
     if until is not None and not 0.0 < until < float("inf"):
-        raise typer.BadParameter(f"{until:g}: expected a time above 0", param_hint="--until")
+        raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
     with claimed_target(file, output, force) as claim:
         recording = Recording.open(file)
         run = resumable_run(recording, simulated_or_none(until, recording.units))
