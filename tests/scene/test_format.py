@@ -40,7 +40,8 @@ def test_the_schema_for_editors_is_up_to_date() -> None:
 def test_a_bundled_scene_names_its_schema_and_keeps_to_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     mark, named = text.partition("\n")[0].split()
-    assert mark == MARK and (path.parent / named).samefile(ROOT / "configs" / FILE)
+    # an installation has a copy of its own
+    assert mark == MARK and (path.parent / named).read_bytes() == (ROOT / "configs" / FILE).read_bytes()
     assert not list(VALIDATOR.iter_errors(tomllib.loads(text)))
 
 
