@@ -44,6 +44,10 @@ MISTAKES = {
     "two numbers for a vector": ("[[body]]\nvelocity = [0, 0]\n", [":2:", "body.0.velocity", "[x, y, z]"]),
     "restitution above 1": ("[contact]\nrestitution = 1.4\n" + ONE_BODY, [":2:", "restitution = 1.4", "at most 1"]),
     "restitution below 0": ("[contact]\nrestitution = -0.1\n" + ONE_BODY, [":2:", "restitution", "at least 0"]),
+    "negative friction, which the other coefficient follows": (
+        "[contact]\nstatic_friction = -1.0\n" + ONE_BODY,
+        [":2:", "static_friction = -1.0", "at least 0"],
+    ),
     "sliding harder than sticking": (
         "[contact]\nstatic_friction = 0.2\nkinetic_friction = 0.5\n" + ONE_BODY,
         [":1:", "kinetic_friction = 0.5 is above static_friction = 0.2"],

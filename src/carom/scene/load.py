@@ -393,8 +393,11 @@ def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     found, given = data, detail["input"]
     if not isinstance(given, int | float):
         return given
-    for key in path:
-        found = found[key]  # `_written_path` has followed it
+    try:
+        for key in path:
+            found = found[key]
+    except (KeyError, IndexError, TypeError):  # a default that follows another key
+        return given
     return found if isinstance(found, str | int | float) else given
 
 
