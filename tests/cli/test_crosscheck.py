@@ -13,6 +13,8 @@ from carom.scene.bundled import crosscheck_scenes
 from carom.scene.schema import Scene
 from command import carom
 
+pytestmark = pytest.mark.slow  # each engine and the reference run once for all of them, some six seconds
+
 SCENE = """
 title = "Light on heavy"
 

@@ -18,7 +18,14 @@ from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from examples import cloud
 
-SLOW = ("balls-at-rest", "hub-4000", "million-steps", "pile-1000", "pythagorean")  # more than five seconds each
+SLOW = (
+    "stack-20",
+    "balls-at-rest",
+    "hub-4000",
+    "million-steps",
+    "pile-1000",
+    "pythagorean",
+)  # three seconds or more each
 
 
 def cases() -> list[Any]:
