@@ -186,14 +186,15 @@ def _not_the_last(self: Any, position: np.ndarray, pairs: np.ndarray) -> np.ndar
     return np.arange(len(pairs)) < (len(pairs) - 1 if len(pairs) >= 3 else len(pairs))
 
 
-def _kick(spoil: Callable[[np.ndarray, np.ndarray, float], None]) -> Plant:
-    kick = kick_drift.kick
+def _after(name: str, spoil: Callable[[np.ndarray, np.ndarray, float], None]) -> Plant:
+    """Spoil what a kick or a drift has changed, from the change a second and dt."""
+    right = getattr(kick_drift, name)
 
-    def spoilt(velocity: np.ndarray, acceleration: np.ndarray, dt: float, *given: Any) -> None:
-        kick(velocity, acceleration, dt, *given)
-        spoil(velocity, acceleration, dt)
+    def spoilt(changed: np.ndarray, rate: np.ndarray, dt: float, *given: Any) -> None:
+        right(changed, rate, dt, *given)
+        spoil(changed, rate, dt)
 
-    return lambda: {stepping: {"kick": spoilt}}
+    return lambda: {stepping: {name: spoilt}}
 
 
 def _first_kicked_backwards(velocity: np.ndarray, acceleration: np.ndarray, dt: float) -> None:
@@ -203,16 +204,6 @@ def _first_kicked_backwards(velocity: np.ndarray, acceleration: np.ndarray, dt: 
 
 def _first_kicked_half(velocity: np.ndarray, acceleration: np.ndarray, dt: float) -> None:
     velocity[0] -= 0.5 * acceleration[0] * dt
-
-
-def _drift(spoil: Callable[[np.ndarray, np.ndarray, float], None]) -> Plant:
-    drift = kick_drift.drift
-
-    def spoilt(position: np.ndarray, velocity: np.ndarray, dt: float, *given: Any) -> None:
-        drift(position, velocity, dt, *given)
-        spoil(position, velocity, dt)
-
-    return lambda: {stepping: {"drift": spoilt}}
 
 
 def _half_drift(position: np.ndarray, velocity: np.ndarray, dt: float) -> None:
@@ -351,9 +342,9 @@ FAULTS = [
     Fault("a push thirty times too far", CLOUD, "energy.max_error > 1e-4", _push(_push_too_far)),
     Fault("torque over the inertia of the next body", UNLIKE, ENERGY, _turn),
     Fault("drag is not booked", THICK, ENERGY, _drag_unbooked),
-    Fault("a kick with the wrong sign", CLOUD, MOMENTUM, _kick(_first_kicked_backwards)),
-    Fault("half a kick for the first body", CLOUD, MOMENTUM, _kick(_first_kicked_half)),
-    Fault("the fastest body drifts too little", CLOUD, ENERGY, _drift(_half_drift)),
+    Fault("a kick with the wrong sign", CLOUD, MOMENTUM, _after("kick", _first_kicked_backwards)),
+    Fault("half a kick for the first body", CLOUD, MOMENTUM, _after("kick", _first_kicked_half)),
+    Fault("the fastest body drifts too little", CLOUD, ENERGY, _after("drift", _half_drift)),
     Fault("a body moves sideways at the border of the box", GAS, "contacts.max_overlap > 1e-3", _wrap),
     Fault("forces of the step before", CLOUD, ENERGY, _stale_forces),
     Fault("the heaviest body is pulled too little", CLOUD, MOMENTUM, _forces(_heaviest_pulls_less)),

@@ -10,19 +10,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-import carom as library
 from command import carom
-from examples import pair
 from merry import RUN_ID
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the recording of two spheres that collide once, at 1 s."""
-    folder = tmp_path_factory.mktemp("run")
-    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
-    library.run(scene, folder / "run.rrd")
-    return folder
 
 
 def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:

@@ -7,18 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import carom as library
 from command import carom, carom_process
-from examples import pair
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the recording of two spheres that collide once, at 1 s."""
-    folder = tmp_path_factory.mktemp("run")
-    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
-    library.run(scene, folder / "run.rrd")
-    return folder
 
 
 def test_both_courses_are_written_and_their_difference_is_told(folder: Path) -> None:

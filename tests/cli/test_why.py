@@ -7,19 +7,8 @@ from pathlib import Path
 
 import pytest
 
-import carom as library
 from carom.recording.read.recording import Recording
 from command import carom
-from examples import pair
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the recording of two spheres that collide once, at 1 s."""
-    folder = tmp_path_factory.mktemp("run")
-    scene = pair(time={"duration": 2.0, "fixed_dt": 0.1}, record={"every": "step"})
-    library.run(scene, folder / "run.rrd")
-    return folder
 
 
 def test_the_answer_names_the_impact_and_the_command_to_look_at_it(folder: Path) -> None:

@@ -20,6 +20,7 @@ from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.run import recording_space, simulate
+from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.reference import Reference
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.tradeoff import Result, Study
@@ -200,10 +201,7 @@ class Crosscheck:
         return Names(place(self.scene).name, half_spaces(self.scene).name)
 
     def _save(self) -> None:
-        """Write the document atomically."""
-        unfinished = self.folder / f"{DOCUMENT}.part"
-        unfinished.write_text(json.dumps(self.document(), indent=1, ensure_ascii=False), encoding="utf-8")
-        unfinished.replace(self.folder / DOCUMENT)
+        write_whole(self.folder / DOCUMENT, json.dumps(self.document(), indent=1, ensure_ascii=False))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT

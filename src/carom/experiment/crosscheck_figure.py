@@ -9,7 +9,7 @@ import numpy as np
 
 from carom.experiment.crosscheck import PARTED, Crosscheck
 from carom.experiment.error import ExperimentError
-from carom.experiment.work_precision.figure import FAINT, INK, LEAST
+from carom.experiment.work_precision.figure import FAINT, LEAST, styled
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
@@ -25,16 +25,14 @@ def draw(check: Crosscheck, path: Path) -> None:
     ExperimentError
         If matplotlib is not there, or nothing is measured.
     """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415 - an extra
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError:
-        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+    look = styled(9)
     reference = check.study.reference
     runs = [result for result in check.results if result.status == "measured"]
     if reference is None or not runs:
         raise ExperimentError("nothing is measured yet that could be drawn")
-    with mpl.rc_context({"font.size": 9, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}):
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
+
+    with look:
         figure = Figure(figsize=(10.0, 5.2), layout="constrained", dpi=110)
         ax = figure.subplots()
         for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:

@@ -29,11 +29,6 @@ class Tested:
     forks: int
     inevitable: bool
 
-    @property
-    def probability(self) -> float:
-        """Part of the forks that had the outcome."""
-        return self.hits / self.forks if self.forks else math.nan
-
 
 @dataclass(slots=True)
 class Inevitable:

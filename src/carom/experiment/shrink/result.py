@@ -11,6 +11,7 @@ from carom.experiment.environment import versions
 from carom.experiment.shrink.literal import Document
 from carom.experiment.shrink.reducer import Reduction, Stage
 from carom.experiment.shrink.text import commented
+from carom.experiment.whole_file import write_whole
 from carom.recording.errors import RecordingError
 
 _MARK = re.compile(
@@ -101,10 +102,7 @@ def write(path: Path, text: str) -> None:
     RecordingError
         If it cannot be written.
     """
-    part = path.with_name(f"{path.name}.part")
     try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
+        write_whole(path, text)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise RecordingError(f"cannot write {path}: {error.strerror}") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,21 @@ MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of eac
 LINE = 9.0  # points between two lines of labels
 
 
+def styled(size: float) -> AbstractContextManager[None]:
+    """Return the context in which carom's figures are drawn, with a size of letters in points.
+
+    Raises
+    ------
+    ExperimentError
+        If matplotlib is not there.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+    return mpl.rc_context({"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK})
+
+
 def draw(document: dict[str, Any], path: Path) -> None:
     """Draw the document of a study into a PNG or SVG.
 
@@ -39,17 +55,15 @@ def draw(document: dict[str, Any], path: Path) -> None:
     ExperimentError
         If matplotlib is not there, or nothing is measured.
     """
-    try:
-        import matplotlib as mpl  # noqa: PLC0415 - an extra
-        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError:
-        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+    look = styled(8)
     done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
         raise ExperimentError("nothing is measured yet that could be drawn")
-    with mpl.rc_context({"font.size": 8, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an extra
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    with look:
         rows = (len(panels) + 1) // 2
         figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.9 * rows), layout="constrained", dpi=110)
         canvas = FigureCanvasAgg(figure)

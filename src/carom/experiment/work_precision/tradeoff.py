@@ -23,6 +23,7 @@ from carom.experiment.engines.engine import engine_called
 from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
+from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.error_measures import NAMES, Errors
 from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.reference import Reference, fineness, make_reference, scale_of
@@ -253,10 +254,7 @@ class Study:
         return self.folder / f"{name}.npz"
 
     def _save(self) -> None:
-        """Write the document atomically."""
-        unfinished = self.folder / f"{DOCUMENT}.part"
-        unfinished.write_text(json.dumps(self.document(), indent=1, ensure_ascii=False), encoding="utf-8")
-        unfinished.replace(self.folder / DOCUMENT)
+        write_whole(self.folder / DOCUMENT, json.dumps(self.document(), indent=1, ensure_ascii=False))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT

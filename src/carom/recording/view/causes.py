@@ -18,7 +18,8 @@ from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.timelines import STEP
+from carom.recording.view.answer_layout import beside_bodies
 from carom.recording.view.camera import CameraFit, View
 from carom.recording.write.chunk_writer import Writer
 
@@ -184,28 +185,10 @@ def _graph(writer: Writer, recording: Recording, causes: Causes) -> None:
 
 
 def _layout(view: View) -> rrb.Blueprint:
-    eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
-    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                name="Causes: yellow is asked about, red to blue by share",
-                origin="/",
-                contents=[_CONE, _OTHERS, _EDGES],
-                background=background,
-                line_grid=False,
-                eye_controls=eye,
-            ),
-            rrb.Vertical(
-                rrb.GraphView(name="Impulses between bodies", origin=_GRAPH),
-                rrb.TextDocumentView(name="Why", origin=_TEXT),
-                row_shares=[1, 1],
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+    panels = rrb.Vertical(
+        rrb.GraphView(name="Impulses between bodies", origin=_GRAPH),
+        rrb.TextDocumentView(name="Why", origin=_TEXT),
+        row_shares=[1, 1],
     )
+    title = "Causes: yellow is asked about, red to blue by share"
+    return beside_bodies(title, [_CONE, _OTHERS, _EDGES], view, panels)

@@ -19,7 +19,7 @@ from rerun.components import FillMode
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.answer_layout import beside_bodies
 from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
@@ -151,30 +151,11 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
 
 
 def _layout(view: View) -> rrb.Blueprint:
-    eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
-    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
     plots = [
         rrb.TimeSeriesView(
             name=title, origin="/", contents=[path], plot_legend=rrb.PlotLegend(visible=False), axis_x=whole_time()
         )
         for path, title, _ in _SERIES.values()
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                name="A blue, B orange",
-                origin="/",
-                contents=[_A, _B, _LINES],
-                background=background,
-                line_grid=False,
-                eye_controls=eye,
-            ),
-            rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5]),
-            column_shares=[3, 2],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
+    return beside_bodies("A blue, B orange", [_A, _B, _LINES], view, panels)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.answer_layout import beside_bodies
 from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
@@ -96,33 +96,14 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
 
 
 def _layout(view: View) -> rrb.Blueprint:
-    eye = rrb.EyeControls3D(position=view.eye, look_target=view.target, eye_up=[0.0, 0.0, 1.0])
-    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                name="Bodies by spread: blue is known, red is not",
-                origin="/",
-                contents=[_BODIES],
-                background=background,
-                line_grid=False,
-                eye_controls=eye,
-            ),
-            rrb.Vertical(
-                rrb.TimeSeriesView(
-                    name="log₁₀ of rms distance (m): median, 5 and 95 %",
-                    origin="/",
-                    contents=[path for path, _, _ in _BAND],
-                    axis_x=whole_time(),
-                ),
-                rrb.TextDocumentView(name="Fork", origin=_TEXT),
-                row_shares=[3, 2],
-            ),
-            column_shares=[3, 2],
+    panels = rrb.Vertical(
+        rrb.TimeSeriesView(
+            name="log₁₀ of rms distance (m): median, 5 and 95 %",
+            origin="/",
+            contents=[path for path, _, _ in _BAND],
+            axis_x=whole_time(),
         ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+        rrb.TextDocumentView(name="Fork", origin=_TEXT),
+        row_shares=[3, 2],
     )
+    return beside_bodies("Bodies by spread: blue is known, red is not", [_BODIES], view, panels)

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view.answer_layout import paused
 from carom.recording.view.blueprint import WINDOW
+from carom.recording.view.eye import background
 from carom.recording.view.legend import time_beside_legend
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.statics import curve_style
@@ -114,11 +115,10 @@ def _send(
 
 
 def _layout(time: rrb.TimeAxis) -> rrb.Blueprint:
-    background = rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor)
-    return rrb.Blueprint(
+    return paused(
         rrb.Vertical(
             rrb.Spatial3DView(
-                name="Settings over the reference", origin="/world", background=background, line_grid=False
+                name="Settings over the reference", origin="/world", background=background(), line_grid=False
             ),
             rrb.TimeSeriesView(
                 name="log10 of the distance from the reference, over the size",
@@ -127,12 +127,7 @@ def _layout(time: rrb.TimeAxis) -> rrb.Blueprint:
                 axis_x=time,
             ),
             row_shares=[3, 2],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+        )
     )
 
 
