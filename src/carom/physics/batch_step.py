@@ -116,7 +116,7 @@ class BatchStepper:
         if batch.steps == 0 and self._holder and self._held:
             return self._hold(self._holder, goal, checked)
         clock.advance(batch.steps, batch.before, batch.time, batch.dt, batch.limit)
-        refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, world.scene.unit_system)
+        refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units)
         if turns:
             rotate(bodies.orientation, bodies.angular_velocity, clock.dt, world.team)
         if contact:

@@ -28,7 +28,7 @@ class Clock:
     dt: float = 0.0  # s
     limit: str = "start"  # what set dt
     foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by their limit
-    units: UnitSystem = SI  # of the scene
+    units: UnitSystem = SI  # of the scene, whose own look-up takes 2 µs
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
         """Advance by one or more steps.

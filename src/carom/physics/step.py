@@ -238,9 +238,9 @@ class KickDriftStepper:
         """
         world, bodies, clock = self._world, self._world.bodies, self._world.clock
         if world.is_periodic:
-            refuse_lost_turns(bodies.velocity, dt, world.box, clock.step, clock.time, world.scene.unit_system)
+            refuse_lost_turns(bodies.velocity, dt, world.box, clock.step, clock.time, clock.units)
         if world.contact and world.needs.impact_time.modelled:
-            refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, world.scene.unit_system, world.team)
+            refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
             self._drift_to_impacts(world.contact, kick, dt, damped)
             world.profile.mark("impacts")
         else:
@@ -260,7 +260,7 @@ class KickDriftStepper:
     def _find(self, contact: ContactPipeline, dt: float) -> None:
         """Find contacts at the final positions, and correct the overlaps of those at rest."""
         world, clock = self._world, self._world.clock
-        refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, world.scene.unit_system, world.team)
+        refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
         contact.find(dt, world.profile)
 
     def _sum_forces(self, is_last: bool, with_potential: bool) -> Potentials:

@@ -148,8 +148,7 @@ class Bookkeeper:
         try:
             self.audit.take_stock(clock.step, clock.time, potentials, self.extremes)
         except PhysicsError:
-            units = world.scene.unit_system
-            refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, units)  # names them
+            refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)  # names them
             raise
         if checked:
             for warning in self.audit.check(clock.time, self.extremes):
