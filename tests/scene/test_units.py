@@ -125,6 +125,69 @@ def test_every_wrong_quantity_is_named() -> None:
     assert [line.split(" = ")[0] for line in said] == ["scene.toml:2: time.duration", "scene.toml:4: body.0.position.1"]
 
 
+def test_wrong_quantities_are_named_beside_all_other_mistakes() -> None:
+    time = '[time]\nduration = "3 m"\nfixed_dt = -1.0\ndurations = 3\n'
+    said = complaint(time + '[[body]]\nradius = "-1 km"\nposition = ["1 km", "2 s", 3]\n').splitlines()
+    places = [line.split(" = ")[0] for line in said]
+    assert places[:2] == ["scene.toml:2: time.duration", "scene.toml:7: body.0.position.1"]
+    assert sorted(places[2:]) == [
+        "scene.toml:3: time.fixed_dt",
+        'scene.toml:4: unknown key time.durations; did you mean "duration"?',
+        "scene.toml:6: body.0.radius",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("slip", "meant"),
+    [
+        ("12 hh", "h"),
+        ("12 mh", "h"),
+        ("1 kday", "day"),
+        ("1 mmin", "min"),
+        ("1 hyr", "yr"),
+    ],
+)
+def test_units_that_nobody_prefixes_take_no_prefix(slip: str, meant: str) -> None:
+    said = complaint(f'[time]\nduration = "{slip}"\n{ONE_BODY}')
+    assert f'there is no unit "{slip.split()[1]}" (did you mean "{meant}"?)' in said
+
+
+@pytest.mark.parametrize("name", ["kft", "kau", "ksolar_mass", "kmetre", "kilom", "pcs", "kpcs", "hs", "kms", "inchs"])
+def test_prefixes_and_plurals_are_only_where_they_are_in_use(name: str) -> None:
+    with pytest.raises(UnitError, match="no unit"):
+        unit(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("µm", 1e-6),
+        ("kilometres", 1e3),
+        ("Mpc", 3.085677581491367e22),
+        ("kyr", 3.15576e10),
+        ("megayears", 3.15576e13),
+        ("Gly", 9.4607304725808e24),
+        ("ns", 1e-9),
+        ("msec", 1e-3),
+        ("mg", 1e-6),
+        ("kt", 1e6),
+        ("mL", 1e-6),
+        ("kHz", 1e3),
+        ("MN", 1e6),
+        ("GPa", 1e9),
+        ("keV", 1.602176634e-16),
+        ("kcal", 4184.0),
+        ("mrad", 1e-3),
+        ("marcsec", 4.84813681109536e-09),
+        ("hours", 3600.0),
+        ("hrs", 3600.0),
+        ("solar masses", 1.9884098706980507e30),
+    ],
+)
+def test_prefixes_and_plurals_in_use_are_read(name: str, size: float) -> None:
+    assert float(unit(name).size) == size
+
+
 def test_a_number_without_a_dimension_has_no_unit() -> None:
     assert "must be a number" in complaint(ONE_BODY + '[contact]\nrestitution = "0.5 m"\n')
 

@@ -298,18 +298,18 @@ def _parse_value(text: str) -> Any:
 
 def _validate(data: dict[str, Any], text: str, places: _Places, bodies: BodySource | None) -> Scene:
     numbers, units, wrong = converted(data)
-    if wrong:
-        messages = [_not_a_quantity(each, places) for each in wrong[:MOST_MESSAGES]]
-        more = len(wrong) - MOST_MESSAGES
-        raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages))
+    messages = {each.path: _not_a_quantity(each, places) for each in wrong}
     try:
         scene = Scene.model_validate(numbers)
     except ValidationError as error:
-        first_of_each_key = {_written_path(detail, data): detail for detail in reversed(error.errors())}
-        explained = itertools.islice(reversed(first_of_each_key.items()), MOST_MESSAGES)
-        messages = [_explain(detail, path, places, data) for path, detail in explained]
-        more = len(first_of_each_key) - MOST_MESSAGES
-        raise SceneError("\n".join([*messages, f"… and {more} more"] if more > 0 else messages)) from None
+        for detail in error.errors():
+            path = _written_path(detail, data)
+            if not _is_known(path, messages):
+                messages[path] = _explain(detail, path, places, data)
+    if messages:
+        more = len(messages) - MOST_MESSAGES
+        shown = itertools.islice(messages.values(), MOST_MESSAGES)
+        raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
     if scene.bodies:
         scene, text = _with_bodies(scene, units, data, text, places, bodies or DataFiles(Path()))
     if len(text) > longest_text(scene.count):
@@ -344,6 +344,12 @@ def _with_bodies(
     files = source.files if isinstance(source, HeldBodies) else source if isinstance(source, DataFiles) else None
     scene._held = HeldBodies(sections, tuple(found), units, files)
     return scene, text
+
+
+def _is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
+    """Tell whether there is a message already about a key, or about one that contains it."""
+    wrong_units = path[0:1] == ("units",) and any(other[0] == "units" for other in messages)
+    return wrong_units or any(path[:depth] in messages for depth in range(1, len(path) + 1))
 
 
 def _not_a_quantity(wrong: Wrong, places: _Places) -> str:

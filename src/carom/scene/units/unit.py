@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carom.scene.units.dimension import BASE, OF_EXPONENTS, Dimension, Exponents
+from carom.scene.units.prefixes import written_names
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
@@ -34,12 +34,21 @@ _TIMES = r"(?:\s*[*/·]\s*|\s+)"
 _GROUP = rf"(?:{_ONE}|\(\s*{_ONE}(?:{_TIMES}{_ONE})*\s*\)(?:{_POWER})?)"
 _UNIT = re.compile(rf"{_GROUP}(?:{_TIMES}{_GROUP})*")  # products and powers of names
 _WORDS = re.compile(r"([^\W\d]+) (?=([^\W\d]+))")
-_PREFIXED = ("k", "M", "G", "m", "c", "µ", "n", "kilo", "mega", "giga", "milli", "centi", "micro")
-_TAKE_PREFIXES = ("m", "metre", "meter", "g", "gram", "s", "second", "pc", "parsec", "yr", "year", "J", "joule", "N")
+_NAMES = re.compile(_NAME)
 
 
 class UnitError(ValueError):
     """A text names no unit, or one of another dimension."""
+
+
+class UnknownUnitError(UnitError):
+    """There is no unit of a name."""
+
+    def __init__(self, name: str, known: Iterable[str]) -> None:
+        near = _nearest(name, known)
+        hint = f' (did you mean "{_spaced(near)}"?)' if near else ""
+        super().__init__(f'there is no unit "{name}"{hint}')
+        self.name = name
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +76,13 @@ def unit(text: str) -> Unit:
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     if not _UNIT.fullmatch(written):
         raise UnitError(f'"{text[:LONGEST]}" is not a unit')
-    from pint import errors  # noqa: PLC0415 - slow to import, and most scenes need none
-
+    for name in _NAMES.findall(written):
+        if name not in _written():
+            raise UnknownUnitError(name, _written())
     known: Any = registry()
     try:
         size, base = known.get_root_units(_POWERS.sub(r"\1**\2", written).replace("·", "*"))
         dimensions = known.get_dimensionality(base)
-    except errors.UndefinedUnitError as error:
-        names = error.unit_names
-        raise UnitError(_unknown(names if isinstance(names, str) else next(iter(names)))) from None
     except Exception:  # of a parser that is not ours: a text is data, and must never end with a traceback
         raise UnitError(f'"{text}" is not a unit') from None
     exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
@@ -92,7 +99,13 @@ def unit_of(text: str, dimension: Dimension) -> Unit:
     UnitError
         If it is none, or one of another dimension.
     """
-    found = unit(text)
+    try:
+        found = unit(text)
+    except UnknownUnitError as error:
+        if error.name != text.strip():  # one of a product, which may have any dimension
+            raise
+        alike = set(written_names(name for name in names() if unit(name).exponents == dimension.exponents))
+        raise UnknownUnitError(error.name, alike if _nearest(error.name, alike) else _written()) from None
     if found.exponents != dimension.exponents:
         what = f"{found.dimension.called}, not" if found.dimension else "not"
         raise UnitError(f'"{text.strip()}" is {what} {dimension.called}')
@@ -125,14 +138,19 @@ def _joined(text: str) -> str:
     return _WORDS.sub(lambda found: f"{found[1]}{'_' if f'{found[1]}_{found[2]}' in known else ' '}", text)
 
 
-def _unknown(name: str) -> str:
-    """Say that there is no such unit, and name the nearest."""
-    known = {*names(), *(f"{prefix}{base}" for prefix, base in product(_PREFIXED, _TAKE_PREFIXES))}
-    known |= {f"{word}s" for word in known if len(word) > 3}
-    by_lower = {word.lower(): word for word in sorted(known, reverse=True)}
+@cache
+def _written() -> frozenset[str]:
+    """Return the names of all units as a text may have them, with prefixes and in the plural."""
+    return frozenset(written_names(names()))
+
+
+def _nearest(name: str, known: Iterable[str]) -> str:
+    """Return the most similar of some names, in small and capital letters alike; empty if none is similar."""
+    by_lower: dict[str, list[str]] = {}
+    for word in sorted(known):
+        by_lower.setdefault(word.lower(), []).append(word)
     near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
-    hint = f' (did you mean "{_spaced(by_lower[near[0]])}"?)' if near else ""
-    return f'there is no unit "{name}"{hint}'
+    return max(by_lower[near[0]], key=lambda word: difflib.SequenceMatcher(None, name, word).ratio()) if near else ""
 
 
 def _spaced(name: str) -> str:
