@@ -120,6 +120,57 @@ def test_a_wrong_time_is_refused(folder: Path, time: str, said: str) -> None:
     assert done.returncode == 2 and said in " ".join(done.stderr.replace("│", "").split())
 
 
+@pytest.mark.parametrize("name", ["cm", "own"])
+def test_a_fork_takes_and_prints_the_units_of_the_scene(folder: Path, name: str) -> None:
+    text = printed(
+        folder, "fork", f"{name}.rrd", "--at", "100", "--set", "contact.restitution=1", "-o", f"{name}-f.rrd"
+    )
+    assert "Forked at step 10, t = 100 ms with" in text and "differs is step 16, t = 160 ms" in text
+    assert "in a system of" in text and "cm apart (rms)" in text and " m " not in text
+    assert Recording.open(folder / f"{name}-f.rrd").units == Recording.open(folder / f"{name}.rrd").units
+
+
+@pytest.mark.parametrize("name", ["cm", "own"])
+def test_a_question_about_the_beginning_is_refused_in_the_units_of_the_scene(folder: Path, name: str) -> None:
+    said = carom("why", f"{name}.rrd", "--body", "0", "--at", "0 s", cwd=folder).stderr
+    assert "t = 0 ms is the beginning" in said
+
+
+def test_times_of_impacts_in_a_study_are_in_the_units_of_the_scene(folder: Path) -> None:
+    table = printed(folder, "tradeoff", "cm.toml", "--vary", "step=1,2", "--repeats", "1", "-o", "study")
+    settings = json.loads((folder / "study" / "tradeoff.json").read_text(encoding="utf-8"))["settings"]
+    late = max(each["errors"]["impact"] for each in settings)  # s
+    assert late > 0.0 and "impacts / ms" in table and f" {1000.0 * late:.1e} " in table
+
+
+def test_a_description_in_a_refusal_is_in_the_units_of_the_scene(folder: Path) -> None:
+    for name, unit in (("cm", "ms"), ("si", "s")):
+        said = carom("run", f"{name}.toml", "--set", "time.max_dt=-1", cwd=folder).stderr
+        assert f"(max_dt: {unit}, largest step; more than 0)" in said
+    density = carom("run", "cm.toml", "--set", "body.0.density=-1", cwd=folder).stderr
+    assert "kg/m³, 1000 unless" in density  # a default is in SI
+
+
+@pytest.mark.parametrize(
+    ("group", "said"),
+    [
+        ("radius = 1\nregion = { shape = 'box', size = [1, 99, 99] }", "a body of radius 1 cm does not fit"),
+        (
+            "radius = 1\narrangement = 'cubic'\nspacing = 1.5\nregion = { radius = 9 }",
+            "spacing = 1.5 cm is less than a diameter, 2 cm",
+        ),
+        (
+            "radius = 1\narrangement = 'cubic'\nspacing = 8\nregion = { radius = 9 }",
+            "bodies at spacing = 8 cm",
+        ),
+    ],
+)
+def test_a_group_that_does_not_fit_is_refused_in_the_units_of_the_scene(tmp_path: Path, group: str, said: str) -> None:
+    text = f"[units]\nlength = 'cm'\n[[group]]\ncount = 50\n{group}\n"
+    (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
+    assert said in carom("run", "scene.toml", cwd=tmp_path).stderr
+
+
 def test_recordings_in_different_units_are_not_compared(folder: Path) -> None:
     done = carom("diff", "cm.rrd", "own.rrd", cwd=folder)
     assert done.returncode == 2 and "cm.rrd is in SI and own.rrd in cm, ms, g" in done.stderr

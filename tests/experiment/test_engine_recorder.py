@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.source.adapters.package import engine_package
 from command import carom as command
@@ -125,6 +126,20 @@ def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
     recording = Recording.open(tmp_path / "run.rrd")
     assert (first.step, f"law-{law}") in [(event.step, event.kind) for event in recording.warnings()]
     assert recording.summary()["laws"][law]["step"] == first.step
+
+
+def test_faults_of_an_engine_in_other_units_are_told_in_them(tmp_path: Path) -> None:
+    for number, (fault, unit) in enumerate([(energy_from_nothing, " g cm²/ms², "), (missed_impact, " cm/ms.")]):
+        toy = Toy(fault)
+        path = tmp_path / f"{number}.rrd"
+        with carom.record.Recorder(toy, path, units="cm, ms, g") as recorder:
+            for _ in range(STEPS):
+                toy.step()
+                recorder.frame()
+        assert any(unit in each.text for each in recorder.faults)
+        assert Recording.open(path).units.named == "cm, ms, g"
+    with pytest.raises(RecordingError, match="a mass is missing"):
+        carom.record.Recorder(Toy(), tmp_path / "no.rrd", units="cm, ms")
 
 
 def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.live_line import LiveLine, bar
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, SetOption, seconds
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, SetOption, seconds, simulated
 from carom.cli.text import say
 from carom.scene.command import command
 
@@ -27,7 +27,7 @@ MOST_SEEDS = 100_000
 
 def fork(
     file: RecordingArgument,
-    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="When to fork (s).")],
+    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="When to fork: simulated time.")],
     overrides: SetOption = None,
     perturb: Annotated[
         str | None,
@@ -68,6 +68,7 @@ def fork(
     from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.errors import RecordingError
+    from carom.recording.read.recording import Recording
 
     ulps = _ulps(perturb)
     if overrides is None and perturb is None:
@@ -83,7 +84,7 @@ def fork(
     with opened(file) as path:
         if target.exists() and target.samefile(path):
             raise RecordingError(f"{target} is the recording itself; choose another file with -o")
-        branch = Branch(path, at, tuple(overrides or ()))
+        branch = Branch(path, simulated(at, Recording.open(path).units), tuple(overrides or ()))
         start = start_of(branch)
         if seeds == 1:
             document, lines = _one(start, target, None if perturb is None else 1, ulps)
@@ -107,6 +108,7 @@ def _ulps(text: str | None) -> int:
 
 
 def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str]]:
+    from carom.experiment.diff.divergence import rate_text
     from carom.experiment.fork.fork import fork as go_on
     from carom.experiment.fork.fork import text_of
 
@@ -127,7 +129,7 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
         lines.append(f"The fork ended early, {found.outcome.status}: {found.outcome.reason}.")
     if found.diff.divergence is not None and found.diff.divergence.is_exponential:
         rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
-        lines.append(f"The distance grows by e^(λt), λ = {rate:.3g} ± {error:.1g} /s.")
+        lines.append(f"The distance grows by e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
     return document, lines
 
 
@@ -219,20 +221,29 @@ def _finite(value: float) -> float | None:
 def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
     import numpy as np
 
-    low, median, high = found.band[:, -1]
+    from carom.experiment.diff.divergence import rate_text
+    from carom.scene.units.dimension import LENGTH, TIME
+
+    units = start.scene.unit_system
+
+    def at(time: float) -> str:
+        return f"t = {units.text(time, TIME, '.9g')}"
+
+    low, median, high = found.band[:, -1].tolist()
     radius = start.recording.bodies.radius
+    begin, end = at(start.checkpoint.time), at(found.time[-1])
+    yield f"{len(found.rms)} forks at step {start.checkpoint.step}, {begin}, up to {end}."
     yield (
-        f"{len(found.rms)} forks at step {start.checkpoint.step}, t = {start.checkpoint.time:.9g} s, "
-        f"up to t = {found.time[-1]:.9g} s."
+        f"At the end bodies are {units.text(median, LENGTH, '.3g')} apart (rms, median); "
+        f"5 to 95 %: {units.span(low, high, LENGTH, '.3g')}."
     )
-    yield f"At the end bodies are {median:.3g} m apart (rms, median); 5 to 95 %: {low:.3g} to {high:.3g} m."
     lost = int(np.count_nonzero(found.spread[-1] > radius))
     yield f"{lost} of {len(radius)} bodies can no longer be predicted to within their radius."
     if len(found.rates):
         rate = float(np.median(found.rates))
         yield (
-            f"The distance grows by e^(λt), λ = {rate:.3g} ± {found.rate_error:.1g} /s, "
-            f"twice as much every {np.log(2.0) / rate:.3g} s."
+            f"The distance grows by e^(λt), λ = {rate_text(rate, found.rate_error, units)}, "
+            f"twice as much every {units.text(np.log(2.0) / rate, TIME, '.3g')}."
         )
     else:
         yield "The distance does not grow exponentially."
@@ -243,11 +254,10 @@ def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitabl
     if moment is not None:
         state = "was" if found.reference_outcome else "was not"
         for tested in moment.tested:
-            yield f"  forked at t = {tested.time:.9g} s: {tested.hits} of {tested.forks} end in the same way"
+            yield f"  forked at {at(tested.time)}: {tested.hits} of {tested.forks} end in the same way"
         if moment.always:
-            yield f"That it {state} so was inevitable at t = {moment.latest:.9g} s already; fork earlier."
+            yield f"That it {state} so was inevitable at {at(moment.latest)} already; fork earlier."
         else:
             yield (
-                f"That it {state} so was inevitable from t = {moment.latest:.9g} s on, "
-                f"and not yet at t = {moment.earliest:.9g} s."
+                f"That it {state} so was inevitable from {at(moment.latest)} on, and not yet at {at(moment.earliest)}."
             )

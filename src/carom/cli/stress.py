@@ -11,12 +11,15 @@ from carom.cli.options import SetOption
 from carom.cli.text import say
 from carom.experiment.ending import in_words
 from carom.scene.command import command
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.experiment.expectation import Verdict
     from carom.experiment.stress import Trial
+    from carom.scene.schema import Scene
+    from carom.scene.units.system import UnitSystem
 
 PIPE_WIDTH = 140  # characters of the table where the output is not a terminal
 
@@ -54,12 +57,12 @@ def stress(
     if as_json:
         say(json.dumps(_document(trials, len(scenes)), indent=2, ensure_ascii=False))
     else:
-        _show(trials, len(scenes))
+        _show(trials, scenes)
     if sum(trial.met for trial in trials) < len(scenes):
         raise typer.Exit(1)
 
 
-def _show(trials: list[Trial], asked: int) -> None:
+def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
     """Print the table, then each miss with its worst moments."""
     from rich.markup import escape
 
@@ -74,9 +77,9 @@ def _show(trials: list[Trial], asked: int) -> None:
             console.print(
                 f"\n[red]{trial.name}[/red]: {in_words(trial.status)}: {escape(trial.reason)}", soft_wrap=True
             )
-            console.print(_worst(trial), soft_wrap=True)
+            console.print(_worst(trial, scenes[trial.name].unit_system), soft_wrap=True)
     met = sum(trial.met for trial in trials)
-    console.print(f"\n{met} of {asked} extremes met their criteria{_not_run(len(trials), asked)}.")
+    console.print(f"\n{met} of {len(scenes)} extremes met their criteria{_not_run(len(trials), len(scenes))}.")
 
 
 def _not_run(ran: int, asked: int) -> str:
@@ -116,17 +119,17 @@ def _met(verdict: Verdict) -> str:
     return "yes" if verdict.met else "[red]NO[/red]"
 
 
-def _worst(trial: Trial) -> Table:
+def _worst(trial: Trial, units: UnitSystem) -> Table:
     """Show each worst moment with the command that looks at it."""
     from rich.markup import escape
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
     for what, moment in trial.worst.items():
-        look = command("view", trial.outcome.path, "--at", f"{moment.time:.6g}") if trial.outcome else ""
-        table.add_row(
-            f"  {what}", f"step {moment.step}", f"t = {moment.time:.6g} s", escape(moment.between), escape(look)
-        )
+        time = units.shown(moment.time, TIME)
+        look = command("view", trial.outcome.path, "--at", f"{time:.6g}") if trial.outcome else ""
+        when = f"t = {units.text(moment.time, TIME)}"
+        table.add_row(f"  {what}", f"step {moment.step}", when, escape(moment.between), escape(look))
     return table
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from carom.experiment.work_precision.settings_grid import Setting
     from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+    from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[
     list[str] | None,
@@ -146,7 +147,7 @@ def _draw(study: Study, quiet: bool) -> None:
     said = [str(study.folder / "tradeoff.json")]
     figure, recording = study.folder / "tradeoff.png", study.folder / "tradeoff.rrd"
     try:
-        draw(study.document(), figure)
+        draw(study.document(), figure, study.scene.unit_system)
         said.append(str(figure))
     except ExperimentError as error:
         said.append(f"no figure: {error}")
@@ -210,7 +211,7 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
         table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
     for result in done:
         name = result.setting.name
-        cells = [_cell(result, error, marks[error].get(name, "")) for error in shown]
+        cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
         cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
         table.add_row(escape(name), *cost, str(result.steps), *cells)
     for result in study.results:
@@ -221,12 +222,13 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
 
 def _heading(study: Study, error: str) -> str:
     """Return the name of a column, with the unit of its numbers."""
-    unit = study.scene.unit_system.recorded_unit("s") if error == "impact" else "1"
-    return COLUMNS[error] if unit == "1" else f"{COLUMNS[error]} / {unit}"
+    unit = study.scene.unit_system.unit(TIME) if error == "impact" else ""
+    return f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
 
 
-def _cell(result: Result, error: str, mark: str) -> str:
+def _cell(result: Result, error: str, mark: str, units: UnitSystem) -> str:
     value = getattr(result.errors, error)
+    value = units.shown(value, TIME) if error == "impact" else value
     if math.isnan(value):
         return ""
     text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"

@@ -27,7 +27,9 @@ from carom.recording.source.audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
 from carom.recording.source.source import Model, Setup, Source, State, array_of, setup_of
 from carom.recording.write.recorder import Recorder as FrameRecorder
-from carom.scene.units.system import SI
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.unit import UnitError
 
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
 MOST_WAITING = 256
@@ -63,13 +65,16 @@ class Recorder:
         ten has it, and the others have positions in float32.
     tolerances
         How much may be wrong before the audit reports it.
+    units
+        Of the source, if they are not SI: a length, a time and a mass, such as ``"au, day, solar mass"``, or
+        ``"dimensionless"``.
     force
         Whether to replace a file that exists.
 
     Raises
     ------
     RecordingError
-        If the path cannot be written, or the source shows something that is not a run of bodies.
+        If these are no units, the path cannot be written, or the source shows something that is not a run of bodies.
     """
 
     def __init__(
@@ -83,12 +88,17 @@ class Recorder:
         duration: float = 0.0,
         exact: bool = True,
         tolerances: Tolerances | None = None,
+        units: str | None = None,
         force: bool = False,
     ) -> None:
         if last is not None and last < 1:
             raise RecordingError(f"last = {last}: keep at least one frame")
         if every < 1:
             raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
+        try:
+            self._units = SI if units is None else UnitSystem.of_text(units)
+        except UnitError as error:
+            raise RecordingError(f'units = "{units}": {error}') from None
         self.path = Path(path)
         refuse_output(self.path, force)
         self._source, self._every, self._exact, self._force = source, every, exact, force
@@ -127,7 +137,8 @@ class Recorder:
             return False
         if not state.time >= self._time:
             raise RecordingError(
-                f"{setup.engine}: the time went back from {self._time:g} to {state.time:g} s; begin another recording"
+                f"{setup.engine}: the time went back from {self._units.shown(self._time, TIME):g} to "
+                f"{self._units.text(state.time, TIME, 'g')}; begin another recording"
             )
         self._time = state.time
         if self._ring is not None:
@@ -191,7 +202,7 @@ class Recorder:
         return setup
 
     def _writer(self, path: Path, setup: Setup, first: State, force: bool) -> _Writer:
-        observer = Observer(setup, first, self._tolerances)
+        observer = Observer(setup, first, self._tolerances, self._units)
         stamped: dict[str, Scalar] = {**environment(1), "engine": setup.engine}
         header = header_of_source(
             setup,
@@ -200,6 +211,7 @@ class Recorder:
             duration=self._duration,
             exact=self._exact,
             properties=stamped,
+            units=self._units,
         )
         return _Writer(path, observer, header, force)
 
@@ -269,7 +281,10 @@ class _Writer:
             extremes = self._observer.extremes.named(self._observer.names)
             steps, time = self._last
             totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
-            events = (*(fault.event for fault in faults), *self._observer.extremes.highlights(self._observer.names, SI))
+            events = (
+                *(fault.event for fault in faults),
+                *self._observer.extremes.highlights(self._observer.names, self._observer.units),
+            )
             self._recorder.finish(outcome, totals | closing_of(extremes) | dict(audit.closing()), events)
         finally:
             self._stack.close()

@@ -133,6 +133,15 @@ def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wro
     return value
 
 
+def place_of(path: KeyPath) -> _Place | None:
+    """Return what may stand at a path of keys; None if no quantity may."""
+    keys = [key for key in path if isinstance(key, str)]
+    at = place(keys[0]) if keys else None
+    for key in keys[1:]:
+        at = at and at.below.get(key)
+    return at
+
+
 @cache
 def place(key: str) -> _Place | None:
     """Return what may stand at a key of a scene, at any depth below it; None if no quantity may."""

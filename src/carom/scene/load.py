@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
 from carom.scene.command import command
-from carom.scene.conversion import Wrong, converted
+from carom.scene.conversion import Wrong, converted, place_of
 from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
 from carom.scene.error import SceneError
 from carom.scene.hint import hint, model_in
@@ -305,7 +305,7 @@ def _validate(data: dict[str, Any], text: str, places: _Places, bodies: BodySour
         for detail in error.errors():
             path = _written_path(detail, data)
             if not _is_known(path, messages):
-                messages[path] = _explain(detail, path, places, data)
+                messages[path] = _explain(detail, path, places, data, units)
     if messages:
         more = len(messages) - MOST_MESSAGES
         shown = itertools.islice(messages.values(), MOST_MESSAGES)
@@ -359,17 +359,17 @@ def _not_a_quantity(wrong: Wrong, places: _Places) -> str:
     return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
 
 
-def _explain(detail: Any, path: KeyPath, places: _Places, data: Any) -> str:
+def _explain(detail: Any, path: KeyPath, places: _Places, data: Any, units: UnitSystem) -> str:
     """Return one line with the place, the key, what is wrong and what would be right."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
     if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):
-        return f"{place}{key} is missing{_expected(path)}"
+        return f"{place}{key} is missing{_expected(path, units)}"
     if detail["type"] == "value_error":
         return f"{place}{key}{': ' if key else ''}{detail['ctx']['error']}"
     shown = repr(given) if isinstance(given, str) else str(given)
-    return f"{place}{key} = {shown[:80]}: {_wrong(detail)}{_expected(path)}"
+    return f"{place}{key} = {shown[:80]}: {_wrong(detail)}{_expected(path, units)}"
 
 
 def _is_union_member(key: str | int) -> bool:
@@ -458,6 +458,14 @@ def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
     return model, field
 
 
-def _expected(path: KeyPath) -> str:
+def _expected(path: KeyPath, units: UnitSystem) -> str:
+    """Return the description of a key; its numbers are in the units of the scene."""
     _, field = _field(path)
-    return f" ({path[-1]}: {field.description})" if field is not None and field.description else ""
+    if field is None or not field.description:
+        return ""
+    text, at = field.description, place_of(path)
+    if at is not None and at.dimension is not None:
+        unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
+        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default, which is in SI
+            text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
+    return f" ({path[-1]}: {text})"

@@ -125,13 +125,18 @@ def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
     return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
 
 
+def rate_text(rate: float, error: float, units: UnitSystem) -> str:
+    """Write a rate of growth and its error (1/s) in the units of the scene, such as "0.3 ± 0.02 /day"."""
+    unit = units.unit(TIME)
+    return f"{units.shown(rate, RATE):.3g} ± {units.shown(error, RATE):.1g}{f' /{unit}' if unit else ''}"
+
+
 def _grows(divergence: Divergence | None, units: UnitSystem) -> str:
     if divergence is None:
         return "it does not grow tenfold"
     if divergence.is_exponential:
         return (
-            f"it grows by e^(λt), λ = {units.shown(divergence.rate, RATE):.3g} ± "
-            f"{units.shown(divergence.standard_error, RATE):.1g} /{units.unit(TIME)}, "
+            f"it grows by e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, "
             f"twice as much every {units.text(divergence.doubling_time, TIME, '.3g')}"
         )
     return f"it grows like a power of time, t^{divergence.power:.2g}, not exponentially"

@@ -23,7 +23,6 @@ from carom.recording.source.observer import Observer, header_of_source, not_fini
 from carom.recording.source.source import State, setup_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
-from carom.scene.units.system import SI
 
 if TYPE_CHECKING:
     from carom.experiment.engines.stepped import Simulation
@@ -62,7 +61,7 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
     """
     model, first = simulation.source.model, simulation.source.state()
     setup = setup_of(model, first)
-    observer = Observer(setup, first, Tolerances())
+    observer = Observer(setup, first, Tolerances(), scene.unit_system)
     samples, met, outcome = _Samples(times), dict[tuple[int, int], float](), "completed"
     with ExitStack() as stack:
         recorder = None
@@ -75,6 +74,7 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
                 duration=scene.time.duration,
                 exact=True,
                 properties={**environment(1), "engine": setup.engine},
+                units=scene.unit_system,
             )
             recorder = stack.enter_context(Recorder(path, header))
         end, due = scene.time.duration, 0.0  # s, of the next recorded frame
@@ -98,7 +98,9 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
                 recorder.put(frame)
                 due = frame.time + end / FRAMES
         if recorder:
-            recorder.finish(outcome, _closing(observer, frame), observer.extremes.highlights(observer.names, SI))
+            recorder.finish(
+                outcome, _closing(observer, frame), observer.extremes.highlights(observer.names, scene.unit_system)
+            )
     if outcome != "completed" and path is None:
         raise ExperimentError(outcome.removeprefix("failed: "))
     audit = observer.audit

@@ -16,6 +16,7 @@ from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
 _STATE = {"domain": "the places of the bodies belong to it", "sweep": "one fork is one run"}
@@ -78,11 +79,11 @@ def start_of(branch: Branch) -> Start:
     scene = recorded_scene(recording, list(branch.overrides)) if branch.overrides else original
     checkpoint = _checkpoint_at(recording, original, recording.moment(branch.at))
     _refuse_other_state(branch, original, scene)
-    end = scene.time.duration
+    end, units = scene.time.duration, scene.unit_system
     if checkpoint.time >= end:
         raise ExperimentError(
-            f"the run ends at {end:g} s: a fork at t = {checkpoint.time:.9g} s has nothing to go on to; "
-            "give an earlier --at, or a later end with --set time.duration=…"
+            f"the run ends at {units.text(end, TIME, 'g')}: a fork at t = {units.text(checkpoint.time, TIME, '.9g')} "
+            "has nothing to go on to; give an earlier --at, or a later end with --set time.duration=…"
         )
     return Start(recording, scene, checkpoint)
 
@@ -97,7 +98,9 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
     for frame in space.run(schedule=lambda step, before, now: now >= goal):
         if frame.time >= goal:
             return frame.checkpoint
-    raise RecordingError(f"{recording.path} ends before {time:.9g} s when it is run again")
+    raise RecordingError(
+        f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is run again"
+    )
 
 
 def _refuse_state(overrides: tuple[str, ...]) -> None:

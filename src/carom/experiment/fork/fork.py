@@ -12,6 +12,7 @@ from carom.experiment.fork.ensemble import Ensemble
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import Forecast, write_forecast
+from carom.scene.units.dimension import LENGTH, TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +57,20 @@ def text_of(start: Start, found: Diff) -> str:
     """Say when a branch left its recording, what is other in it, and how far they are apart at the end."""
     changes = ", ".join(f"{key} = {other}, before {one}" for key, (one, other) in found.scene.items())
     what = f" with {changes}" if changes else ""
-    curve, first = found.curve, found.verdict.first
-    forked = f"forked at step {start.checkpoint.step}, t = {start.checkpoint.time:.9g} s{what}"
+    curve, first, units = found.curve, found.verdict.first, start.scene.unit_system
+    forked = f"forked at step {start.checkpoint.step}, t = {units.text(start.checkpoint.time, TIME, '.9g')}{what}"
     if first is None:
         return f"{forked}: the same bits up to the end"
+    when, (apart, size) = units.text(curve.time[first], TIME), (curve.rms[-1], curve.size)
     return (
-        f"{forked}: the first frame that differs is step {curve.step[first]}, t = {curve.time[first]:.6g} s; "
-        f"at the end counterparts are {curve.rms[-1]:.3g} m apart (rms), in a system of {curve.size:.3g} m"
+        f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at the end counterparts are "
+        f"{units.text(apart, LENGTH, '.3g')} apart (rms), in a system of {units.text(size, LENGTH, '.3g')}"
     )
 
 
 def write_ensemble(start: Start, found: Ensemble, text: str, out: Path) -> None:
     """Write an ensemble for the viewer. RecordingError if it cannot be written."""
-    title = f"{start.recording.title}: {len(found.rms)} forks at t = {start.checkpoint.time:.6g} s"
+    when = start.scene.unit_system.text(start.checkpoint.time, TIME)
+    title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"
     forecast = Forecast(title, f"# {title}\n\n{text}", found.time, found.reference, found.spread, found.band)
     write_forecast(out, start.recording, forecast)

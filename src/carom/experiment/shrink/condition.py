@@ -15,6 +15,7 @@ from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
 from carom.scene.nearest import nearest, suggestion
 from carom.scene.schema.expect import Expect
+from carom.scene.units.dimension import TIME
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
@@ -311,7 +312,8 @@ class Failed:
     def pinned(self, seen: Observation) -> Failed:
         """Return the condition for the same message, whatever the numbers in it."""
         if not self.holds(seen):
-            ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {seen.space.time:.6g} s"
+            end = seen.space.scene.unit_system.text(seen.space.time, TIME)
+            ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {end}"
             raise ExperimentError(f"nothing to shrink: the run {ended}")
         return replace(self, message=_template(seen.error))
 

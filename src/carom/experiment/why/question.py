@@ -10,6 +10,7 @@ from carom.recording.read.names import names_of
 from carom.recording.read.recording import Recording
 from carom.recording.view.pair import event as event_of
 from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,7 @@ class Question:
     time: float  # s
     text: str  # it, in words
     event: str | None = None  # its name
+    units: UnitSystem = SI  # that it is answered in
 
 
 def question_of(recording: Recording, body: str | None, at: float | None, event: str | None) -> Question:
@@ -54,7 +56,7 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     time = recording.moment(float(recording.fingerprints()["time"][-1].as_py()) if at is None else at)
     name = names_of(recording).of(number)
     when = recording.units.text(time, TIME, ".9g")
-    return Question((number,), None, time, f"Why does {name} move as it does at t = {when}?")
+    return Question((number,), None, time, f"Why does {name} move as it does at t = {when}?", units=recording.units)
 
 
 def _of_event(recording: Recording, event: str) -> Question:
@@ -68,4 +70,4 @@ def _of_event(recording: Recording, event: str) -> Question:
     j = pair.j if pair.j is not None else count + (pair.plane or 0)
     bodies = (pair.i,) if j >= count else (pair.i, j)
     text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {when}?"
-    return Question(bodies, (pair.i, j), time, text, event)
+    return Question(bodies, (pair.i, j), time, text, event, recording.units)

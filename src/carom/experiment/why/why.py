@@ -166,8 +166,9 @@ class _Backwards:
 
 def _moment(question: Question, history: History) -> tuple[Step, Rows, list[FloatArray], Rows]:
     """Return the step asked about, its impulses and kicks before the moment, and the impulses from it on."""
+    time = question.units.text(question.time, TIME, ".9g")
     if not history.steps:
-        raise ExperimentError(f"t = {question.time:.9g} s is the beginning of the recording: nothing happened before")
+        raise ExperimentError(f"t = {time} is the beginning of the recording: nothing happened before")
     last = history.steps[-1]
     if question.ends is None:
         return last, last.impulses, last.kicks, last.impulses[:0]
@@ -176,7 +177,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Rows, list[Floa
     found = [(step, row) for step in near for row in _rows_of(step, question.ends)]
     if not found:
         raise ExperimentError(
-            f"{question.event}: nothing passed between the two bodies at t = {question.time:.9g} s when it is run again"
+            f"{question.event}: nothing passed between the two bodies at t = {time} when it is run again"
         )
 
     def off(one: tuple[Step, int]) -> tuple[float, bool]:

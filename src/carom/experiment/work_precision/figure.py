@@ -10,6 +10,8 @@ import numpy as np
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.pareto_front import pareto_front
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 PANELS = {
     "position": "position, rms / size",
-    "impact": "first contacts, rms / s",
+    "impact": "first contacts, rms",
     "energy": "integration error / energy",
     "overlap": "deepest overlap / radius",
     "sinking": "mean overlap at rest / radius",
@@ -47,8 +49,8 @@ def styled(size: float) -> AbstractContextManager[None]:
     return mpl.rc_context({"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK})
 
 
-def draw(document: dict[str, Any], path: Path) -> None:
-    """Draw the document of a study into a PNG or SVG.
+def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
+    """Draw the document of a study into a PNG or SVG; times of impacts are drawn in units of its scene.
 
     Raises
     ------
@@ -69,7 +71,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
         canvas = FigureCanvasAgg(figure)
         axes = figure.subplots(rows, min(len(panels), 2), squeeze=False).ravel()
         for ax, error in zip(axes, panels, strict=False):
-            _panel(ax, error, document, done)
+            _panel(ax, error, document, done, units if error == "impact" else None)
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         figure.suptitle(document["scene"]["title"], fontsize=10)
@@ -82,11 +84,15 @@ def draw(document: dict[str, Any], path: Path) -> None:
         figure.savefig(path)
 
 
-def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, Any]]) -> None:
+def _panel(
+    ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, Any]], units: UnitSystem | None
+) -> None:
+    """Draw one error over the cost; ``units`` are those of an error that is a time."""
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
-    points = [(e["cost"], max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
-    ax.set(xscale="log", yscale="log", ylabel=PANELS[error])
+    one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
+    points = [(e["cost"], one * max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
+    ax.set(xscale="log", yscale="log", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
     costs = [point[0] for point in points]
     wide = max(costs) > MOST_LABELLED * min(costs)
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
@@ -119,11 +125,11 @@ def _panel(ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, 
         error not in ("energy", "energy_gain", "overlap", "sinking")
         and floor
         and floor > LEAST
-        and floor > min(w for _, w, _ in points) / 30
+        and one * floor > min(w for _, w, _ in points) / 30
     ):
-        ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
+        ax.axhline(one * floor, color=FAINT, linewidth=0.8, linestyle=":")
         words, where = "the reference's own uncertainty", ("axes fraction", "data")
-        ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
+        ax.annotate(words, (1.0, one * floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
     ax.margins(x=0.12, y=0.12)
 
 

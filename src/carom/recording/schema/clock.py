@@ -45,7 +45,7 @@ class Clock:
         """Turn simulated seconds into whole nanoseconds of the timeline: rounded, never truncated."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
         if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
-            raise RecordingError(f"simulated time {np.max(np.abs(times)):g} s does not fit the timeline")
+            raise RecordingError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 
     def columns(self, steps: Sequence[int], times: Sequence[float], impacts: Sequence[int] = ()) -> list[rr.TimeColumn]:

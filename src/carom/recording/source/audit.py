@@ -25,6 +25,8 @@ from carom.physics.event import Event
 from carom.recording.source.proximity import Moment, Near
 from carom.recording.source.source import Setup
 from carom.scene.names import Names, bodies_called
+from carom.scene.units.dimension import ENERGY, VELOCITY
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -105,12 +107,15 @@ class Audit:
         How much may be wrong.
     names
         Of the bodies and planes.
+    units
+        Of the numbers, and those that faults are told in.
     """
 
-    def __init__(self, setup: Setup, tolerances: Tolerances, names: Names) -> None:
+    def __init__(self, setup: Setup, tolerances: Tolerances, names: Names, units: UnitSystem = SI) -> None:
         self._setup = setup
         self._tolerances = tolerances
         self._names = names
+        self._units = units
         self._owed = np.zeros(len(setup))  # J, that contacts took from each body since it last was free
         self._typical = 0.0  # m/s
         self._scale = 0.0  # J, the largest kinetic energy so far
@@ -297,7 +302,8 @@ class Audit:
             return
         who = np.flatnonzero(clusters.label == worst)
         came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
-        text = f"Energy {came}: {abs(wrong[worst]):.3g} J, {share[worst]:.2%} of that of {self._called(who)}."
+        much = self._units.text(abs(float(wrong[worst])), ENERGY, ".3g")
+        text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(who)}."
         yield Fault("energy", *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
 
     def _book(self, clusters: _Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
@@ -343,7 +349,8 @@ class Audit:
         if len(missed):
             worst = int(missed[np.argmax(closing[missed])])
             how = "passed through each other" if through[worst] else "touch, and this step did not push them apart"
-            text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {closing[worst]:.3g} m/s."
+            speed = self._units.text(float(closing[worst]), VELOCITY, ".3g")
+            text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
             yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # or it is another body that turned them

@@ -28,6 +28,7 @@ from carom.recording.source.source import LARGEST, Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.names import Names
 from carom.scene.placement import Start
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -45,10 +46,13 @@ class Observer:
         The first state.
     tolerances
         Of the audit.
+    units
+        Of the numbers, and those that faults are told in.
     """
 
-    def __init__(self, setup: Setup, first: State, tolerances: Tolerances) -> None:
+    def __init__(self, setup: Setup, first: State, tolerances: Tolerances, units: UnitSystem = SI) -> None:
         self.setup = setup
+        self.units = units
         self.extremes = Extremes()
         self.names = Names(setup.names, setup.planes.name)
         self.bodies = Bodies.at_start(_start(setup, first), spins=setup.spins, orients=setup.turns)
@@ -57,7 +61,7 @@ class Observer:
         self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
         self._gravity = DirectGravity(setup.mass, setup.constant, setup.softening) if setup.constant else None
         self._proximity = Proximity(setup)
-        self.audit = Audit(setup, tolerances, self.names)
+        self.audit = Audit(setup, tolerances, self.names, units)
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
@@ -211,6 +215,7 @@ def header_of_source(
     duration: float,
     exact: bool,
     properties: dict[str, Scalar],
+    units: UnitSystem = SI,
 ) -> Header:
     """Return the header of a recording of another engine.
 
@@ -244,6 +249,7 @@ def header_of_source(
         box=setup.box if setup.box[0] > 0.0 else None,
         planes=setup.planes if len(setup.planes) else None,
         properties=properties,
+        units=units,
         engine=setup.engine,
         exact=exact,
     )

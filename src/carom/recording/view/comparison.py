@@ -24,6 +24,8 @@ from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.statics import curve_style
+from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
+from carom.scene.units.system import UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -32,8 +34,8 @@ PROPERTY = "diff"
 _A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
 _TEXT = "diff"
 _SERIES = {
-    "rms": ("difference/rms", "log₁₀ of rms distance (m)", palette.LINES["red"]),
-    "energy": ("difference/energy", "log₁₀ of energy difference (J)", palette.LINES["blue"]),
+    "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
+    "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
 }
 _LARGEST = 100_000_000  # bytes of positions; of longer recordings every k-th frame is shown
 _BATCH = 4_000_000  # bytes
@@ -81,11 +83,10 @@ def write_overlay(
         writer.log(_A, _spheres(radius, palette.SKY, list(a.bodies.name), FillMode.Solid))
         writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, list(a.bodies.name), FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
-        for path, name, colour in _SERIES.values():
-            writer.log(path, curve_style(name, colour))
-        writer.send_property(
-            "carom", {"title": f"{a.title}: two runs", "time_scale": clock.scale, "bodies": len(radius)}
-        )
+        for path, name, dimension, colour in _SERIES.values():
+            writer.log(path, curve_style(_heading(name, dimension, a.units), colour))
+        own = {"title": f"{a.title}: two runs", **a.units.properties()}
+        writer.send_property("carom", {**own, "time_scale": clock.scale, "bodies": len(radius)})
         writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
         done = 0
         while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
@@ -96,7 +97,7 @@ def write_overlay(
             _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
             done += len(batch)
         if extent is not None:
-            writer.send_layout(_layout(extent.view()))
+            writer.send_layout(_layout(extent.view(), a.units))
         writer.flush()
 
 
@@ -150,12 +151,21 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
     return "\n".join([*lines, f"- Every {every}th frame is shown." if every > 1 else ""]) + "\n"
 
 
-def _layout(view: View) -> rrb.Blueprint:
+def _heading(what: str, dimension: Dimension, units: UnitSystem) -> str:
+    unit = units.recorded_unit(dimension.unit)
+    return f"log₁₀ of {what}{f' ({unit})' if unit != '1' else ''}"
+
+
+def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
     plots = [
         rrb.TimeSeriesView(
-            name=title, origin="/", contents=[path], plot_legend=rrb.PlotLegend(visible=False), axis_x=whole_time()
+            name=_heading(name, dimension, units),
+            origin="/",
+            contents=[path],
+            plot_legend=rrb.PlotLegend(visible=False),
+            axis_x=whole_time(),
         )
-        for path, title, _ in _SERIES.values()
+        for path, name, dimension, _ in _SERIES.values()
     ]
     panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
     return beside_bodies("A blue, B orange", [_A, _B, _LINES], view, panels)

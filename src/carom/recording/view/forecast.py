@@ -20,6 +20,7 @@ from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.statics import curve_style
+from carom.scene.units.dimension import LENGTH
 
 FloatArray = NDArray[np.float64]
 Colours = NDArray[np.uint32]
@@ -78,7 +79,8 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         )
         for path, name, colour in _BAND:
             writer.log(path, curve_style(name, colour))
-        writer.send_property("carom", {"title": forecast.title, "time_scale": clock.scale, "bodies": len(radius)})
+        own = {"title": forecast.title, **recording.units.properties()}
+        writer.send_property("carom", {**own, "time_scale": clock.scale, "bodies": len(radius)})
         writer.send_property("diff", {"a": recording.path.name, "b": "fork", "verdict": forecast.title})
         colours = np.concatenate([shades(row, radius) for row in forecast.spread])
         centres = shown.reshape(-1, 3).astype(np.float32)
@@ -91,14 +93,14 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         times = pa.array(forecast.time)
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
-        writer.send_layout(_layout(camera.view()))
+        writer.send_layout(_layout(camera.view(), recording.units.recorded_unit(LENGTH.unit)))
         writer.flush()
 
 
-def _layout(view: View) -> rrb.Blueprint:
+def _layout(view: View, length: str) -> rrb.Blueprint:
     panels = rrb.Vertical(
         rrb.TimeSeriesView(
-            name="log₁₀ of rms distance (m): median, 5 and 95 %",
+            name=f"log₁₀ of rms distance{f' ({length})' if length != '1' else ''}: median, 5 and 95 %",
             origin="/",
             contents=[path for path, _, _ in _BAND],
             axis_x=whole_time(),

@@ -27,7 +27,13 @@ from carom.scene.placement.lattice import lattice
 from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
 from carom.scene.placement.plummer import drawn_velocities, mass_within
 from carom.scene.placement.random_placement import clear_of, positions
-from carom.scene.placement.region import default_region, half_extent, packing_fraction, plummer_lengths
+from carom.scene.placement.region import (
+    default_region,
+    half_extent,
+    packing_fraction,
+    plummer_lengths,
+    refuse_too_large,
+)
 from carom.scene.placement.start import Start, join
 from carom.scene.schema import Body, Group, Region, Scene
 from carom.scene.schema.group import LATTICES
@@ -134,10 +140,10 @@ def _group(
         _refuse_full_region(index, group)
     n = group.count
     radius = drawn_radii(group, rng)
-    region = group.region or default_region(index, radius)
+    region = group.region or default_region(index, radius, units)
     room = float(half_extent(region).max())
     refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()), units)
-    position = _arranged(index, group, region, radius, placed, solids, box, rng)
+    position = _arranged(index, group, region, radius, placed, solids, box, rng, units)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
     velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
@@ -174,6 +180,7 @@ def _arranged(
     solids: HalfSpaces,
     box: FloatArray | None,
     rng: np.random.Generator,
+    units: UnitSystem,
 ) -> FloatArray:
     """Return the centres of a group, (n, 3) m."""
     if group.arrangement in LATTICES:
@@ -181,13 +188,14 @@ def _arranged(
         def is_clear(points: FloatArray) -> NDArray[np.bool_]:
             return clear_of(points, np.full(len(points), radius.max()), placed, solids, box)
 
-        found = lattice(index, group, region, radius, is_clear)
+        found = lattice(index, group, region, radius, is_clear, units)
         if box is not None and len(overlapping_pairs(found, radius, box)):
             raise SceneError(
                 f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
                 "smaller than the box by a spacing"
             )
         return found
+    refuse_too_large(index, region, radius, units)
     if group.arrangement == "random":
         return positions(index, region, radius, placed, solids, box, rng)
     small = shrunken(radius, packing_fraction(group))

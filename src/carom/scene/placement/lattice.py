@@ -16,6 +16,8 @@ from carom.scene.error import SceneError
 from carom.scene.placement.region import bounds, contains, volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Group, Region
+from carom.scene.units.dimension import LENGTH
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -36,7 +38,12 @@ MOST_POINTS = 50_000_000
 
 
 def lattice(
-    index: int, group: Group, region: Region, radius: FloatArray, is_clear: Callable[[FloatArray], Flags]
+    index: int,
+    group: Group,
+    region: Region,
+    radius: FloatArray,
+    is_clear: Callable[[FloatArray], Flags],
+    units: UnitSystem = SI,
 ) -> FloatArray:
     """Return the centres of a group on a lattice, (n, 3) m; ``is_clear`` tells which of some points are free.
 
@@ -47,16 +54,17 @@ def lattice(
     """
     n, least = len(radius), 2.0 * float(radius.max()) * TOUCHING
     if group.spacing is not None:
+        given = units.text(group.spacing, LENGTH, "g")
         if group.spacing < 2.0 * radius.max():
             widest = 2.0 * float(radius.max())
             raise SceneError(
-                f"group.{index}.spacing = {group.spacing:g} m is less than a diameter, {widest:g} m; raise it"
+                f"group.{index}.spacing = {given} is less than a diameter, {units.text(widest, LENGTH, 'g')}; raise it"
             )
         found = _points(index, group, region, max(group.spacing, least), float(radius.max()))
         found = found[is_clear(found)]
         if len(found) < n:
             raise SceneError(
-                f"group.{index}.region has room for {len(found)} of {n} bodies at spacing = {group.spacing:g} m; "
+                f"group.{index}.region has room for {len(found)} of {n} bodies at spacing = {given}; "
                 "enlarge the region or lower spacing or count"
             )
         return found[:n]

@@ -16,7 +16,7 @@ from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces
 from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance, wrapped
 from carom.scene.placement.occupancy import Occupancy
-from carom.scene.placement.region import bounds, drawn_centres, refuse_too_large, volume
+from carom.scene.placement.region import bounds, drawn_centres, volume
 from carom.scene.placement.start import Start
 from carom.scene.schema import Region
 
@@ -40,7 +40,6 @@ def positions(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
-    refuse_too_large(index, region, radius)
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
     obstacles = [(start.position, start.radius) for start in placed]

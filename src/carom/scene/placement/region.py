@@ -12,6 +12,8 @@ from carom.scene.placement.matter import mean_volume
 from carom.scene.placement.plummer import drawn_distances, mass_within
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, Group, Region
+from carom.scene.units.dimension import LENGTH
+from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -96,25 +98,25 @@ def confined(region: Region, position: FloatArray, radius: FloatArray) -> FloatA
     return np.asarray(np.array(region.centre) + offset)
 
 
-def default_region(index: int, radius: FloatArray) -> Region:
+def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Region:
     """Return a ball that is `DEFAULT_PACKING` full."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
         room = float(max(cube_root(volume), 1.01 * radius.max()))
     if room > LARGEST:
-        raise SceneError(f"group.{index}: bodies so large need a region of more than {LARGEST:g} m; lower the radius")
+        most = units.text(LARGEST, LENGTH, "g")
+        raise SceneError(f"group.{index}: bodies so large need a region of more than {most}; lower the radius")
     return Region(radius=room)
 
 
-def refuse_too_large(index: int, region: Region, radius: FloatArray) -> None:
+def refuse_too_large(index: int, region: Region, radius: FloatArray, units: UnitSystem = SI) -> None:
     """Refuse bodies larger than their region."""
     room = float(half_extent(region).min())
     if region.inner_radius is not None:
         room = 0.5 * (room - region.inner_radius)
     if radius.max() > room:
-        raise SceneError(
-            f"group.{index}: a body of radius {radius.max():g} m does not fit into its region; enlarge the region"
-        )
+        size = units.text(float(radius.max()), LENGTH, "g")
+        raise SceneError(f"group.{index}: a body of radius {size} does not fit into its region; enlarge the region")
 
 
 def drawn_centres(region: Region, radius: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -46,7 +46,7 @@ class Drag(Section):
         largest = max(map(abs, self.medium_velocity))
         if largest > LARGEST * self.relaxation_time:
             raise ValueError(
-                f"medium_velocity / relaxation_time is more than {LARGEST:g} m/s²; raise relaxation_time, or choose "
-                "other units"
+                f"medium_velocity / relaxation_time is more than {LARGEST:g}; raise relaxation_time, or choose other "
+                "units"
             )
         return self
