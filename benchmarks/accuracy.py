@@ -217,6 +217,7 @@ class Case:
         assert found.promise is not None
         kept = found.promise.kept_until
         path, own, steps = follow(found, self.times)
+        cost = least(lambda: run_freely(asked)) if own < REPEATED_BELOW else ahead + own
         reference = self.reference.position
         until = self.times[min(solved, len(path)) - 1] if solved else 0.0
         error = self.apart(path, reference)
@@ -243,8 +244,8 @@ class Case:
             "kept": bool(worst <= request),
             "steps": steps,
             "look_ahead": ahead,
-            "cost": ahead + own,
-            "best": self.cheapest(request, reference, kept, ahead + own, min(FRAMES, steps)),
+            "cost": cost,
+            "best": self.cheapest(request, reference, kept, cost, min(FRAMES, steps)),
         }
 
     def cheapest(

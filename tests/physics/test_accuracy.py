@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,16 @@ from numpy.typing import NDArray
 
 from carom.experiment.run import kept_accuracy
 from carom.experiment.work_precision.event_driven_reference import solve
+from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
+from carom.physics.integrators.radau_tolerance import tolerance
+from carom.physics.integrators.radau_twin import part
 from carom.physics.look_ahead import settled
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
+from carom.scene.placement import place
 from carom.scene.schema import Scene
 from examples import scene_of
 
@@ -86,7 +91,7 @@ def test_an_orbit_of_eccentricity_09_closes_within_the_accuracy(accuracy: float)
 def test_rounding_at_a_close_passage_ends_the_promise() -> None:
     """A last bit of a coordinate is 10⁻¹³ of the distance at pericentre; other steps round differently."""
     scene = Scene.load(
-        str(Path(__file__).parents[2] / "benchmarks/scenes/eccentric-triple.toml"), ["time.accuracy=1e-9"]
+        str(Path(__file__).parents[2] / "benchmarks/scenes/eccentric-triple.toml"), ["time.accuracy=1e-10"]
     )
     space = Space(scene, 1)
     other = Space(scene_from_text(space.scene.toml, "shorter steps", ["time.max_dt=0.01"]), 1)
@@ -220,6 +225,32 @@ def chaotic(accuracy: float) -> Scene:
     ]
     box = {"boundary": "walls", "size": [2.0, 2.0, 2.0]}
     return scene_of(bodies, time={"duration": 20.0, "accuracy": accuracy}, domain=box, gravity=NO_PULL, contact=ELASTIC)
+
+
+def test_twins_part_as_two_runs_of_their_own_do() -> None:
+    scene = settled(kepler(0.5, 1e-6))
+    start = place(scene)
+    moved = start.position + np.array([[0.0, 0.0, 0.0], [1e-8, 0.0, 0.0]])
+    times = np.linspace(0.0, scene.time.duration, 9)[1:]
+    apart = part(scene, start, moved, 0.25, times, enough=1.0)
+    one, other = Space(scene, 1), Space(scene, 1, replace(start, position=moved))
+    for time, found in zip(times, apart, strict=True):
+        one.reach(float(time))
+        other.reach(float(time))
+        d = other.state.position - one.state.position
+        # one iteration of the twin's step is right to some per cent
+        assert found == pytest.approx(math.sqrt(float(np.mean(np.sum(d * d, axis=1)))), rel=0.1)
+
+
+def test_long_steps_of_gauss_radau15_take_hardly_more_than_two_iterations() -> None:
+    for refinement in (1.0, 0.5, 0.25):
+        start = place(kepler(0.5, 1e-6))
+        fixed, field, fraction = np.zeros(0, np.int64), np.zeros(3), STEP_FRACTION / refinement
+        x, v = start.position, start.velocity
+        runner = GaussRadau15(x, v, start.mass, fixed, field, 0.0, 1e3, None, fraction, None, tolerance(refinement))
+        runner.begin(0.01)
+        steps = runner.advance(0.0, 20.0, np.inf, 10**6).steps
+        assert runner.iterations < 3 * steps  # the first ones predict nothing
 
 
 def test_the_promise_ends_where_rounding_has_grown_to_the_accuracy() -> None:

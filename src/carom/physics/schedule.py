@@ -47,6 +47,21 @@ class At:
         return self.steps[place] - step if place < len(self.steps) else math.inf, math.inf
 
 
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """No frame; steps that are taken together end with the first one that reaches or passes a time in s."""
+
+    time: float
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Tell that no frame is due."""
+        return False
+
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, no frame is due before."""
+        return math.inf, self.time
+
+
 def every(interval: float) -> Schedule:
     """Return a frame at the first step at or after each multiple of an interval in s; 0 is every step."""
     return Every(interval)
@@ -59,12 +74,12 @@ def at(steps: Iterable[int]) -> Schedule:
 
 def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
     """Return after how many steps, and up to which time in s, a schedule is asked next: a stranger sees every step."""
-    return schedule.quiet(step, time) if isinstance(schedule, Every | At) else (1, time)
+    return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause) else (1, time)
 
 
 def looks_before(schedule: Schedule) -> bool:
     """Tell whether a schedule may look at the state before each step: a stranger is asked before anything moves."""
-    return not isinstance(schedule, Every | At)
+    return not isinstance(schedule, Every | At | Pause)
 
 
 def _multiples(time: float, interval: float) -> float:

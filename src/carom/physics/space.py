@@ -28,7 +28,7 @@ from carom.physics.look_ahead import settled
 from carom.physics.parallel.cores import cores
 from carom.physics.parallel.thread_team import Team
 from carom.physics.reference_api import BodyProxy
-from carom.physics.schedule import Schedule, at, every
+from carom.physics.schedule import Pause, Schedule, at, every
 from carom.physics.status import StepStatus
 from carom.physics.step import KickDriftStepper
 from carom.physics.stepper import Goal, Stepper
@@ -293,6 +293,12 @@ class Space:
     def reach(self, time: float) -> None:
         """Step until a time in s, without frames; see `run`."""
         goal = Goal(time, at(()), most=self.scene.record.check_every, shows_end=False)
+        while self.time < time and not self._stopping:
+            self._advance(goal, checked=False)
+
+    def pass_by(self, time: float) -> None:
+        """Step until a time in s is reached or passed, without frames and without a step that ends there."""
+        goal = Goal(self.scene.time.duration, Pause(time), most=self.scene.record.check_every, shows_end=False)
         while self.time < time and not self._stopping:
             self._advance(goal, checked=False)
 

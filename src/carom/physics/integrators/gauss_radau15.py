@@ -35,7 +35,8 @@ from carom.physics.integrators.batch import Batch, Meeting
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first_impact, reach_of, time_to_touch
 from carom.physics.integrators.radau_nodes import TERMS, WIDTH
-from carom.physics.integrators.radau_step import Motion, accelerate, attempt, move, shorten
+from carom.physics.integrators.radau_step import Motion, accelerate, attempt, motion_of, move, shorten
+from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.features import Requirements
@@ -61,6 +62,7 @@ PROGRESS = np.dtype(
         ("next_dt", np.float64),  # s
         ("last_dt", np.float64),  # s, 0 before the first step
         ("fraction", np.float64),  # η
+        ("tolerance", np.float64),  # of the largest acceleration, residual at a node
         ("steps", np.int64),
         ("limit", np.int64),  # index of `LIMITS`
         ("iterations", np.int64),
@@ -99,6 +101,8 @@ class GaussRadau15:
         η, of the shortest time in which an acceleration changes, that a step takes.
     solids
         What may touch; None where nothing can.
+    tolerance
+        Residual at a node, over the largest acceleration, at which the iterations of a step end.
     """
 
     def __init__(
@@ -113,17 +117,13 @@ class GaussRadau15:
         fixed_dt: float | None,
         fraction: float = STEP_FRACTION,
         solids: Solids | None = None,
+        tolerance: float = CONVERGED,
     ) -> None:
-        n = len(position)
-        moves = np.ones(n)
-        moves[fixed] = 0.0
-        vectors = [np.zeros((n, 3)) for _ in range(6)]
-        rows = [np.zeros((3 * n, WIDTH)) for _ in range(4)]
-        self._motion = Motion(position, velocity, *vectors, *rows, pull, moves, field)  # type: ignore[call-arg]
+        self._motion = motion_of(position, velocity, pull, fixed, field)
         self._softening_squared = softening * softening
         self._max_dt = max_dt if fixed_dt is None else fixed_dt
         self._adapts = fixed_dt is None
-        self._fraction = fraction
+        self._fraction, self._tolerance = fraction, tolerance
         self._solids = solids
         self._progress = np.zeros(1, PROGRESS)
         self._arrival = velocity  # at the end of the last step, before impacts there
@@ -155,7 +155,7 @@ class GaussRadau15:
             array[:] = 0.0
         self._progress[0] = np.zeros(1, PROGRESS)[0]
         self._progress["next_dt"], self._progress["struck"] = dt, self._solids is not None
-        self._progress["fraction"] = self._fraction
+        self._progress["fraction"], self._progress["tolerance"] = self._fraction, self._tolerance
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Make steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
@@ -209,10 +209,13 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     rule, gravity = scene.time, scene.gravity
     pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
-    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / min(scene.refinement, 1.0))
+    refinement = min(scene.refinement, 1.0)
+    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / refinement)
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
-    return GaussRadau15(bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps, solids)
+    return GaussRadau15(
+        bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps, solids, tolerance(refinement)
+    )
 
 
 @long_kernel

@@ -21,11 +21,10 @@ from carom.physics.integrators.radau_nodes import (
     TO_DIFFERENCE,
     WIDTH,
 )
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import inline, inner
 
 FloatArray = NDArray[np.float64]
 
-CONVERGED = 1e-16  # of the largest acceleration, tolerated residual at a node: half a last bit
 LANES_FROM = 16  # bodies
 MAX_ITERATIONS = 12  # rounding prevents some from converging
 
@@ -50,12 +49,23 @@ class Motion(NamedTuple):
     field: FloatArray  # (3,) m/s², uniform
 
 
+def motion_of(
+    position: FloatArray, velocity: FloatArray, pull: FloatArray, fixed: NDArray[np.int64], field: FloatArray
+) -> Motion:
+    """Return the arrays of an integration that moves the bodies in place; see `GaussRadau15`."""
+    n = len(position)
+    moves = np.ones(n)
+    moves[fixed] = 0.0
+    vectors, rows = [np.zeros((n, 3)) for _ in range(6)], [np.zeros((3 * n, WIDTH)) for _ in range(4)]
+    return Motion(position, velocity, *vectors, *rows, pull, moves, field)  # type: ignore[call-arg]
+
+
 @inner
 def attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
     """Find the polynomial of a step; return the longest next step, in s."""
-    _predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.struck else 0.0)
+    predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.struck else 0.0)
     _converge(motion, eps2, run, dt)
-    return _next_step(motion, dt, run.fraction)
+    return next_step(motion, dt, run.fraction)
 
 
 @inner
@@ -72,20 +82,24 @@ def shorten(motion: Motion, eps2: float, run: Any, dt: float, ratio: float) -> N
 
 @inner
 def _converge(motion: Motion, eps2: float, run: Any, dt: float) -> None:
-    """Iterate until the polynomial meets the accelerations at the nodes, up to rounding."""
+    """Iterate until the polynomial meets the accelerations at the nodes, up to the tolerance of the run."""
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
-        error = _iterate(motion, eps2, dt)
+        error = iterate(motion, eps2, dt)
         run.iterations += 1
-        if error < CONVERGED:
+        if stops(iteration, error, before, run.tolerance):
             break
-        if iteration > 0 and (error >= before or error * (error / before) < CONVERGED):
-            break  # only rounding is left, or would be after another pass with the same gain
         before = error
 
 
+@inline
+def stops(iteration: int, error: float, before: float, tolerance: float) -> bool:
+    """Tell whether a residual is small enough, or would be after another iteration with the same gain, or stays."""
+    return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
+
+
 @inner
-def _predict(motion: Motion, ratio: float) -> None:
+def predict(motion: Motion, ratio: float) -> None:
     """Extrapolate the polynomial of the last step over one that is ``ratio`` times as long, as the first guess.
 
     b'_k = ratio^{k+1} Σ_{j≥k} (j+1 over k+1) b_j, plus the error of the previous guess.
@@ -103,7 +117,7 @@ def _predict(motion: Motion, ratio: float) -> None:
 
 
 @inner
-def _iterate(motion: Motion, eps2: float, dt: float) -> float:
+def iterate(motion: Motion, eps2: float, dt: float) -> float:
     """Visit the nodes once; return the largest residual over the largest acceleration."""
     start, pull, expected, b = motion.start, motion.pull, motion.expected, motion.b
     most, largest = 0.0, 0.0
@@ -140,7 +154,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
 
 
 @inner
-def _next_step(motion: Motion, dt: float, fraction: float) -> float:
+def next_step(motion: Motion, dt: float, fraction: float) -> float:
     """Return a fraction of the shortest time in which an acceleration changes, at the end of the step, in s."""
     start, b = motion.start, motion.b
     shortest = np.inf

@@ -196,11 +196,13 @@ class Scene(Section):
 
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
-    def extended(self, section: str) -> Scene:
-        """Return this scene with a section of TOML that it does not have."""
-        from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
-
-        return scene_from_text(f"{self.toml.rstrip()}\n\n{section}", self.title, bodies=self._held)
+    def promising(self, promise: Promise) -> Scene:
+        """Return this scene with a promise, in its text as well."""
+        values = promise.model_dump(exclude_none=True)
+        lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}\n" for key, value in values.items()]
+        promised = self.model_copy(update={"promise": promise})
+        promised._toml = f"{self.toml.rstrip()}\n\n[promise]\n{''.join(lines)}"
+        return promised
 
     @model_validator(mode="after")
     def _has_a_body(self) -> Self:
