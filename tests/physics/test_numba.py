@@ -13,6 +13,10 @@ from numba import types
 from numba.core import caching, callconv, cgutils, config, event, serialize
 from numba.core.compiler import CompileResult, Flags
 from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
+from numba.core.targetconfig import ConfigStack
+from numba.core.types import Function
+from numba.core.typing.templates import AbstractTemplate, Signature
 from numba.extending import intrinsic
 
 from carom.physics.parallel.compilation import QuickFlags, hasten
@@ -267,3 +271,29 @@ def test_a_hastened_kernel_is_compiled_with_quick_options_and_without_the_garbag
     finally:
         (gc.enable if before else gc.disable)()
     assert seen == [(QuickFlags, False)]
+
+
+def test_the_types_of_an_operation_are_searched_for_once_in_our_kernels() -> None:
+    asked: list[Any] = []
+    make: Any = Signature
+    options_in_use: Any = ConfigStack
+
+    class Sum(AbstractTemplate):
+        key = "sum"
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            asked.append(args)
+            return make(types.float64, args, None)
+
+    hasten(numba.njit(double))
+    find: Any = Function(Sum).get_call_type
+    plain, quick = options()
+    counting = quick.copy()
+    counting.nrt = True
+    two_floats, context = (types.float64, types.float64), cpu_target.typing_context
+    found = []
+    for flags, searches in ((quick, 1), (quick, 1), (counting, 2), (counting, 2), (plain, 3), (plain, 4)):
+        with options_in_use().enter(flags):
+            found.append(find(context, two_floats, {}))
+        assert len(asked) == searches
+    assert set(found) == {make(types.float64, two_floats, None)}

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.parallel.jit import long_kernel
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 def positions_at(
@@ -42,8 +43,18 @@ def positions_at(
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
     own, other = before.velocity * dt - path, path - after.velocity * dt  # Hermite's, about the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
-    _pass_through(times, before.time, after.time, impacts, start, path, radius, box, found)
+    first, order = _by_body(impacts, len(radius))
+    most = int(np.diff(first).max(initial=0)) + 2  # with both frames
+    scratch = np.empty(most), np.empty((most, 3))
+    _pass_through(times, (before.time, after.time), impacts, first, order, start, path, radius, box, *scratch, found)
     return found
+
+
+def _by_body(impacts: NDArray[np.void], bodies: int) -> tuple[IntArray, IntArray]:
+    """Return where the impacts of each body begin, (n + 1,), and the impacts body after body, each body's in order."""
+    struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
+    order = np.argsort(struck, kind="stable")
+    return np.searchsorted(struck[order], np.arange(bodies + 1)), order // 2
 
 
 def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame) -> FloatArray | None:
@@ -64,58 +75,47 @@ def _nearest(apart: FloatArray, box: FloatArray) -> FloatArray:
 @long_kernel
 def _pass_through(
     times: FloatArray,
-    began: float,
-    ended: float,
+    ends: tuple[float, float],
     impacts: NDArray[np.void],
+    first: IntArray,
+    own: IntArray,
     start: FloatArray,
     path: FloatArray,
     radius: FloatArray,
     box: FloatArray,
+    clock: FloatArray,
+    way: FloatArray,
     found: FloatArray,
 ) -> None:
-    """Move the bodies that have impacts onto the straight lines from one to the next; see `positions_at`."""
-    n = len(radius)
-    first = np.zeros(n + 2, dtype=np.int64)  # of each body's impacts, in order of time
-    for c in range(len(impacts)):
-        first[min(n, impacts[c].i) + 1] += 1
-        first[min(n, impacts[c].j) + 1] += 1
-    for i in range(n + 1):
-        first[i + 1] += first[i]
-    own, filled = np.empty(2 * len(impacts), dtype=np.int64), first.copy()
-    for c in range(len(impacts)):
-        for body in (impacts[c].i, impacts[c].j):
-            b = min(n, body)
-            own[filled[b]] = c
-            filled[b] += 1
-    for body in range(n):
-        lo, count = first[body], first[body + 1] - first[body]
-        if count == 0:
+    """Move the bodies that have impacts onto the straight lines from one to the next; see `positions_at`.
+
+    ``clock`` and ``way`` hold the times and positions of one body's corners. (Made in here, they took a second to
+    compile.)
+    """
+    for body in range(len(radius)):
+        lo, last = first[body], first[body + 1] - first[body] + 1  # the corner after the last impact
+        if last == 1:
             continue
-        clock, way = np.empty(count + 2), np.empty((count + 2, 3))
-        clock[0], clock[-1] = began, ended
+        clock[0], clock[last] = ends[0], ends[1]
         for k in range(3):
-            way[0, k], way[-1, k] = 0.0, path[body, k]
-        for c in range(count):
-            impact = impacts[own[lo + c]]
+            way[0, k], way[last, k] = 0.0, path[body, k]
+        for c in range(1, last):
+            impact = impacts[own[lo + c - 1]]
             reach = -radius[body] if impact.i == body else radius[body]  # along the normal, which points out of i
-            clock[c + 1] = impact.time
-            way[c + 1, 0] = impact.x + reach * impact.nx - start[body, 0]
-            way[c + 1, 1] = impact.y + reach * impact.ny - start[body, 1]
-            way[c + 1, 2] = impact.z + reach * impact.nz - start[body, 2]
+            clock[c] = impact.time
+            way[c, 0] = impact.x + reach * impact.nx - start[body, 0]
+            way[c, 1] = impact.y + reach * impact.ny - start[body, 1]
+            way[c, 2] = impact.z + reach * impact.nz - start[body, 2]
             if box[0] > 0.0:
                 for k in range(3):
-                    way[c + 1, k] -= box[k] * np.rint(way[c + 1, k] / box[k])
+                    way[c, k] -= box[k] * np.rint(way[c, k] / box[k])
         for m in range(len(times)):
+            time, c = times[m], 0  # the corner before, as in `numpy.interp`
+            while c < last and clock[c + 1] <= time:
+                c += 1
             for k in range(3):
-                found[m, body, k] = start[body, k] + _interpolated(times[m], clock, way[:, k])
-
-
-@inline
-def _interpolated(time: float, clock: FloatArray, values: FloatArray) -> float:
-    """Interpolate between values at times that do not fall, like `numpy.interp`."""
-    k = 0
-    while k < len(clock) - 1 and clock[k + 1] <= time:
-        k += 1
-    if k == len(clock) - 1 or time <= clock[k]:
-        return float(values[k])
-    return float((values[k + 1] - values[k]) / (clock[k + 1] - clock[k]) * (time - clock[k]) + values[k])
+                if c == last or time <= clock[c]:
+                    found[m, body, k] = start[body, k] + way[c, k]
+                else:
+                    speed = (way[c + 1, k] - way[c, k]) / (clock[c + 1] - clock[c])
+                    found[m, body, k] = start[body, k] + (speed * (time - clock[c]) + way[c, k])
