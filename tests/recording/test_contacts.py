@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
+from numpy.typing import NDArray
 
 import carom
 from carom.experiment.impact_check import LEFT_OUT
@@ -25,6 +26,7 @@ from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import Entry, decode
+from carom.recording.write.contact_columns import BatchContacts
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows
@@ -306,18 +308,29 @@ def test_what_is_too_large_for_float32_is_recorded_as_infinite_without_a_warning
         assert columns[name].to_pylist() == [[1.0], [np.inf]]
 
 
+def kept(plan: ImpactPlan, frames: list[Frame]) -> list[NDArray[np.int64]]:
+    """Return which impacts of each frame a plan keeps."""
+    contacts, position = BatchContacts(frames), np.stack([frame.position for frame in frames])
+    counts = plan.choose(position, contacts.edges, contacts.contacts, contacts.impacts).impacts
+    return np.split(contacts.strongest_impacts(counts)[1], np.cumsum(counts)[:-1])
+
+
+def plan_for(everything: bool = False) -> ImpactPlan:
+    return ImpactPlan(everything=everything, oriented=True, turned=True)
+
+
 def test_all_impacts_are_kept_while_they_are_cheap() -> None:
-    plan = ImpactPlan(everything=False)
-    assert all(len(plan.choose(frame).impacts) == 3 for frame in frames_with_impacts(200, 3))
+    assert all(len(rows) == 3 for rows in kept(plan_for(), frames_with_impacts(200, 3)))
 
 
 def test_when_impacts_are_dear_the_largest_of_each_frame_are_kept_in_order_of_time() -> None:
     frames = frames_with_impacts(300, 400)
-    plan = ImpactPlan(everything=False)
-    kept = [plan.choose(frame).impacts for frame in frames]
-    assert len(kept[0]) == 400
-    assert all(1 <= len(rows) < 400 for rows in kept[10:])
-    for frame, rows in zip(frames[10:], kept[10:], strict=True):
+    plan = plan_for()
+    chosen = [*kept(plan, frames[:7]), *kept(plan, frames[7:])]
+    assert all(map(np.array_equal, chosen, kept(plan_for(), frames))), "however frames are batched"
+    assert len(chosen[0]) == 400
+    assert all(1 <= len(rows) < 400 for rows in chosen[10:])
+    for frame, rows in zip(frames[10:], chosen[10:], strict=True):
         assert frame.impacts is not None
         impulses = frame.impacts["normal_impulse"]
         assert impulses[rows].min() > len(impulses) - len(rows)
@@ -325,5 +338,14 @@ def test_when_impacts_are_dear_the_largest_of_each_frame_are_kept_in_order_of_ti
 
 
 def test_everything_is_kept_if_the_scene_says_so() -> None:
-    plan = ImpactPlan(everything=True)
-    assert all(len(plan.choose(frame).impacts) == 400 for frame in frames_with_impacts(50, 400))
+    assert all(len(rows) == 400 for rows in kept(plan_for(everything=True), frames_with_impacts(50, 400)))
+
+
+def test_of_impacts_that_are_equally_hard_the_first_are_kept() -> None:
+    (frame,) = frames_with_impacts(1, 9)
+    assert frame.impacts is not None
+    frame.impacts["normal_impulse"] = [1, 3, 2, 2, 0, 2, 3, 0, 2]
+    for count in range(10):
+        _, chosen = BatchContacts([frame]).strongest_impacts(np.array([count]))
+        expected = np.sort(np.argsort(-frame.impacts["normal_impulse"], kind="stable")[:count])
+        assert chosen.tolist() == expected.tolist()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rerun as rr
 
@@ -15,7 +16,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 from merry import Merry
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
@@ -49,7 +50,9 @@ def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
 ) -> None:
     def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+        return Rows(
+            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
+        )
 
     monkeypatch.setattr(encoder, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)

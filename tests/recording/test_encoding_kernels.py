@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 
@@ -73,18 +74,23 @@ def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
     assert strips[0].tolist() == [0, 0, 0.75, 0, 0, 0]
 
 
+def located(pairs: Any, normals: Any, overlaps: Any, colours: Any) -> NDArray[np.int64]:
+    """Return where the contacts of one frame lie, as long as these arrays exist."""
+    found, none = np.empty((1, 6), dtype=np.int64), np.empty(0, CONTACT_ROW)
+    encoding.locate(pairs, normals, overlaps, colours, none, none, found[0])
+    return found
+
+
 def draw_edges(
     pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0
 ) -> FloatArray:
     """Draw the contacts of one frame, with normals straight down where they matter; return the deepest overlaps."""
     down = np.tile([0.0, 0.0, -1.0], (len(pairs), 1))
     deepest = np.empty((1, 2))
+    arrays = pairs, down, np.full(len(pairs), overlap), np.asarray(stages)
     encoding.draw_edges(
+        located(*arrays),
         np.array([len(pairs)]),
-        pairs,
-        down,
-        np.full(len(pairs), overlap),
-        stages,
         points[None],
         np.ones(len(points)),
         box,
@@ -108,12 +114,10 @@ def test_positions_far_from_the_origin_keep_their_differences() -> None:
 def test_the_deepest_overlap_of_each_frame_counts_against_the_smaller_radius() -> None:
     pairs, overlaps = np.array([[0, 1], [1, 2]]), np.array([0.2, 0.1])
     deepest = np.empty((3, 2))
+    arrays = pairs, np.zeros((2, 3)), overlaps, np.zeros(2, dtype=np.int64)
     encoding.draw_edges(
+        np.repeat(located(*arrays), 3, axis=0),
         np.array([2, 0, 0]),
-        pairs,
-        np.zeros((2, 3)),
-        overlaps,
-        np.zeros(2, dtype=np.int64),
         np.zeros((3, 3, 3), dtype=np.float32),
         np.array([2.0, 1.0, 0.1]),
         np.zeros(3),

@@ -49,7 +49,7 @@ def test_a_window_onto_a_moment_has_every_step_up_to_the_next_frame(bounce: Reco
 def test_the_steps_that_are_run_again_are_shown_without_their_events(bounce: Recording) -> None:
     rows = list(presentation(bounce, bounce.moment()).supplement.rows)
     step = bounce.closing["moments.impact.step"]
-    assert all(step in found.steps for path in (paths.BODIES, paths.CONTACTS) for found in rows_of(path, rows))
+    assert all(step in found.steps.tolist() for path in (paths.BODIES, paths.CONTACTS) for found in rows_of(path, rows))
     assert rows_of(paths.BODIES, rows) and not rows_of(paths.EVENTS, rows)
 
 
@@ -72,7 +72,7 @@ def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounc
 
 def test_the_close_up_follows_its_bodies_through_all_frames(bounce: Recording) -> None:
     rows = rows_of(close_up.BODIES, list(presentation(bounce, bounce.moment()).supplement.rows))
-    assert {step for found in rows for step in found.steps} >= set(bounce.fingerprints()["step"].to_pylist())
+    assert {step for found in rows for step in found.steps.tolist()} >= set(bounce.fingerprints()["step"].to_pylist())
 
 
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:

@@ -2,6 +2,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rerun as rr
 
@@ -11,7 +12,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder as entities
 from carom.recording.write.recorder import Recorder
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 from merry import Merry
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
@@ -126,7 +127,9 @@ def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
 ) -> None:
     def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return Rows(paths.EVENTS, [e.step for e in events], [e.time for e in events], columns, 0)
+        return Rows(
+            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
+        )
 
     monkeypatch.setattr(entities, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)

@@ -31,6 +31,7 @@ from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.impact_plan import ImpactPlan
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.placement import place
@@ -70,18 +71,20 @@ def compile_ahead() -> None:
 def _compile_encoding() -> None:
     """Compile what writes a batch of frames, for a batch without any."""
     position, single, points = np.empty((0, 0, 3)), np.empty((0, 3), np.float32), np.empty((0, 0, 3), np.float32)
-    values, each, pairs = np.empty(0), np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    values, each = np.empty(0), np.empty(0, np.int64)
     numbers, bytes_, scale = np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.float32)
     rows, ends, strips = np.empty(0, CONTACT_ROW), np.empty((0, 2), np.uint32), np.empty((0, 6), np.float32)
     white, box = np.uint32(palette.WHITE), np.zeros(3)
-    encoding.write_contacts(
-        *(each, pairs, each, rows, values, numbers, scale, ends, scale, scale, bytes_, numbers, scale)
-    )
-    encoding.middles(rows, each, values, values)
+    at = np.empty((1, 6), np.int64)
+    encoding.locate(np.empty((0, 2), np.int64), np.empty((0, 3)), values, each, rows, rows, at[0])
+    encoding.write_contacts(at, each, each, values, numbers, scale, ends, scale, scale, bytes_, numbers, scale)
+    encoding.middles(at, each, values, values)
+    encoding.pick_strongest(at, encoding.ROWS, each, each, values, each)
+    encoding.gather(at, encoding.ROWS, each, each, rows)
     encoding.draw_edges(
-        *(each, pairs, np.empty((0, 3)), values, each, points, values, box, numbers, palette.SERIAL_STAGE, white),
-        *(strips, numbers, np.empty((0, 2))),
+        *(at, each, points, values, box, numbers, palette.SERIAL_STAGE, white, strips, numbers, np.empty((0, 2)))
     )
+    ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each)
     encoding.draw_arrows(position, each, numbers, values, points, values, values, 1.0, single, single)
     encoding.turning(position, numbers, values, each)
     encoding.cast_orientations(np.empty((0, 0, 4)), np.empty((0, 0, 4), np.float32))

@@ -31,3 +31,16 @@ def lowest_bit(typing: Any, word: Any) -> Any:
         return builder.cttz(args[0], ir.IntType(1)(0))
 
     return types.int64(types.uint64), generate
+
+
+def pointer_to(kind: Any) -> Any:
+    """Make a function for kernels that turns an address, an int64, into a pointer to values of a type, for `carray`."""
+    pointer: Any = types.CPointer(kind)  # type: ignore[no-untyped-call]
+
+    def point(typing: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.inttoptr(args[0], context.get_value_type(pointer))
+
+        return pointer(types.int64), generate
+
+    return instruction(point)

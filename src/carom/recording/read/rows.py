@@ -84,7 +84,7 @@ class RecordedRows:
 def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Iterator[Chunk]:
     """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
     for rows in encoder.rows(frames):
-        if rows.path not in _BY_EVENT and rows.steps:
+        if rows.path not in _BY_EVENT and len(rows.steps):
             yield chunk_of(rows, clock)
 
 
@@ -96,11 +96,12 @@ def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock)
 def chunk_of(rows: Rows, clock: Clock) -> Chunk:
     """Return rows as a chunk, as if they had been recorded."""
     columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {}
-    if rows.impacts:
-        columns[IMPACT] = pa.array(rows.impacts, pa.int64()), _INDEX
-    if rows.steps:
-        times = pa.array(clock.nanoseconds(rows.times)).cast(pa.duration("ns"))
-        columns |= {STEP: (pa.array(rows.steps, pa.int64()), _INDEX), SIM_TIME: (times, _INDEX)}
+    index = rows.index
+    if len(index.impacts):
+        columns[IMPACT] = pa.array(index.impacts, pa.int64()), _INDEX
+    if len(index.steps):
+        times = pa.array(clock.nanoseconds(index.times)).cast(pa.duration("ns"))
+        columns |= {STEP: (pa.array(index.steps, pa.int64()), _INDEX), SIM_TIME: (times, _INDEX)}
     for column in rows.columns:
         columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
     fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]

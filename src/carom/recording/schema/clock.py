@@ -48,7 +48,12 @@ class Clock:
             raise RecordingError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 
-    def columns(self, steps: Sequence[int], times: Sequence[float], impacts: Sequence[int] = ()) -> list[rr.TimeColumn]:
+    def columns(
+        self,
+        steps: Sequence[int] | NDArray[np.int64],
+        times: Sequence[float] | NDArray[np.float64],
+        impacts: Sequence[int] | NDArray[np.int64] = (),
+    ) -> list[rr.TimeColumn]:
         """Timelines for the rows of a batch: step and time, the number of the impact, or all three."""
         columns = []
         if len(steps):

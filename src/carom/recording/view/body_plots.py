@@ -13,7 +13,7 @@ from carom.recording.schema.palette import LINES
 from carom.recording.view.canvas import Area
 from carom.recording.view.curve import Curve
 from carom.recording.view.plot_views import time_series_view
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 from carom.recording.write.statics import curve_style
 from carom.scene.units.system import SI, UnitSystem
 
@@ -36,7 +36,7 @@ class BodyPlots:
         """Yield the values."""
         for each in self.series:
             columns = rr.Scalars.columns(scalars=each.value)
-            yield Rows(_path(each), each.step.tolist(), each.time.tolist(), columns, each.value.nbytes)
+            yield Rows(_path(each), Index(each.step, each.time), columns, each.value.nbytes)
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Yield the styles of the curves; each curve of a plot has its own colour."""

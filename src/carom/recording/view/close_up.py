@@ -28,7 +28,7 @@ from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
 from carom.recording.write import encoder as entities
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 
@@ -143,12 +143,22 @@ class CloseUp:
         centres = position.reshape(-1, 3).astype(np.float32)
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
-        yield Rows(BODIES, steps, times, columns.partition([position.shape[1]] * len(steps)), centres.nbytes)
+        yield Rows(
+            BODIES,
+            Index(np.array(steps), np.array(times)),
+            columns.partition([position.shape[1]] * len(steps)),
+            centres.nbytes,
+        )
         here = self.step.position[list(self.bodies)].mean(axis=0)
         middle = position.mean(axis=1) + (self.eye.target - here)
         corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
         ends = np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3).astype(np.float32)
-        yield Rows(FOLLOWED, steps, times, rr.Points3D.columns(positions=ends).partition([2] * len(steps)), ends.nbytes)
+        yield Rows(
+            FOLLOWED,
+            Index(np.array(steps), np.array(times)),
+            rr.Points3D.columns(positions=ends).partition([2] * len(steps)),
+            ends.nbytes,
+        )
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step; clear them at the next frame."""
@@ -206,7 +216,7 @@ class CloseUp:
         elif self.paths is not None and len(later):
             row = int(later[0])
             steps, times = [*steps, int(self.paths.steps[row])], [*times, float(self.times[row])]
-        return Rows(path, steps, times, columns.partition(each + [0] * (len(steps) - 1)), 0)
+        return Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)), 0)
 
 
 def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, aspect: float) -> CloseUp:

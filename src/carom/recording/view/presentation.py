@@ -165,5 +165,5 @@ def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Ro
     before = None if step.before is None else step.before.checkpoint
     encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before, everything=True)
     for rows in encoder.rows(step.added):
-        if rows.path not in _ONCE and rows.steps:
+        if rows.path not in _ONCE and len(rows.steps):
             yield rows

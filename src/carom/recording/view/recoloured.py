@@ -17,7 +17,7 @@ from carom.recording.schema.timelines import STEP
 from carom.recording.view import colouring
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.write import encoder as entities
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -54,7 +54,14 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
     flat = np.concatenate(colours)
     # Rerun prefers static values of the same component, so these colours belong to another archetype
     archetype = rr.Points3D if entities.shape(header) != "points" else rr.Ellipsoids3D
-    return [Rows(paths.BODIES, steps, times, archetype.columns(colors=flat).partition([n] * len(steps)), flat.nbytes)]
+    return [
+        Rows(
+            paths.BODIES,
+            Index(np.array(steps), np.array(times)),
+            archetype.columns(colors=flat).partition([n] * len(steps)),
+            flat.nbytes,
+        )
+    ]
 
 
 def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, Colours]]:

@@ -17,7 +17,7 @@ from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.colouring import STATIC
 from carom.recording.view.supplement import Static
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 
 TRAILS = "trails"
 
@@ -57,7 +57,7 @@ class Trails:
         strips = np.stack([begin, end], axis=2).reshape(-1, 2, 3)
         if len(strips):
             columns = rr.LineStrips3D.columns(strips=list(strips)).partition([begin.shape[1]] * len(begin))
-            yield Rows(TRAILS, self._steps[1:].tolist(), self._times[1:].tolist(), columns, strips.nbytes)
+            yield Rows(TRAILS, Index(self._steps[1:], self._times[1:]), columns, strips.nbytes)
 
 
 def has_trails(recording: Recording) -> bool:

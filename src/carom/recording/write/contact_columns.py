@@ -3,97 +3,129 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from rerun import ComponentColumnList
+from rerun import ComponentColumn
 
-from carom.physics.aligned import joined, picked
+from carom.physics.aligned import picked
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
 from carom.recording.view import impulse_scale
 from carom.recording.write import encoding_kernels as encoding
-from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows, single
+from carom.recording.write.columns import any_column, vector_column
+from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_NOTHING = np.empty(0, dtype=np.int64)
+_NO_ROWS = np.empty(0, CONTACT_ROW)
 
 
-class BatchContacts(NamedTuple):
-    """The contacts of a batch of frames."""
+class BatchContacts:
+    """The contacts and impacts of a batch of frames, where they lie.
 
-    rows: NDArray[np.void]  # (k,) CONTACT_ROW, one frame's after another's; those of each sorted by pair
-    each: IntArray  # (frames,) how many each has
-    middle: FloatArray  # (frames,) N s, the middle of its scale: the median of the impulses that are not zero
+    Attributes
+    ----------
+    addresses
+        (frames, 6), see `encoding_kernels.locate`.
+    edges, contacts, impacts
+        (frames,) how many edges of the graph, `CONTACT_ROW` of contacts and of impacts each frame has.
+    """
 
-    @classmethod
-    def of(cls, batch: Sequence[Frame]) -> BatchContacts:
-        """Gather the contacts of a batch."""
-        parts = [frame.contact_rows for frame in batch if frame.contact_rows is not None]
-        rows = joined(parts, CONTACT_ROW)
-        each = np.array([0 if f.contact_rows is None else len(f.contact_rows) for f in batch], dtype=np.int64)
-        middle = np.empty(len(batch))
-        encoding.middles(rows, each, np.empty(len(rows)), middle)
-        return cls(rows, each, middle)
+    def __init__(self, batch: Sequence[Frame]) -> None:
+        self.addresses = np.empty((len(batch), 6), dtype=np.int64)
+        self._arrays = [_contiguous(frame) for frame in batch]  # kept as long as their addresses
+        for arrays, addresses in zip(self._arrays, self.addresses, strict=True):
+            pairs, normals, overlaps, colours, rows, impacts = arrays
+            encoding.locate(pairs, normals, overlaps, colours, rows, impacts, addresses)
+        counts = [(len(pairs), len(rows), len(impacts)) for pairs, *_, rows, impacts in self._arrays]
+        self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
 
-    def strongest(self, counts: Sequence[int]) -> list[IntArray]:
-        """Return of each frame the rows of the largest normal impulses, the largest first; of equal ones the first."""
-        impulses, ends = -self.rows["normal_impulse"], np.cumsum(self.each).tolist()
-        starts = [0, *ends[:-1]]
-        return [
-            lo + np.argsort(impulses[lo:hi], kind="stable")[:count] if count else _NOTHING
-            for lo, hi, count in zip(starts, ends, counts, strict=True)
-        ]
+    def middles(self) -> FloatArray:
+        """Return the middle of each frame's scale in N s, (frames,): the median of its impulses that are not zero."""
+        middle = np.empty(len(self.contacts))
+        encoding.middles(self.addresses, self.contacts, np.empty(self.contacts.max()), middle)
+        return middle
+
+    def strongest_impacts(self, counts: IntArray) -> tuple[NDArray[np.void], IntArray]:
+        """Return the impacts of the largest normal impulses in order of time, and which of each frame they are.
+
+        Of equal ones these are the first. ``counts`` says how many of each frame, (frames,).
+        """
+        return self._strongest(encoding.IMPACTS, self.impacts, counts)
+
+    def strongest_contacts(self, counts: IntArray) -> NDArray[np.void]:
+        """Return the contacts of the largest normal impulses of each frame, the largest first; of equal ones the first.
+
+        ``counts`` says how many of each frame, (frames,).
+        """
+        rows, _ = self._strongest(encoding.ROWS, self.contacts, counts)
+        return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
+
+    def _strongest(self, column: int, each: IntArray, counts: IntArray) -> tuple[NDArray[np.void], IntArray]:
+        total = int(counts.sum())
+        chosen, rows = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
+        encoding.pick_strongest(self.addresses, column, each, counts, np.empty(each.max()), chosen)
+        encoding.gather(self.addresses, column, counts, chosen, rows)
+        return rows, chosen
+
+
+def _contiguous(frame: Frame) -> tuple[NDArray[Any], ...]:
+    graph = frame.contacts
+    rows = _NO_ROWS if frame.contact_rows is None else frame.contact_rows
+    impacts = _NO_ROWS if frame.impacts is None else frame.impacts
+    arrays = graph.pairs, graph.normals, graph.overlaps, graph.colours, rows, impacts
+    return tuple(map(np.ascontiguousarray, arrays))
 
 
 def contact_columns(
-    batch: Sequence[Frame], contacts: BatchContacts, pairs: IntArray, radius: FloatArray
-) -> tuple[ComponentColumnList, int]:
+    contacts: BatchContacts, middle: FloatArray, radius: FloatArray
+) -> tuple[list[ComponentColumn], int]:
     """Return columns with a value for each edge, and their bytes.
 
     Contacts that opened within the step have no edge and are left out.
 
     Parameters
     ----------
-    pairs
-        (m, 2), of the edges of all frames, sorted in each.
+    middle
+        (frames,) N s, the middle of each frame's scale.
     radius
         (n,) m.
     """
-    edges = np.array([len(frame.contacts.pairs) for frame in batch], dtype=np.int64)
-    ends, mode = np.empty((len(pairs), 2), dtype=np.uint32), np.empty(len(pairs), dtype=np.uint8)
-    impulses = np.empty((2, len(pairs)), dtype=np.float32)
-    colour, width = np.empty(len(pairs), dtype=np.uint32), np.empty(len(pairs), dtype=np.float32)
+    edges = contacts.edges
+    count = int(edges.sum())
+    ends, mode = np.empty((count, 2), dtype=np.uint32), np.empty(count, dtype=np.uint8)
+    impulses = np.empty((2, count), dtype=np.float32)
+    colour, width = np.empty(count, dtype=np.uint32), np.empty(count, dtype=np.float32)
     encoding.write_contacts(
+        contacts.addresses,
         edges,
-        pairs,
-        contacts.each,
-        contacts.rows,
-        contacts.middle,
+        contacts.contacts,
+        middle,
         impulse_scale.COLOURS,
         impulse_scale.edge_radii(radius),
         *(ends, impulses[0], impulses[1], mode, colour, width),
     )
-    columns = [
-        *any_column("bodies", ends.ravel()).partition(2 * edges),
-        *any_column("normal_impulse", impulses[0]).partition(edges),
-        *any_column("tangential_impulse", impulses[1]).partition(edges),
-        *any_column("mode", mode).partition(edges),
-        *any_column("impulse_colour", colour).partition(edges),
-        *any_column("impulse_width", width).partition(edges),
+    columns: list[ComponentColumn] = [
+        any_column("bodies", ends.ravel(), 2 * edges),
+        any_column("normal_impulse", impulses[0], edges),
+        any_column("tangential_impulse", impulses[1], edges),
+        any_column("mode", mode, edges),
+        any_column("impulse_colour", colour, edges),
+        any_column("impulse_width", width, edges),
     ]
-    return ComponentColumnList(columns), array_bytes(ends, impulses, mode, colour, width)
+    return columns, array_bytes(ends, impulses, mode, colour, width)
 
 
 def force_rows(
-    batch: Sequence[Frame],
+    index: Index,
     contacts: BatchContacts,
-    drawn: Sequence[int],
+    middle: FloatArray,
+    drawn: IntArray,
     longest: float,
     origin: FloatArray,
     friction: bool,
@@ -102,8 +134,10 @@ def force_rows(
 
     Parameters
     ----------
+    middle
+        (frames,) N s, the middle of each frame's scale.
     drawn
-        How many contacts of each frame, those of the largest normal impulses.
+        (frames,) how many contacts of each frame, those of the largest normal impulses.
     longest
         m.
     origin
@@ -111,9 +145,8 @@ def force_rows(
     friction
         Whether friction is modelled.
     """
-    chosen = contacts.strongest(drawn)
-    rows, each = picked(contacts.rows, np.concatenate(chosen)), np.array([len(part) for part in chosen], dtype=np.int64)
-    middle = np.repeat(contacts.middle, each)
+    rows = contacts.strongest_contacts(drawn)
+    middle = np.repeat(middle, drawn)
     at = single(np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin)
     ends = np.stack([rows["i"], rows["j"]], axis=1).astype(np.uint32)
     normal = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1) * rows["normal_impulse"][:, None]
@@ -121,12 +154,13 @@ def force_rows(
     for path, impulse in ((FORCE_NORMAL, normal), (FORCE_FRICTION, tangential)):
         if path == FORCE_FRICTION and not friction:
             continue
-        vectors = _drawn(impulse, middle, longest)
+        arrows = _drawn(impulse, middle, longest)
         columns = [
-            *rr.Arrows3D.columns(vectors=vectors, origins=at).partition(each),
-            *any_column("bodies", ends.ravel()).partition(2 * each),
+            vector_column(rr.Arrows3D.descriptor_vectors(), arrows, drawn),
+            vector_column(rr.Arrows3D.descriptor_origins(), at, drawn),
+            any_column("bodies", ends.ravel(), 2 * drawn),
         ]
-        yield frame_rows(path, batch, ComponentColumnList(columns), array_bytes(vectors, at, ends))
+        yield frame_rows(path, index, columns, array_bytes(arrows, at, ends))
 
 
 def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[np.float32]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
-from rerun import ComponentColumnList
-from rerun.components import LineStrip3DBatch, ScalarBatch
+from rerun import ComponentColumn
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.event import Event
@@ -38,13 +37,13 @@ from carom.recording.schema.series import Sample, recorded
 from carom.recording.view import arrows, colouring, impulse_scale
 from carom.recording.view.curve import Curve
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.columns import any_column, line_column, plain_column, vector_column
+from carom.recording.write.contact_columns import BatchContacts
 from carom.recording.write.contact_encoder import ContactEncoder
-from carom.recording.write.rows import Rows, any_column, array_bytes, frame_rows, single
+from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
-_VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
-_STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
 
 _REACH = {  # L_max in median body radii
     TORQUE: arrows.TORQUE_REACH,
@@ -127,41 +126,41 @@ class BatchEncoder:
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
         """All entities' rows of a batch, checkpoints apart; in a store its frames follow each other."""
-        position = _stacked("position", batch, store)
+        index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
-        yield self._bodies(batch, store, points)
+        yield self._bodies(index, batch, store, points)
         if self.header.has_torque:
-            yield from self._arrows(batch, store, points)
+            yield from self._arrows(index, batch, store, points)
         deepest = np.zeros((len(batch), 2))
         if self.header.collides:
-            yield self._collisions(batch, points, deepest)
+            yield self._collisions(index, batch, position, points, deepest)
         if self._contacts:
-            yield from self._contacts.rows(batch)
+            yield from self._contacts.rows(index)
             yield from self._at_impacts(batch)
-        yield from self._series(batch, deepest)
+        yield from self._series(index, batch, deepest)
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
         yield from _events(batch)
-        yield _fingerprints(batch)
-        yield self._momenta(batch)
+        yield _fingerprints(index, batch)
+        yield self._momenta(index, batch)
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
         """Encode the exact state of some frames."""
         encoded = checkpoint.encode([frame.checkpoint for frame in frames])
-        columns = [
-            column for name, (values, each) in encoded.items() for column in any_column(name, values).partition(each)
-        ]
-        return frame_rows(CHECKPOINT, frames, ComponentColumnList(columns), sum(map(checkpoint.size, frames)))
+        columns = [any_column(name, values, np.array(each)) for name, (values, each) in encoded.items()]
+        return frame_rows(CHECKPOINT, Index.of(frames), columns, sum(map(checkpoint.size, frames)))
 
-    def _bodies(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Rows:
+    def _bodies(
+        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]
+    ) -> Rows:
         turned = None
         if self.header.has_orientation:
             turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
             encoding.cast_orientations(_stacked("orientation", batch, store), turned)
             turned = turned.reshape(-1, 4)
         columns, size = self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch))
-        return frame_rows(BODIES, batch, columns, size)
+        return frame_rows(BODIES, index, columns, size)
 
     def _at_impacts(self, batch: Sequence[Frame]) -> Iterable[Rows]:
         """Draw the bodies at the moments of impacts, on the timeline of impacts only."""
@@ -183,26 +182,34 @@ class BatchEncoder:
         points = single((position - self.origin).reshape(-1, 3))
         turned = None if orientation is None else single(orientation.reshape(-1, 4))
         columns, size = self._drawn(points, turned, None)
-        return Rows(BODIES, [], [], columns, size, numbers.tolist())
+        return Rows(BODIES, Index.of_impacts(numbers), columns, size)
 
     def _drawn(
         self, centres: NDArray[np.float32], turned: NDArray[np.float32] | None, colours: NDArray[np.uint32] | None
-    ) -> tuple[ComponentColumnList, int]:
+    ) -> tuple[list[ComponentColumn], int]:
         """Return the columns that draw all bodies, row after row, and their bytes."""
-        rows = len(centres) // self.header.bodies
+        n = self.header.bodies
+        scales = None
         match shape(self.header):
             case "ellipsoids":
-                columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turned, colors=colours)
-                size = array_bytes(centres, turned, colours)
+                kind: Any = rr.Ellipsoids3D
+                places = kind.descriptor_centers()
             case "points":
-                columns = rr.Points3D.columns(positions=centres, colors=colours)
-                size = array_bytes(centres, colours)
+                kind, turned = rr.Points3D, None
+                places = kind.descriptor_positions()
             case _:
                 # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
-                scales = single(np.tile(np.repeat(self.header.radius, 3), rows).reshape(-1, 3))
-                columns = rr.InstancePoses3D.columns(translations=centres, quaternions=turned, scales=scales)
-                size = array_bytes(centres, turned, scales)
-        return columns.partition([self.header.bodies] * rows), size
+                kind, colours = rr.InstancePoses3D, None
+                places = kind.descriptor_translations()
+                scales = single(np.tile(np.repeat(self.header.radius, 3), len(centres) // n).reshape(-1, 3))
+        columns: list[ComponentColumn] = [vector_column(places, centres, n)]
+        if turned is not None:
+            columns.append(vector_column(kind.descriptor_quaternions(), turned, n))
+        if colours is not None:
+            columns.append(plain_column(kind.descriptor_colors(), colours, n))
+        if scales is not None:
+            columns.append(vector_column(kind.descriptor_scales(), scales, n))
+        return columns, array_bytes(centres, turned, colours, scales)
 
     def _node_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32] | None:
         match self.header.coloured_by:
@@ -227,7 +234,9 @@ class BatchEncoder:
             self.arrow_references[SPEED] = float(np.median(speeds[0]))
         return np.concatenate([colouring.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
-    def _arrows(self, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]) -> Iterable[Rows]:
+    def _arrows(
+        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]
+    ) -> Iterable[Rows]:
         """Torques, and angular accelerations τ/I, of the bodies that feel any."""
         torque = _stacked("torque", batch, store)
         most = self.header.bodies * len(batch)
@@ -235,11 +244,12 @@ class BatchEncoder:
         each = np.zeros(len(batch), dtype=np.int64)
         total = encoding.turning(torque, body, magnitude, each)
         for path in (TORQUE, ANGULAR_ACCELERATION):
-            yield self._arrow_rows(path, batch, torque, points, each, body[:total], magnitude[:total])
+            yield self._arrow_rows(path, index, batch, torque, points, each, body[:total], magnitude[:total])
 
     def _arrow_rows(
         self,
         path: str,
+        index: Index,
         batch: Sequence[Frame],
         torque: FloatArray,
         points: NDArray[np.float32],
@@ -257,10 +267,11 @@ class BatchEncoder:
         origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
         encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
         columns = [
-            *rr.Arrows3D.columns(vectors=vector, origins=origin).partition(each),
-            *any_column("body", body).partition(each),
+            vector_column(rr.Arrows3D.descriptor_vectors(), vector, each),
+            vector_column(rr.Arrows3D.descriptor_origins(), origin, each),
+            any_column("body", body, each),
         ]
-        return frame_rows(path, batch, ComponentColumnList(columns), array_bytes(vector, origin, body))
+        return frame_rows(path, index, columns, array_bytes(vector, origin, body))
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
         """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""
@@ -270,19 +281,21 @@ class BatchEncoder:
         torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
-    def _collisions(self, batch: Sequence[Frame], points: NDArray[np.float32], deepest: FloatArray) -> Rows:
+    def _collisions(
+        self,
+        index: Index,
+        batch: Sequence[Frame],
+        position: FloatArray,
+        points: NDArray[np.float32],
+        deepest: FloatArray,
+    ) -> Rows:
         """Draw the edges of the collision graphs, and find each frame's deepest overlaps (m, and relative)."""
-        graphs = [frame.contacts for frame in batch]
-        pairs = np.concatenate([graph.pairs for graph in graphs])
-        each = np.array([len(graph.pairs) for graph in graphs], dtype=np.int64)
-        colours = np.concatenate([graph.colours for graph in graphs])
-        strips, shown = np.empty((len(colours), 6), dtype=np.float32), np.empty(len(colours), dtype=np.uint32)
+        contacts = BatchContacts(batch)
+        count = int(contacts.edges.sum())
+        strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
         encoding.draw_edges(
-            each,
-            pairs,
-            np.concatenate([graph.normals for graph in graphs]),
-            np.concatenate([graph.overlaps for graph in graphs]),
-            colours,
+            contacts.addresses,
+            contacts.edges,
             points,
             self.header.radius,
             self._box,
@@ -293,25 +306,24 @@ class BatchEncoder:
             shown,
             deepest,
         )
-        columns = [
-            rr.ComponentColumn(rr.LineStrips3D.descriptor_strips(), _two_point_strips(strips), lengths=each),
-            *rr.LineStrips3D.columns(colors=shown).partition(each),
+        columns: list[ComponentColumn] = [
+            line_column(strips, contacts.edges),
+            plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),
         ]
         size = array_bytes(strips, shown)
         if self._contacts:
-            did, more = self._contacts.columns(batch, pairs)
+            did, more = self._contacts.columns(batch, contacts, position)
             columns, size = [*columns, *did], size + more
-        return frame_rows(CONTACTS, batch, ComponentColumnList(columns), size)
+        return frame_rows(CONTACTS, index, columns, size)
 
-    def _series(self, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
+    def _series(self, index: Index, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
         samples = [Sample(*row) for row in zip(batch, before, *deepest.T.tolist(), strict=True)]
-        time = np.array([frame.time for frame in batch])
         for series in self._recorded:
             values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
-            self.curves[series.path].see(time, values)
-            column = rr.ComponentColumn(rr.Scalars.descriptor_scalars(), ScalarBatch(pa.array(values)))
-            yield frame_rows(series.path, batch, ComponentColumnList([column]), array_bytes(values))
+            self.curves[series.path].see(index.times, values)
+            column = plain_column(rr.Scalars.descriptor_scalars(), values)
+            yield frame_rows(series.path, index, [column], array_bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Yield rows only for frames whose state differs from the frame before."""
@@ -322,9 +334,10 @@ class BatchEncoder:
                 changed.append(frame)
         if changed:
             names = [state(frame) for frame in changed]
-            yield frame_rows(path, changed, rr.StateChange.columns(state=names), sum(map(len, names)))
+            columns = list(rr.StateChange.columns(state=names))
+            yield frame_rows(path, Index.of(changed), columns, sum(map(len, names)))
 
-    def _momenta(self, batch: Sequence[Frame]) -> Rows:
+    def _momenta(self, index: Index, batch: Sequence[Frame]) -> Rows:
         linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
         angular = [np.nan if f.angular_momentum_error is None else f.angular_momentum_error for f in batch]
         arrays = {
@@ -333,7 +346,9 @@ class BatchEncoder:
             "angular_momentum": np.concatenate([frame.angular_momentum for frame in batch]),
             "angular_momentum_error": np.array(angular),
         }
-        return _any_values(MOMENTUM, batch, arrays)
+        count = len(batch)
+        columns = [any_column(name, array, len(array) // count) for name, array in arrays.items()]
+        return frame_rows(MOMENTUM, index, columns, array_bytes(*arrays.values()))
 
 
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
@@ -345,11 +360,10 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
     return np.stack([getattr(frame, name) for frame in batch])
 
 
-def _fingerprints(batch: Sequence[Frame]) -> Rows:
+def _fingerprints(index: Index, batch: Sequence[Frame]) -> Rows:
     bits = np.array([frame.fingerprint for frame in batch], dtype=np.uint64)
-    time = np.array([frame.time for frame in batch])
-    columns = [*any_column("fingerprint", bits), *any_column("time", time)]
-    return frame_rows(FINGERPRINT, batch, ComponentColumnList(columns), array_bytes(bits, time))
+    columns = [any_column("fingerprint", bits), any_column("time", index.times)]
+    return frame_rows(FINGERPRINT, index, columns, array_bytes(bits, index.times))
 
 
 def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
@@ -361,24 +375,7 @@ def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
 def event_rows(events: Sequence[Event]) -> Rows:
     """Return one row of the log for each event."""
     log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-    columns = ComponentColumnList([*log, *any_column("kind", [e.kind for e in events])])
+    columns = [*log, any_column("kind", [e.kind for e in events])]
     size = sum(len(e.text) + len(e.level) + len(e.kind) + 16 for e in events)  # 16: step and time
-    return Rows(EVENTS, [e.step for e in events], [e.time for e in events], columns, size)
-
-
-def _any_values(path: str, frames: Sequence[Frame], arrays: dict[str, FloatArray]) -> Rows:
-    """Rows of float64 arrays, each holding the same number of values for every frame."""
-    count = len(frames)
-    columns = [
-        column
-        for name, array in arrays.items()
-        for column in any_column(name, array).partition([len(array) // count] * count)
-    ]
-    return frame_rows(path, frames, ComponentColumnList(columns), array_bytes(*arrays.values()))
-
-
-def _two_point_strips(points: NDArray[np.float32]) -> LineStrip3DBatch:
-    """Make lines from the coordinates of their ends, ``(m, 6)``. Rerun's own conversion loops over them in Python."""
-    vectors = pa.FixedSizeListArray.from_arrays(pa.array(points.ravel()), type=_VECTOR)
-    offsets = pa.array(np.arange(0, 2 * len(points) + 1, 2, dtype=np.int32))
-    return LineStrip3DBatch(pa.ListArray.from_arrays(offsets, vectors, type=_STRIP))
+    index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
+    return Rows(EVENTS, index, columns, size)

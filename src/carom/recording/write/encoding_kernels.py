@@ -6,15 +6,43 @@ call handles a whole batch: a call for every frame takes the lock so often that 
 
 from __future__ import annotations
 
+import numba
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.parallel.intrinsics import pointer_to
 from carom.physics.parallel.jit import inner, kernel, long_kernel
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
 ColourArray = NDArray[np.uint32]
+
+PAIRS, NORMALS, OVERLAPS, COLOURS, ROWS, IMPACTS = range(6)  # columns of `locate`
+
+_reals, _integers = pointer_to(types.float64), pointer_to(types.int64)
+_records = pointer_to(numba.from_dtype(CONTACT_ROW))
+
+
+@kernel
+def locate(
+    pairs: IntArray,
+    normals: FloatArray,
+    overlaps: FloatArray,
+    colours: IntArray,
+    rows: NDArray[np.void],
+    impacts: NDArray[np.void],
+    addresses: IntArray,
+) -> None:
+    """Write where the contacts of a frame lie, (6,): a batch need not copy them together, which is megabytes.
+
+    The arrays are contiguous and must be kept as long as the addresses are used.
+    """
+    addresses[PAIRS], addresses[NORMALS] = pairs.ctypes.data, normals.ctypes.data
+    addresses[OVERLAPS], addresses[COLOURS] = overlaps.ctypes.data, colours.ctypes.data
+    addresses[ROWS], addresses[IMPACTS] = rows.ctypes.data, impacts.ctypes.data
 
 
 @long_kernel
@@ -97,11 +125,8 @@ def draw_arrows(
 
 @long_kernel
 def draw_edges(
+    addresses: IntArray,
     each: IntArray,
-    pairs: IntArray,
-    normals: FloatArray,
-    overlaps: FloatArray,
-    colours: IntArray,
     points: SingleArray,
     radius: FloatArray,
     box: FloatArray,
@@ -118,21 +143,24 @@ def draw_edges(
 
     Parameters
     ----------
-    each
-        (frames,) contacts of each frame; they follow each other in ``pairs``.
+    addresses, each
+        (frames, 6) where the contacts of each frame lie, and (frames,) how many it has.
     deepest
         (frames, 2), overwritten: the deepest overlap in m, and the deepest over the smaller radius.
     """
     c = 0
     for f in range(len(each)):
         deepest[f, 0] = deepest[f, 1] = 0.0
-        for _ in range(each[f]):
-            i, j = pairs[c, 0], pairs[c, 1]
+        at, m = addresses[f], each[f]
+        pairs, normals = carray(_integers(at[PAIRS]), (m, 2)), carray(_reals(at[NORMALS]), (m, 3))
+        overlaps, colours = carray(_reals(at[OVERLAPS]), m), carray(_integers(at[COLOURS]), m)
+        for e in range(m):
+            i, j = pairs[e, 0], pairs[e, 1]
             smaller = radius[i]
             if j < len(radius):
                 smaller = min(smaller, radius[j])
-            deepest[f, 0] = max(deepest[f, 0], overlaps[c])
-            deepest[f, 1] = max(deepest[f, 1], overlaps[c] / smaller)
+            deepest[f, 0] = max(deepest[f, 0], overlaps[e])
+            deepest[f, 1] = max(deepest[f, 1], overlaps[e] / smaller)
             for k in range(3):
                 start = points[f, i, k]
                 if j < len(radius):
@@ -140,19 +168,18 @@ def draw_edges(
                     if box[k] > 0.0:
                         end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
                 else:
-                    end = start + np.float32((radius[i] - overlaps[c]) * normals[c, k])
+                    end = start + np.float32((radius[i] - overlaps[e]) * normals[e, k])
                 strips[c, k] = start
                 strips[c, 3 + k] = end
-            drawn[c] = serial_colour if colours[c] >= serial else cycle[colours[c] % len(cycle)]
+            drawn[c] = serial_colour if colours[e] >= serial else cycle[colours[e] % len(cycle)]
             c += 1
 
 
 @long_kernel
 def write_contacts(
+    addresses: IntArray,
     edges: IntArray,
-    pairs: IntArray,
     each: IntArray,
-    rows: NDArray[np.void],
     middle: FloatArray,
     scale: ColourArray,
     widths: SingleArray,
@@ -167,19 +194,21 @@ def write_contacts(
 
     Parameters
     ----------
-    edges, each
-        (frames,) edges and contacts of each frame; they follow each other in ``pairs`` and ``rows``, sorted by pair.
+    addresses, edges, each
+        (frames, 6) where the contacts of each frame lie, sorted by pair, and (frames,) how many edges and rows it has.
     middle
         (frames,) N s, the impulse in the middle of the scale.
     scale, widths
         (levels,) colours and radii by rising impulse.
     """
-    first, c = 0, 0
+    c = 0
     for f in range(len(edges)):
-        a = first
-        for _ in range(edges[f]):
-            i, j = pairs[c, 0], pairs[c, 1]
-            while a < first + each[f] and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
+        pairs = carray(_integers(addresses[f, PAIRS]), (edges[f], 2))
+        rows = carray(_records(addresses[f, ROWS]), each[f])
+        a = 0
+        for e in range(edges[f]):
+            i, j = pairs[e, 0], pairs[e, 1]
+            while a < each[f] and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
                 a += 1
             row = rows[a]
             ends[c, 0], ends[c, 1] = i, j
@@ -191,28 +220,26 @@ def write_contacts(
             level = min(len(scale) - 1, int(len(scale) * (1.0 - 1.0 / (1.0 + s))))
             colour[c], width[c] = scale[level], widths[level]
             c += 1
-        first += each[f]
 
 
 @long_kernel
-def middles(rows: NDArray[np.void], each: IntArray, positive: FloatArray, middle: FloatArray) -> None:
+def middles(addresses: IntArray, each: IntArray, positive: FloatArray, middle: FloatArray) -> None:
     """Write the median of each frame's normal impulses (N s) that are more than zero; 1 if it has none.
 
     Parameters
     ----------
-    each
-        (frames,) contacts of each frame; they follow each other in ``rows``.
+    addresses, each
+        (frames, 6) where the contacts of each frame lie, and (frames,) how many rows it has.
     positive
-        (len(rows),) overwritten.
+        As many as the most rows of a frame, overwritten.
     """
-    first = 0
     for f in range(len(each)):
+        rows = carray(_records(addresses[f, ROWS]), each[f])
         count = 0
-        for c in range(first, first + each[f]):
+        for c in range(each[f]):
             if rows[c].normal_impulse > 0.0:
                 positive[count] = rows[c].normal_impulse
                 count += 1
-        first += each[f]
         middle[f] = 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
 
 
@@ -220,6 +247,18 @@ def middles(rows: NDArray[np.void], each: IntArray, positive: FloatArray, middle
 def _median(values: FloatArray) -> float:
     """Return the median; the order of the values changes."""
     half = len(values) // 2
+    middle = _settle(values, half)
+    if len(values) % 2 == 1:
+        return middle
+    below = values[0]
+    for k in range(1, half):
+        below = max(below, values[k])
+    return float(0.5 * (below + middle))
+
+
+@inner
+def _settle(values: FloatArray, place: int) -> float:
+    """Put the value that has a place in rising order there, smaller ones before it and larger ones behind it."""
     lo, hi = 0, len(values) - 1
     while lo < hi:  # Hoare's selection
         pivot, i, j = values[(lo + hi) // 2], lo, hi
@@ -232,27 +271,84 @@ def _median(values: FloatArray) -> float:
                 values[i], values[j] = values[j], values[i]
                 i += 1
                 j -= 1
-        if j < half:
+        if j < place:
             lo = i
-        if i > half:
+        if i > place:
             hi = j
-    if len(values) % 2 == 1:
-        return float(values[half])
-    below = values[0]
-    for k in range(1, half):
-        below = max(below, values[k])
-    return float(0.5 * (below + values[half]))
+    return float(values[place])
 
 
-@kernel
-def count_moved(position: FloatArray, before: SingleArray) -> int:
-    """Count the bodies that are drawn elsewhere than before, (n, 3), which is overwritten by where they are now."""
-    moved = 0
-    for i in range(len(position)):
-        same = True
-        for k in range(3):
-            drawn = np.float32(position[i, k])
-            same = same and drawn == before[i, k]
-            before[i, k] = drawn
-        moved += not same
-    return moved
+@inner
+def _pick_strongest(rows: NDArray[np.void], count: int, scratch: FloatArray, chosen: IntArray) -> None:
+    """Write which rows have the largest normal impulses, ``count`` of them, in their order; of equal ones the first."""
+    m = len(rows)
+    if count <= 0:
+        return
+    if count >= m:
+        for c in range(m):
+            chosen[c] = c
+        return
+    for c in range(m):
+        scratch[c] = rows[c].normal_impulse
+    least = _settle(scratch[:m], m - count)
+    equal = count  # how many of those as large as the smallest that is chosen
+    for c in range(m):
+        equal -= rows[c].normal_impulse > least
+    found = 0
+    for c in range(m):
+        impulse = rows[c].normal_impulse
+        if impulse > least or (impulse == least and equal > 0):
+            equal -= impulse == least
+            chosen[found] = c
+            found += 1
+
+
+@long_kernel
+def pick_strongest(
+    addresses: IntArray, column: int, each: IntArray, counts: IntArray, scratch: FloatArray, chosen: IntArray
+) -> None:
+    """Write which rows of each frame have the largest normal impulses, as many as it counts, frame after frame.
+
+    Parameters
+    ----------
+    column, each
+        Of the addresses, `ROWS` or `IMPACTS`, and how many of them each frame has.
+    scratch
+        As many as the most rows of a frame, overwritten.
+    """
+    first = 0
+    for f in range(len(each)):
+        rows = carray(_records(addresses[f, column]), each[f])
+        _pick_strongest(rows, counts[f], scratch, chosen[first:])
+        first += counts[f]
+
+
+@long_kernel
+def gather(addresses: IntArray, column: int, counts: IntArray, chosen: IntArray, found: NDArray[np.void]) -> None:
+    """Copy the chosen rows of each frame, ``counts`` of them, one frame's after another's."""
+    c = 0
+    for f in range(len(counts)):
+        rows = carray(_records(addresses[f, column]), 1 << 62)
+        for _ in range(counts[f]):
+            found[c] = rows[chosen[c]]
+            c += 1
+
+
+@long_kernel
+def count_moved(position: FloatArray, before: SingleArray, moved: IntArray) -> None:
+    """Count the bodies of each frame, (frames, n, 3), that are drawn elsewhere than in the frame before.
+
+    Parameters
+    ----------
+    before
+        (n, 3), of the frame before the first, overwritten by the last.
+    """
+    for f in range(len(position)):
+        moved[f] = 0
+        for i in range(position.shape[1]):
+            same = True
+            for k in range(3):
+                drawn = np.float32(position[f, i, k])
+                same = same and drawn == before[i, k]
+                before[i, k] = drawn
+            moved[f] += not same

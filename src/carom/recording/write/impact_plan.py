@@ -1,4 +1,4 @@
-"""Chooses which impacts of each frame are recorded, and how many of its contacts get arrows."""
+"""Chooses how many impacts of each frame are recorded, and how many of its contacts get arrows."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.frame import Frame
+from carom.physics.parallel.jit import inline, long_kernel
 from carom.recording.write.encoding_kernels import count_moved
 
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 ONCE = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
@@ -19,17 +20,19 @@ _ROW = 60  # bytes of a row besides its arrays
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars, likewise
 
+_OTHERS, _SPENT, _DRAWN, _SHOWN = range(4)  # bytes so far: of all else, of contacts, of that on arrows, on bodies
+
 
 class Kept(NamedTuple):
-    """What is recorded of a frame."""
+    """What is recorded of each frame of a batch, (frames,)."""
 
-    impacts: IntArray  # which of those since the frame before, in order of time
-    arrows: int  # contacts that are drawn with arrows
-    scenes: int  # number of impacts, from the first on, with a frame of all bodies
+    impacts: IntArray  # impacts since the frame before, those of the largest normal impulses
+    arrows: IntArray  # contacts that are drawn with arrows
+    scenes: IntArray  # impacts, from the first on, with a frame of all bodies
 
 
 class ImpactPlan:
-    """Decides which impacts and contacts of each frame are recorded.
+    """Decides how many impacts and contacts of each frame are recorded.
 
     All impacts are kept while everything that is recorded of contacts takes at most a fifth of the file so far. Then
     those of the largest normal impulses are kept, of each frame at least one. The choice depends on the frames alone,
@@ -39,64 +42,85 @@ class ImpactPlan:
     ----------
     everything
         Whether all impacts are kept and all contacts get arrows, whatever they cost.
+    oriented, turned
+        Whether bodies have orientations and torques.
     """
 
-    def __init__(self, *, everything: bool) -> None:
-        self._everything = everything
-        self._others = float(ONCE)  # bytes of all else so far
-        self._spent = 0.0
-        self._drawn = 0.0  # of that on arrows
-        self._shown = 0.0  # of that on frames of bodies
-        self._size = _Size()
+    def __init__(self, *, everything: bool, oriented: bool, turned: bool) -> None:
+        self._model = everything, oriented, turned
+        self._budget = np.array([ONCE, 0.0, 0.0, 0.0])
+        self._before: NDArray[np.float32] | None = None  # (n, 3) m, as drawn in the frame before
 
-    def choose(self, frame: Frame) -> Kept:
-        """Decide for the next frame."""
-        impacts = 0 if frame.impacts is None else len(frame.impacts)
-        contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
-        self._others += self._size.of(frame)
-        if self._everything:
-            return Kept(np.arange(impacts), contacts, self._scenes(frame, impacts, np.inf))
-        self._spent += _CONTACT * contacts
-        kept = largest(frame.impacts, max(1, int((SHARE * self._others - self._spent) / _IMPACT)))
-        self._spent += _IMPACT * len(kept)
-        each = _ARROW if frame.torque is None else 2 * _ARROW  # with friction two
-        left = min(SHARE * self._others - self._spent, _ARROWS * self._others - self._drawn)
-        arrows = max(0, min(contacts, int(left / each)))
-        self._spent += each * arrows
-        self._drawn += each * arrows
-        return Kept(kept, arrows, self._scenes(frame, len(kept), SHARE * self._others - self._spent))
+    def choose(self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray) -> Kept:
+        """Decide for the next frames.
 
-    def _scenes(self, frame: Frame, impacts: int, room: float) -> int:
-        """Return at how many impacts the bodies are drawn, in so many bytes at most."""
-        each = _ROW + len(frame.position) * (12 if frame.orientation is None else 28)
-        scenes = max(0, int(min(impacts, min(room, _SCENES * self._others - self._shown) / each)))
-        self._spent += each * scenes
-        self._shown += each * scenes
-        return scenes
+        Parameters
+        ----------
+        position
+            (frames, n, 3) m.
+        edges, contacts, impacts
+            (frames,) how many each has.
+        """
+        if self._before is None:
+            self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
+        moved = np.empty(len(position), dtype=np.int64)
+        count_moved(position, self._before, moved)
+        kept = Kept(*np.empty((3, len(position)), dtype=np.int64))
+        _spend(SHARE, *self._model, position.shape[1], moved, edges, contacts, impacts, self._budget, *kept)
+        return kept
 
 
-def largest(impacts: NDArray[np.void] | None, count: int) -> IntArray:
+def largest(impacts: NDArray[np.void], count: int) -> IntArray:
     """Return which impacts have the largest normal impulses, in order of time; of equal ones the first."""
-    if impacts is None or len(impacts) <= count:
-        return np.arange(0 if impacts is None else len(impacts))
+    if len(impacts) <= count:
+        return np.arange(len(impacts))
     return np.sort(np.argsort(-impacts["normal_impulse"], kind="stable")[:count])
 
 
-class _Size:
-    """Estimates what else each frame takes in the file: bodies, arrows of torques, edges, scalars, checkpoints.
+@long_kernel
+def _spend(
+    share: float,
+    everything: bool,
+    oriented: bool,
+    turned: bool,
+    bodies: int,
+    moved: IntArray,
+    edges: IntArray,
+    contacts: IntArray,
+    impacts: IntArray,
+    budget: FloatArray,
+    kept: IntArray,
+    arrows: IntArray,
+    scenes: IntArray,
+) -> None:
+    """Decide for frames, (frames,), by how many bodies moved, edges, contacts and impacts each has."""
+    others, spent, drawn, shown = budget[_OTHERS], budget[_SPENT], budget[_DRAWN], budget[_SHOWN]
+    scene = _ROW + bodies * (28 if oriented else 12)
+    arrow = 2 * _ARROW if turned else _ARROW  # with friction two
+    for f in range(len(moved)):
+        others += _size(bodies, moved[f] / bodies, edges[f], oriented, turned)
+        kept[f], arrows[f], room = impacts[f], contacts[f], np.inf
+        if not everything:
+            spent += _CONTACT * contacts[f]
+            kept[f] = min(impacts[f], max(1, int((share * others - spent) / _IMPACT)))
+            spent += _IMPACT * kept[f]
+            left = min(share * others - spent, _ARROWS * others - drawn)
+            arrows[f] = max(0, min(contacts[f], int(left / arrow)))
+            spent += arrow * arrows[f]
+            drawn += arrow * arrows[f]
+            room = share * others - spent
+        scenes[f] = max(0, int(min(float(kept[f]), min(room, _SCENES * others - shown) / scene)))
+        spent += scene * scenes[f]
+        shown += scene * scenes[f]
+    budget[_OTHERS], budget[_SPENT], budget[_DRAWN], budget[_SHOWN] = others, spent, drawn, shown
 
-    What does not change from frame to frame is packed to little.
+
+@inline
+def _size(bodies: int, moved: float, edges: int, oriented: bool, turned: bool) -> float:
+    """Estimate what else a frame takes in the file: bodies, arrows of torques, edges, scalars, checkpoints; in bytes.
+
+    What does not change from frame to frame is packed to little; ``moved`` is the share of the bodies that do.
     """
-
-    def __init__(self) -> None:
-        self._before: NDArray[np.float32] | None = None
-
-    def of(self, frame: Frame) -> float:
-        """Return bytes."""
-        bodies, contacts = len(frame.position), len(frame.contacts)
-        if self._before is None:
-            self._before = np.full(frame.position.shape, np.nan, dtype=np.float32)
-        moved = count_moved(frame.position, self._before) / bodies
-        drawn = bodies * (2 + moved * (10 if frame.orientation is None else 26))
-        turned = 0.0 if frame.torque is None else 22 * (1 + moved) * min(bodies, 2 * contacts)
-        return 1.08 * (drawn + turned + (5 + 12 * moved) * contacts + _SCALARS)
+    drawn = bodies * (2 + moved * (26 if oriented else 10))
+    arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if turned else 0.0
+    return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from rerun import ComponentColumnList
 
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.view import impulse_scale
-from carom.recording.write.rows import Rows, any_column, array_bytes, single
+from carom.recording.write.columns import any_column, plain_column, vector_column
+from carom.recording.write.rows import Index, Rows, array_bytes, single
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -41,7 +41,6 @@ def impact_rows(
     origin
         (3,) m, of what is drawn.
     """
-    count = len(impacts)
     point = np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])
     lost = impacts["restitution_loss"] + impacts["friction_loss"]
@@ -60,12 +59,14 @@ def impact_rows(
     rounded = {name: single(values) for name, values in scalars.items()}
     mode = np.ascontiguousarray(impacts["mode"])
     columns = [
-        *rr.Points3D.columns(positions=positions, radii=radii, colors=colours).partition([1] * count),
-        *any_column("bodies", bodies.ravel()).partition([2] * count),
-        *any_column("normal", normal.ravel()).partition([3] * count),
-        *(column for name, values in rounded.items() for column in any_column(name, values)),
-        *any_column("mode", mode),
+        vector_column(rr.Points3D.descriptor_positions(), positions),
+        plain_column(rr.Points3D.descriptor_radii(), radii),
+        plain_column(rr.Points3D.descriptor_colors(), colours),
+        any_column("bodies", bodies.ravel(), 2),
+        any_column("normal", normal.ravel(), 3),
+        *(any_column(name, values) for name, values in rounded.items()),
+        any_column("mode", mode),
     ]
-    size = array_bytes(positions, radii, colours, bodies, normal, mode, *rounded.values()) + _INDEX_BYTES * count
-    steps, times = impacts["step"].tolist(), impacts["time"].tolist()
-    return Rows(IMPACTS, steps, times, ComponentColumnList(columns), size, numbers.tolist())
+    size = array_bytes(positions, radii, colours, bodies, normal, mode, *rounded.values()) + _INDEX_BYTES * len(impacts)
+    steps, times = np.ascontiguousarray(impacts["step"]), np.ascontiguousarray(impacts["time"])
+    return Rows(IMPACTS, Index(steps, times, numbers), columns, size)

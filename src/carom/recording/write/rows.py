@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import rerun as rr
 from numpy.typing import NDArray
-from rerun import ComponentColumnList
+from rerun import ComponentColumn
 
 from carom.physics.frame import Frame
 
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
 _INDEX_BYTES = 16  # a row's step and simulated time
+_NO_NUMBERS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
+
+
+class Index(NamedTuple):
+    """Where rows stand on the timelines. The entities of a batch share it."""
+
+    steps: IntArray  # empty where the rows are on the timeline of impacts only
+    times: FloatArray  # s
+    impacts: IntArray = _NO_NUMBERS  # numbers of impacts, where the rows are on their timeline
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame]) -> Index:
+        """Return an index with a row for each frame."""
+        return cls(np.array([frame.step for frame in frames]), np.array([frame.time for frame in frames]))
+
+    @classmethod
+    def of_impacts(cls, numbers: IntArray) -> Index:
+        """Return an index of rows that are on the timeline of impacts only."""
+        return cls(_NO_NUMBERS, _NO_TIMES, numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,25 +42,22 @@ class Rows:
     """One entity's rows of a batch."""
 
     path: str
-    steps: Sequence[int]  # empty where the rows are on the timeline of impacts only
-    times: Sequence[float]  # s
-    columns: ComponentColumnList
+    index: Index
+    columns: Iterable[ComponentColumn]
     bytes: int  # of the arrays in it, indices included
-    impacts: Sequence[int] = ()  # numbers of impacts, where the rows are on their timeline
+
+    @property
+    def steps(self) -> IntArray:
+        """The steps of the rows; none where they are on the timeline of impacts only."""
+        return self.index.steps
 
 
-def frame_rows(path: str, frames: Sequence[Frame], columns: ComponentColumnList, size: int) -> Rows:
+def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size: int) -> Rows:
     """Return one row for each frame."""
-    steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
-    return Rows(path, steps, times, columns, size + _INDEX_BYTES * len(frames))
+    return Rows(path, index, columns, size + _INDEX_BYTES * len(index.steps))
 
 
-def any_column(name: str, array: NDArray[np.generic] | list[str]) -> ComponentColumnList:
-    """Make a column of any type. As an Arrow array: a NumPy array would be walked value by value, in Python."""
-    return rr.AnyValues.columns(True, **{name: pa.array(array)})
-
-
-def single(values: NDArray[np.float64]) -> NDArray[np.float32]:
+def single(values: FloatArray) -> NDArray[np.float32]:
     """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
     with np.errstate(over="ignore"):
         return values.astype(np.float32)

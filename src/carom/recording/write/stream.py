@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
-from carom.recording.write.rows import Rows
+from carom.recording.write.rows import Index, Rows
 from carom.recording.write.statics import statics
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
@@ -39,7 +39,7 @@ class Stream:
         self.payload_bytes = 0
         self._batch_bytes = batch_bytes
         self._header = header
-        self._indexed: tuple[Sequence[int], Sequence[float], Sequence[int]] = ((), (), ())
+        self._indexed: Index | None = None
         self._index: list[rr.TimeColumn] = []
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
@@ -58,8 +58,8 @@ class Stream:
 
     def send(self, rows: Rows, clock: Clock) -> None:
         """Send one entity's rows."""
-        if (index := (rows.steps, rows.times, rows.impacts)) != self._indexed:  # most entities of a batch share it
-            self._indexed, self._index = index, clock.columns(*index)
+        if (index := rows.index) is not self._indexed:  # most entities of a batch share it
+            self._indexed, self._index = index, clock.columns(index.steps, index.times, index.impacts)
         for stream in self._streams():
             stream.send_columns(rows.path, self._index, rows.columns)
         self.payload_bytes += rows.bytes
