@@ -100,6 +100,26 @@ def test_what_an_engine_cannot_represent_is_named_before_anything_runs(tmp_path:
     assert not (tmp_path / "out").exists()
 
 
+def test_several_scenes_make_one_table_and_one_folder_each_and_name_what_no_engine_can_represent(checked: Path) -> None:
+    words = ("crosscheck", "pair.toml", "crosscheck/cannon-fast-ball", "extremes/dense-gas", "--engine", "mujoco")
+    done = carom(*words, "--repeats", "1", "--limit", "20", "-o", "several", cwd=checked)
+    assert done.returncode == 0, done.stderr
+    assert "2/3  crosscheck/cannon-fast-ball: " in done.stderr
+    assert "extremes/dense-gas: mujoco cannot represent this scene: a periodic box" in done.stdout
+    assert "crosscheck/cannon-fast-ball" in done.stdout and "2 scenes; 1 that none of the engines" in done.stdout
+    kept = {path.parent.name for path in (checked / "several").glob("*/crosscheck.json")}
+    assert kept == {"pair", "cannon-fast-ball"}
+
+
+def test_a_run_that_takes_longer_than_the_limit_is_stopped_and_says_so(checked: Path) -> None:
+    words = ("crosscheck", "pair.toml", "--engine", "mujoco", "--repeats", "1", "--limit", "1e-9", "-o", "short")
+    done = carom(*words, "--json", cwd=checked)
+    assert done.returncode == 0, done.stderr
+    runs = [run for run in json.loads(done.stdout)["runs"] if run["engine"]]
+    assert {run["status"] for run in runs} == {"failed"}
+    assert all("it took more than 1e-09 s (--limit)" in run["reason"] for run in runs)
+
+
 def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,6 +14,7 @@ import carom
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.source.adapters.package import engine_package
+from carom.recording.source.snapshot import Snapshot
 from command import carom as command
 
 FAULT = 100  # the step in which each fault is planted
@@ -243,6 +244,18 @@ def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
         recorder.frame()
         toy.steps = 0
         recorder.frame()
+
+
+def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_it_is_finite() -> None:
+    position, velocity = np.ones((3, 3)), np.zeros((3, 3))
+    snapshot = Snapshot(carom.record.State(0.0, position, velocity))
+    assert snapshot.take(carom.record.State(1.5, position, velocity))
+    position[:] = 2.0
+    assert snapshot.state.time == 1.5 and (snapshot.state.position == 1.0).all()
+    for wrong in (np.nan, np.inf, -np.inf, -1e200):
+        velocity[2, 1] = wrong
+        assert not snapshot.take(carom.record.State(2.0, position, velocity)), wrong
+    assert not snapshot.take(carom.record.State(np.nan, position, np.zeros((3, 3))))
 
 
 def test_rebound_is_recorded_with_its_gravity(tmp_path: Path) -> None:

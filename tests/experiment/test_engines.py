@@ -91,3 +91,25 @@ def test_an_engine_that_is_not_installed_or_unknown_is_refused_with_the_remedy(
     monkeypatch.setitem(sys.modules, "rebound", None)
     with pytest.raises(ExperimentError, match="pip install 'rebound>=5'"):
         engine_called("rebound").settings(orbit())
+
+
+@pytest.mark.slow  # Warp starts in two seconds
+def test_newton_hands_velocity_from_sphere_to_equal_sphere_and_bounces_on_a_plane_by_its_own_coefficient() -> None:
+    pytest.importorskip("newton")
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.0, "fixed_dt": 0.005},
+            "gravity": {"constant": 0.0},
+            "contact": {"restitution": 1.0, "static_friction": 0.0, "kinetic_friction": 0.0},
+            "body": [
+                {"mass": 2.0, "radius": 0.1, "position": [0.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0]},
+                {"mass": 2.0, "radius": 0.1, "position": [0.5, 0.0, 0.0]},
+                {"mass": 1.0, "radius": 0.1, "position": [5.0, 5.0, 0.5], "velocity": [0.0, 0.0, -1.0]},
+            ],
+            "plane": [{"point": [0.0, 0.0, -0.2], "restitution": 0.5}],
+        }
+    )
+    newton = engine_called("newton")
+    run = newton.follow(scene, newton.settings(scene)[0], sample_times(scene))
+    right = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    assert np.abs(run.velocity[-1] - right).max() < 1e-5  # single precision

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+from carom.cli.options import SetOption, ThreadsOption, bundled
 from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, ran
 from carom.scene.command import command
@@ -15,23 +16,49 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.crosscheck import Crosscheck
+    from carom.cli.terminal import Terminal
+    from carom.experiment.crosscheck.crosscheck import Crosscheck
+
+
+SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
 
 
 def crosscheck(
-    scene: SceneArgument,
+    scenes: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE...",
+            help="Scene files (.toml) or names of bundled scenes; `extremes` and `crosscheck` are all of their folder.",
+            autocompletion=bundled,
+        ),
+    ],
     engines: Annotated[
         list[str],
         typer.Option(
             "--engine",
             metavar="A,B,C",
-            help="Engines to compare with: rebound, mujoco, box3d, pybullet. Needs their packages.",
+            help="Engines to compare with: rebound, mujoco, box3d, pybullet, newton. Needs their packages.",
         ),
     ],
     repeats: Annotated[int, typer.Option("--repeats", metavar="N", help="Time each run N times.", min=1)] = 3,
+    limit: Annotated[
+        float | None,
+        typer.Option(
+            "--limit",
+            metavar="SECONDS",
+            help="Stop following a run after so long, and making a reference. Default: none for one scene, "
+            f"{SEVERAL_LIMIT:g} for several.",
+            min=0.0,
+        ),
+    ] = None,
     folder: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder. Default: recordings/crosscheck/SCENE."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder; of several scenes, the folder of theirs. Default: recordings/crosscheck/SCENE.",
+        ),
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
@@ -44,36 +71,93 @@ def crosscheck(
     """
     import json
 
-    from carom.experiment.crosscheck import Crosscheck
-    from carom.experiment.engines.engine import engine_called
+    from carom.experiment.crosscheck.crosscheck import Crosscheck
+    from carom.experiment.engines.engine import engines_called
+    from carom.experiment.error import ExperimentError
+    from carom.scene.bundled import bundled_folders
     from carom.scene.schema import Scene
 
-    names = [name.strip() for part in engines for name in part.split(",") if name.strip()]
-    chosen = [engine_called(name) for name in dict.fromkeys(names)]
-    where = folder or Path("recordings/crosscheck") / Path(scene).stem
-    check = Crosscheck(Scene.load(scene, overrides), chosen, where, threads, force)
-    for reason in check.refused.values():
-        say(f"carom: {reason}", err=True)
-    finished = ran(lambda tell: check.run(repeats, tell), quiet=as_json)
-    document = check.document()
+    chosen, known = engines_called(engines), bundled_folders()
+    names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))
+    several = len(names) > 1
+    loaded = {name: Scene.load(name, overrides) for name in names}
+    for engine in chosen:
+        engine.ensure_installed()
+    limit = (SEVERAL_LIMIT if several else math.inf) if limit is None else limit
+    parent = folder or Path("recordings/crosscheck")
+    documents: dict[str, dict[str, Any]] = {}
+    refused: dict[str, str] = {}
+    finished = True
+    for number, (name, scene) in enumerate(loaded.items(), start=1):
+        where = folder if folder and not several else parent / Path(name).stem
+        try:
+            check = Crosscheck(scene, chosen, where, threads, force, limit)
+        except ExperimentError as error:
+            if not several:
+                raise
+            refused[name] = str(error)
+            continue
+        heading = f"{number}/{len(loaded)}  {name}: " if several else ""
+        if not several:
+            for reason in check.refused.values():
+                say(f"carom: {reason}", err=True)
+        finished = ran(lambda tell: check.run(repeats, lambda text: tell(heading + text)), quiet=as_json)  # noqa: B023
+        documents[name] = check.document()
+        _draw(check, quiet=as_json or several)
+        if not finished:
+            break
     if as_json:
-        say(json.dumps(document, indent=2, ensure_ascii=False))
+        said = {"scenes": documents, "refused": refused} if several else next(iter(documents.values()))
+        say(json.dumps(said, indent=2, ensure_ascii=False))
+    elif several:
+        _show_several(documents, refused, parent)
     else:
-        _show(document)
-    _draw(check, quiet=as_json)
+        _show(next(iter(documents.values())))
     if not finished:
         say(STOPPED, err=True)
         raise typer.Exit(1)
 
 
-def _show(document: dict[str, Any]) -> None:
+def _show_several(documents: dict[str, dict[str, Any]], refused: dict[str, str], folder: Path) -> None:
+    """Print one table of all scenes, and which of them no engine can represent."""
+    from rich import box
     from rich.markup import escape
+    from rich.table import Table
 
+    console = _console()
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("scene", "run", "cost / s", "criteria", "parts from the reference at", "laws broken"):
+        table.add_column(heading, justify="right" if heading == "cost / s" else "left")
+    for name, document in documents.items():
+        for number, run in enumerate(document["runs"]):
+            cost = "" if run["cost"] is None else f"{run['cost']:.3g}"
+            laws = ", ".join(run.get("laws", {})) or "none"
+            cells = ("" if number else name, run["name"], cost, _criteria(run), _parting(run), laws)
+            table.add_row(*(escape(cell) for cell in cells), end_section=run is document["runs"][-1])
+    console.print(table)
+    for name, reason in refused.items():
+        console.print(escape(f"{name}: {reason}"), soft_wrap=True)
+    ran_by = sum(1 for document in documents.values() if document["runs"])
+    console.print(
+        f"{ran_by} scenes; {len(refused)} that none of the engines can represent. "
+        f"Figures and recordings: {folder}/SCENE.",
+        soft_wrap=True,
+    )
+
+
+def _console() -> Terminal:
     from carom.cli.terminal import Terminal
 
     console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
+    return console
+
+
+def _show(document: dict[str, Any]) -> None:
+    from rich.markup import escape
+
+    console = _console()
     console.print(_table(document))
     reference = document["reference"]
     if reference is not None:
@@ -140,8 +224,8 @@ def _number(value: float | None) -> str:
 
 def _draw(check: Crosscheck, quiet: bool) -> None:
     """Leave the figure and the recording of all runs beside the document; say where they are."""
-    from carom.experiment.crosscheck import DOCUMENT, FIGURE, OVERLAY
-    from carom.experiment.crosscheck_figure import draw
+    from carom.experiment.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
+    from carom.experiment.crosscheck.figure import draw
     from carom.experiment.error import ExperimentError
     from carom.experiment.work_precision.overlay import record
 

@@ -35,8 +35,9 @@ EngineOption = Annotated[
     list[str] | None,
     typer.Option(
         "--engine",
-        metavar="NAME",
-        help="Compare with another engine on the same scene: rebound, mujoco, box3d, pybullet. Needs its package.",
+        metavar="A,B,C",
+        help="Compare with other engines on the same scene: rebound, mujoco, box3d, pybullet, newton. Needs their "
+        "packages.",
     ),
 ]
 COLUMNS = {
@@ -77,10 +78,10 @@ def tradeoff(
     """
     import json
 
-    from carom.experiment.engines.engine import engine_called
+    from carom.experiment.engines.engine import engines_called
     from carom.experiment.work_precision.settings_grid import default_settings
 
-    others = [engine_called(name) for name in engines or ()]
+    others = engines_called(engines or ())
     study, settings = opened(scene, vary, folder, overrides, threads, force)
     wanted = default_settings(study.scene) if settings is None else settings
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]

@@ -9,7 +9,6 @@ import uuid
 import warnings
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,6 +24,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.recording.source.audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
+from carom.recording.source.snapshot import Snapshot
 from carom.recording.source.source import Model, Setup, Source, State, array_of, setup_of
 from carom.recording.write.recorder import Recorder as FrameRecorder
 from carom.scene.units.dimension import TIME
@@ -34,8 +34,6 @@ from carom.scene.units.unit import UnitError
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
 MOST_WAITING = 256
 COMPLETED = "completed"
-
-_ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
 
 
 class Recorder:
@@ -108,7 +106,8 @@ class Recorder:
         self._time = -np.inf
         self._ended = ""  # why no more frames are taken
         self._setup: Setup | None = None
-        self._ring: deque[tuple[int, State]] | None = None if last is None else deque(maxlen=last)
+        self._ring: deque[tuple[int, Snapshot]] | None = None if last is None else deque(maxlen=last)
+        self._free: Snapshot | None = None  # whose memory can be used again
         self._sink: _Writer | None = None
         self._written = self._taken = 0
         self.faults: list[Fault] = []
@@ -131,8 +130,8 @@ class Recorder:
             return not self._ended
         state = self._source.state()
         setup = self._setup or self._begin(state)
-        fault = None if _is_finite(state) else not_finite(setup, call, state)
-        if fault is not None:
+        snapshot = self._memory(state)
+        if not snapshot.take(state) and (fault := not_finite(setup, call, state)) is not None:
             self._end(fault)
             return False
         if not state.time >= self._time:
@@ -142,11 +141,20 @@ class Recorder:
             )
         self._time = state.time
         if self._ring is not None:
-            self._ring.append((call, _copy(state)))
+            if len(self._ring) == self._ring.maxlen:
+                self._free = self._ring[0][1]
+            self._ring.append((call, snapshot))
         elif self._sink is not None:
-            self._sink.put(call, state)
+            self._sink.put(call, snapshot)
             self._taken += 1
         return True
+
+    def _memory(self, state: State) -> Snapshot:
+        """Return memory for a copy of a state; wait for the writer if all of it is in use."""
+        free, self._free = self._free, None
+        if free is None and self._sink is not None:
+            free = self._sink.spare()
+        return free or Snapshot(state)
 
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
         """Write the frames in memory; later frames go on filling it.
@@ -218,9 +226,9 @@ class Recorder:
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
         """Write the frames in memory into a file of their own."""
         assert self._ring and self._setup, "there are frames"
-        writer = self._writer(path, self._setup, self._ring[0][1], self._force)
-        for step, state in self._ring:
-            writer.put(step, state)
+        writer = self._writer(path, self._setup, self._ring[0][1].state, self._force)
+        for step, snapshot in self._ring:
+            writer.put(step, snapshot)
         self.faults = writer.finish(outcome, faults)
         self._written += 1
 
@@ -252,22 +260,27 @@ class _Writer:
         self._stack.enter_context(claimed_output(path, force))
         self._recorder = FrameRecorder(path, header)
         self._store = self._recorder.store_for(observer.bodies)
-        waiting = max(2, min(MOST_WAITING, WAITING_BYTES // (104 * header.bodies)))
-        self._queue: queue.Queue[tuple[int, State] | None] = queue.Queue(waiting)
-        self._spare: queue.SimpleQueue[State] = queue.SimpleQueue()  # states whose arrays can be used again
+        self._room = max(2, min(MOST_WAITING, WAITING_BYTES // (104 * header.bodies)))  # snapshots that may be made
+        self._queue: queue.SimpleQueue[tuple[int, Snapshot] | None] = queue.SimpleQueue()
+        self._spare: queue.SimpleQueue[Snapshot] = queue.SimpleQueue()  # whose memory can be used again
         self._error: Exception | None = None
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
 
-    def put(self, step: int, state: State) -> None:
-        """Copy a state; wait while the thread is behind."""
-        self._raise()
+    def spare(self) -> Snapshot | None:
+        """Return memory that is used again; None if more may be made. Waits while the thread is behind."""
         try:
-            spare: State | None = self._spare.get_nowait()
+            return self._spare.get(block=self._room == 0)
         except queue.Empty:
-            spare = None
-        self._queue.put((step, _copy(state, spare)))
+            self._room -= 1
+            return None
+
+    def put(self, step: int, snapshot: Snapshot) -> None:
+        """Hand over a snapshot, which belongs to the thread from then on."""
+        if self._error is not None:
+            raise self._error
+        self._queue.put((step, snapshot))
 
     def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
         """Write what is left, close the file, and return the first fault of each law."""
@@ -275,7 +288,8 @@ class _Writer:
         self._thread.join()
         audit = self._observer.audit
         try:
-            self._raise()
+            if self._error is not None:
+                raise self._error
             for fault in faults:
                 audit.note(fault)
             extremes = self._observer.extremes.named(self._observer.names)
@@ -290,47 +304,15 @@ class _Writer:
             self._stack.close()
         return sorted(audit.first.values(), key=lambda fault: fault.step)
 
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
-
     def _run(self) -> None:
         while (item := self._queue.get()) is not None:
             if self._error is not None:
-                continue  # so that `put` does not wait for ever
-            step, state = item
+                self._spare.put(item[1])  # or `spare` would wait for ever
+                continue
+            step, snapshot = item
             try:
-                self._recorder.put(self._observer.frame(step, state, self._store))
-                self._last = (step, state.time)
+                self._recorder.put(self._observer.frame(step, snapshot.state, self._store))
+                self._last = (step, snapshot.state.time)
             except Exception as error:
                 self._error = error
-            self._spare.put(state)
-
-
-def _is_finite(state: State) -> bool:
-    """Tell whether a state can be computed with; an overflow of a square says no, and is looked at closely."""
-    total = state.time
-    for name in _ARRAYS:
-        values = getattr(state, name)
-        if values is not None:
-            flat = np.ravel(values)
-            with np.errstate(over="ignore", invalid="ignore"):
-                total = total + float(flat @ flat)
-    return bool(np.isfinite(total))
-
-
-def _copy(state: State, into: State | None = None) -> State:
-    """Copy a state, into the arrays of another if there is one."""
-    if into is None:
-        into = State(state.time, *(None if v is None else np.array(v, dtype=np.float64) for v in _values(state)))
-    else:
-        into = replace(into, time=state.time)
-        for name, value in zip(_ARRAYS, _values(state), strict=True):
-            if value is not None:
-                getattr(into, name)[:] = value
-    into.contacts = None if state.contacts is None else np.array(state.contacts, dtype=np.int64)
-    return into
-
-
-def _values(state: State) -> list[Any]:
-    return [getattr(state, name) for name in _ARRAYS]
+            self._spare.put(snapshot)

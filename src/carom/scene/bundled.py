@@ -24,6 +24,11 @@ def crosscheck_scenes() -> dict[str, Path]:
     return {f"{CROSSCHECK}/{name}": path for name, path in _scenes(_folder() / CROSSCHECK).items()}
 
 
+def bundled_folders() -> dict[str, list[str]]:
+    """Return the names of the bundled scenes in each folder, by its name."""
+    return {EXTREMES: list(extreme_scenes()), CROSSCHECK: list(crosscheck_scenes())}
+
+
 def _scenes(folder: Path) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"), key=lambda path: path.stem)}
 

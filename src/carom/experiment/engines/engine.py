@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Protocol
 
 from carom.experiment.engines.box3d import Box3D
 from carom.experiment.engines.mujoco import MuJoCo
+from carom.experiment.engines.newton import Newton
 from carom.experiment.engines.pybullet import PyBullet
 from carom.experiment.engines.rebound import Rebound
 from carom.experiment.engines.stepped import Simulation
@@ -55,11 +57,14 @@ class Engine(Protocol):
             If the state is no longer finite.
         """
 
+    def samples_steps(self, scene: Scene) -> bool:
+        """Tell whether `follow` takes its samples from the ends of steps, as `watch` does."""
+
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene without sampling; return the seconds that the engine took."""
 
 
-ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet())}
+ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet(), Newton())}
 
 
 def engine_called(name: str) -> Engine:
@@ -73,3 +78,9 @@ def engine_called(name: str) -> Engine:
     if name not in ENGINES:
         raise ExperimentError(f"--engine {name}: unknown; known engines: {', '.join(ENGINES)}")
     return ENGINES[name]
+
+
+def engines_called(names: Iterable[str]) -> list[Engine]:
+    """Return engines by their names, several of which may stand in one text, separated by commas; each once."""
+    each = [name.strip() for text in names for name in text.split(",") if name.strip()]
+    return [engine_called(name) for name in dict.fromkeys(each)]

@@ -85,11 +85,12 @@ class Rebound:
         """Build a scene at its start, to be taken step by step."""
         simulation = _simulation(scene, setting, safe=True)
         order = np.argsort(_heaviest_first(place(scene).mass))
-        return Simulation(_InOrder(record(simulation), order), lambda: simulation.steps(1), simulation.dt)
+        dt = simulation.dt if "dt=" in " ".join(setting.overrides) else 0.0
+        return Simulation(_InOrder(record(simulation), order), lambda: simulation.steps(1), dt)
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
         """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
-        if require(scene).contact.modelled:
+        if self.samples_steps(scene):
             return watch(self.begin(scene, setting), scene, times).trajectory
         simulation = _simulation(scene, setting, safe=True)
         space = Space(scene, 1)
@@ -126,6 +127,10 @@ class Rebound:
             steps=simulation.steps_done,
             frames=0,
         )
+
+    def samples_steps(self, scene: Scene) -> bool:
+        """Tell whether `follow` takes its samples from the ends of steps: where bodies touch."""
+        return require(scene).contact.modelled
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene, as fast as the integrator allows; return the time it took in s."""

@@ -27,7 +27,7 @@ class Simulation:
 
     source: Source
     step: Callable[[], None]  # advances by one step
-    dt: float  # s
+    dt: float  # s; 0 if the engine chooses its steps
 
 
 class SteppedEngine(ABC):
@@ -74,6 +74,10 @@ class SteppedEngine(ABC):
     def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
         """Run a scene and sample it; see `Engine`."""
         return watch(self.begin(scene, setting), scene, times).trajectory
+
+    def samples_steps(self, scene: Scene) -> bool:
+        """Tell whether `follow` takes its samples from the ends of steps: it does."""
+        return True
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene, and read no state; return the time it took in s."""

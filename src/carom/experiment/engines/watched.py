@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import uuid
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from time import perf_counter as clock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,11 +25,14 @@ from carom.recording.source.observer import Observer, header_of_source, not_fini
 from carom.recording.source.source import State, setup_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.experiment.engines.stepped import Simulation
 
 ROUNDING = 1e-9  # of the duration, that the sum of the steps may lack
+COMPLETED = "completed"
+MOST_SEEN = 20_000  # steps that are looked at, where nothing can touch
 FRAMES = 600  # of a recording, besides those in which a law is broken
 
 
@@ -35,6 +40,8 @@ FRAMES = 600  # of a recording, besides those in which a law is broken
 class Watched:
     """What was seen of an engine's run."""
 
+    outcome: str  # "completed", or why the run ended
+    dt: float  # s, of the steps
     trajectory: Trajectory
     extremes: Extremes
     faults: list[Fault]  # the first of each law, in order of time
@@ -42,8 +49,12 @@ class Watched:
     broken: list[tuple[float, str]]  # s and law, of every such frame
 
 
-def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | None = None) -> Watched:
+def watch(
+    simulation: Simulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
+) -> Watched:
     """Run a simulation to the end of its scene.
+
+    Of more than `MOST_SEEN` steps between which nothing can touch, only so many are looked at.
 
     Parameters
     ----------
@@ -53,16 +64,18 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
         (K,) s, at which it is sampled.
     path
         The ``.rrd`` to write, in place of an earlier one, if any.
+    limit
+        s of the clock, after which the run is stopped.
 
     Raises
     ------
     ExperimentError
-        If the state is no longer finite.
+        If the state is no longer finite, and the run is not recorded.
     """
     model, first = simulation.source.model, simulation.source.state()
     setup = setup_of(model, first)
     observer = Observer(setup, first, Tolerances(), scene.unit_system)
-    samples, met, outcome = _Samples(times), dict[tuple[int, int], float](), "completed"
+    samples, met, outcome = _Samples(times), dict[tuple[int, int], float](), COMPLETED
     with ExitStack() as stack:
         recorder = None
         if path is not None:
@@ -81,9 +94,17 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
         frame, step = observer.frame(0, _copied(first)), 0
         if recorder:
             recorder.put(frame)
+        dt, began = simulation.dt, clock()
+        stride = 1 if setup.collides or dt == 0.0 else math.ceil(end / dt / MOST_SEEN)
         while frame.time < end * (1.0 - ROUNDING):
-            step += 1
-            simulation.step()
+            if clock() - began > limit:
+                outcome = f"failed: stopped at t = {scene.unit_system.text(frame.time, TIME)}: it took more than {limit:g} s (--limit)"
+                break
+            for _ in range(
+                stride if stride == 1 else min(stride, math.ceil((end - frame.time) / dt * (1.0 - ROUNDING)))
+            ):
+                step += 1
+                simulation.step()
             state = simulation.source.state()
             fault = not_finite(setup, step, state)
             if fault is not None:
@@ -101,10 +122,12 @@ def watch(simulation: Simulation, scene: Scene, times: FloatArray, path: Path | 
             recorder.finish(
                 outcome, _closing(observer, frame), observer.extremes.highlights(observer.names, scene.unit_system)
             )
-    if outcome != "completed" and path is None:
+    if outcome != COMPLETED and path is None:
         raise ExperimentError(outcome.removeprefix("failed: "))
     audit = observer.audit
     return Watched(
+        outcome=outcome,
+        dt=simulation.dt,
         trajectory=_trajectory(observer, samples, met, frame, times),
         extremes=observer.extremes,
         faults=sorted(audit.first.values(), key=lambda fault: fault.step),

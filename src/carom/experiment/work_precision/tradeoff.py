@@ -26,9 +26,9 @@ from carom.experiment.output import output_folder
 from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.error_measures import NAMES, Errors
 from carom.experiment.work_precision.pareto_front import pareto_front
-from carom.experiment.work_precision.reference import Reference, fineness, make_reference, scale_of
+from carom.experiment.work_precision.reference import BUDGET, Reference, fineness, make_reference, scale_of
 from carom.experiment.work_precision.settings_grid import Setting, refusal
-from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
+from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, follow, sample_times
 from carom.physics.error import PhysicsError
 from carom.physics.schedule import at
 from carom.physics.space import Space
@@ -43,6 +43,7 @@ ROUND_OFF = 1e-13  # of a whole run, over its scale
 MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
 
 Teller = Callable[[str], None]
+EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
 
 
 @dataclass
@@ -102,6 +103,8 @@ class Study:
         self._advice = advice
         self.results: list[Result] = []
         self.reference: Reference | None = None
+        self.budget = BUDGET  # s, for the reference
+        self.follow_engine: EngineFollower = self._followed
         output_folder(folder)
         if (folder / DOCUMENT).exists() and not force:
             self._load()
@@ -126,7 +129,7 @@ class Study:
         results = [self._result(setting) for setting in settings]
         finest = max([1.0, *(fineness(self.scene, s) for s in map(self._applied, results) if s is not None)])
         if self.reference is None or self.reference.fineness < MARGIN * finest:
-            self.reference = make_reference(self.scene, finest, threads=self.threads, tell=tell)
+            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
             for result in self.results:  # of an earlier study, compared with a coarser reference so far
                 if result.status == "measured":
@@ -226,16 +229,16 @@ class Study:
         assert self.reference is not None, "the reference comes first"
         times, setting = sample_times(self.scene), result.setting
         try:
-            if setting.engine:
-                run = engine_called(setting.engine).follow(self.scene, setting, times)
-            else:
-                run = follow(self._space(result), times)
+            run = self.follow_engine(setting, times) if setting.engine else follow(self._space(result), times)
         except (PhysicsError, ExperimentError) as error:
             result.status, result.reason = "failed", str(error)
             return
         run.save(self._path(result))
         result.status, result.errors = "measured", self.reference.errors(run)
         result.steps, result.frames = run.steps, run.frames
+
+    def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
+        return engine_called(setting.engine).follow(self.scene, setting, times)
 
     def _cost(self, result: Result) -> float:
         """Run a setting once without recording; return the time it took in s."""

@@ -31,6 +31,7 @@ class Newton:
     def __init__(self, model: Any, now: Callable[[], tuple[Any, float]]) -> None:
         package = engine_package("newton")
         self._now, self._centre = now, model.body_com.numpy().astype(np.float64)
+        self._off_centre = bool(self._centre.any())  # whether any centre of mass is not the origin of its body
         mass = model.body_mass.numpy().astype(np.float64)
         if len(mass) == 0:
             raise RecordingError("newton: the model has no rigid body")
@@ -68,8 +69,10 @@ class Newton:
     def state(self) -> State:
         """Return the present state."""
         state, time = self._now()
-        pose, rate = state.body_q.numpy().astype(np.float64), state.body_qd.numpy().astype(np.float64)
-        position = pose[:, :3] + _turned(pose[:, 3:], self._centre)
+        pose, rate = state.body_q.numpy(), state.body_qd.numpy()
+        position = pose[:, :3]
+        if self._off_centre:
+            position = position + _turned(pose[:, 3:].astype(np.float64), self._centre)
         return State(float(time), position, rate[:, :3], pose[:, 3:], rate[:, 3:])
 
 

@@ -26,8 +26,7 @@ class Rebound:
         engine_package("rebound")
         self._simulation = simulation
         self._n = simulation.N - _variational(simulation)
-        self._position = np.zeros((simulation.N, 3))
-        self._velocity = np.zeros((simulation.N, 3))
+        self._state = np.zeros((simulation.N, 6))  # positions and velocities
         mass, size = np.zeros(simulation.N), np.zeros(simulation.N)
         simulation.serialize_particle_data(m=mass, r=size)
         mass, size = mass[: self._n], size[: self._n]
@@ -52,14 +51,14 @@ class Rebound:
     def state(self) -> State:
         """Return positions and velocities of the particles."""
         simulation = self._simulation
-        known = len(self._position)
+        known = len(self._state)
         if known != simulation.N:
             raise RecordingError(
                 f"rebound had {known} particles and has {simulation.N}: a recording keeps its bodies; begin another one"
             )
         simulation.synchronize()
-        simulation.serialize_particle_data(xyz=self._position, vxvyvz=self._velocity)
-        return State(simulation.t, self._position[: self._n], self._velocity[: self._n])
+        simulation.serialize_particle_data(xyzvxvyvz=self._state)
+        return State(simulation.t, self._state[: self._n, :3], self._state[: self._n, 3:])
 
 
 def rebound(simulation: Any, radius: float | None = None) -> Rebound:

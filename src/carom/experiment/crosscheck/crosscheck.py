@@ -1,7 +1,7 @@
 """Runs a scene in other engines, and says where each parts from the reference and which law it breaks there.
 
-`Study` measures errors and costs, in turns. Each run is then examined: the audit of `carom.record` follows it step by
-step, its criteria are those of the scene's [expect], and it is recorded.
+`Study` measures errors and costs, in turns. Each run is examined: the audit of `carom.record` follows it step by step,
+its criteria are those of the scene's [expect], and it is recorded.
 """
 
 from __future__ import annotations
@@ -13,18 +13,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from carom.experiment.crosscheck.examination import Examination, examined_other, examined_own
+from carom.experiment.crosscheck.parting import parting_of
 from carom.experiment.engines.engine import Engine
-from carom.experiment.engines.watched import watch
+from carom.experiment.engines.watched import COMPLETED, Watched, watch
 from carom.experiment.error import ExperimentError
-from carom.experiment.expectation import Verdict, judge
 from carom.experiment.run import recording_space, simulate
 from carom.experiment.whole_file import write_whole
-from carom.experiment.work_precision.reference import Reference
+from carom.experiment.work_precision.reference import BUDGET
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.tradeoff import Result, Study
-from carom.experiment.work_precision.trajectory import Trajectory
+from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
 from carom.physics.error import PhysicsError
 from carom.recording.errors import RecordingError
 from carom.scene.half_space import half_spaces
@@ -37,33 +36,8 @@ FIGURE = "crosscheck.png"
 OVERLAY = "crosscheck.rrd"
 VERSION = 1  # of the document
 OWN = Setting("carom", ())
-PARTED = 0.01  # of the size of the system; runs farther apart have parted
-EARLIER = 2.0  # steps, by which an engine may see an impact before the reference does
-LATER = 40.0  # steps after it, in which a soft contact ends
 
 Teller = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Parting:
-    """Where a run leaves the reference."""
-
-    time: float  # s, of the first sample that is too far away
-    impact: int  # the number of the last pair that met before, from 1 on; 0 if none had
-    between: str  # its names
-    impact_time: float  # s
-    laws: list[str]  # that were broken from that impact on
-
-
-@dataclass(frozen=True, slots=True)
-class Examination:
-    """One run, looked at step by step."""
-
-    name: str
-    criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, met
-    laws: dict[str, dict[str, Any]]  # those broken: the first frame, and how many
-    parting: dict[str, Any] | None  # see `Parting`; None if it stays with the reference up to the horizon
-    recording: str  # its file, in the folder
 
 
 @dataclass
@@ -82,6 +56,8 @@ class Crosscheck:
         For carom's kernels.
     force
         Whether to start over.
+    limit
+        s, for the reference, and for following each run of an engine; what takes longer is stopped.
 
     Raises
     ------
@@ -94,8 +70,10 @@ class Crosscheck:
     folder: Path
     threads: int | None = None
     force: bool = False
+    limit: float = math.inf
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings
+    _seen: dict[str, Watched] = field(default_factory=dict)  # likewise, of runs that are not examined yet
 
     def __post_init__(self) -> None:
         for engine in self.engines:
@@ -111,6 +89,7 @@ class Crosscheck:
             raise ExperimentError("; ".join(self.refused.values()))
         self.engines = able
         self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force)
+        self.study.follow_engine, self.study.budget = self._follow, min(BUDGET, self.limit)
         if not self.force:
             self._load()
 
@@ -123,14 +102,13 @@ class Crosscheck:
         """Measure and examine what is not yet."""
         settings = [OWN, *(setting for engine in self.engines for setting in engine.examined(self.scene))]
         self.study.measure(settings, repeats, tell)
-        by_name = {engine.name: engine for engine in self.engines}
+        asked = {engine.name for engine in self.engines} | {OWN.engine}
         for result in self.results:
             name = result.setting.name
-            if name in self.examinations:
+            if name in self.examinations or result.setting.engine not in asked:
                 continue
             tell(f"{name}: laws")
-            engine = by_name.get(result.setting.engine)
-            self.examinations[name] = self._own(result) if engine is None else self._other(result, engine)
+            self.examinations[name] = self._examined(result)
             self._save()
 
     def document(self) -> dict[str, Any]:
@@ -150,44 +128,48 @@ class Crosscheck:
             "runs": runs,
         }
 
+    def _follow(self, setting: Setting, times: FloatArray) -> Trajectory:
+        """Run a setting of an engine, and examine it on the way if its samples are taken from its steps, too."""
+        engine = self._engine(setting)
+        if not engine.samples_steps(self.scene):
+            return engine.follow(self.scene, setting, times)
+        seen = self._watched(setting, times)
+        if seen.outcome != COMPLETED:
+            raise ExperimentError(seen.outcome.removeprefix("failed: "))
+        return seen.trajectory
+
+    def _watched(self, setting: Setting, times: FloatArray) -> Watched:
+        """Follow a run step by step, and record it."""
+        simulation = self._engine(setting).begin(self.scene, setting)
+        seen = watch(simulation, self.scene, times, self._recording(setting), self.limit)
+        self._seen[setting.name] = seen
+        return seen
+
+    def _examined(self, result: Result) -> Examination:
+        """Look at a run that is measured."""
+        setting = result.setting
+        if not setting.engine:
+            return self._own(result)
+        assert self.study.reference is not None, "it is measured first"
+        seen = self._seen.pop(setting.name, None) or self._watched(setting, self.study.reference.trajectory.time)
+        parting = self._parting(result, seen.broken, seen.dt)
+        return examined_other(setting.name, self.scene, seen, parting, self._recording(setting).name)
+
     def _own(self, result: Result) -> Examination:
         """Run carom and record it."""
-        path = self.folder / "carom.rrd"
         try:
+            path = self.folder / f"{OWN.name}.rrd"
             outcome = simulate(recording_space(self.scene, self.threads), path, force=True)
         except (PhysicsError, RecordingError) as error:
             raise ExperimentError(f"carom: {error}") from error
-        warned = {event.kind: event for event in reversed(outcome.warnings)}
-        laws = {
-            kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
-            for kind, event in warned.items()
-        }
         broken = [(event.time, event.kind) for event in outcome.warnings]
-        return Examination(
-            OWN.name, [_entry(v) for v in outcome.verdicts], laws, self._parting(result, broken, 0.0), path.name
-        )
+        return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
 
-    def _other(self, result: Result, engine: Engine) -> Examination:
-        """Follow another engine step by step, and record it."""
-        setting = result.setting
-        path = self.folder / f"{_file_name(setting.name)}.rrd"
-        reference = self.study.reference
-        assert reference is not None, "it is measured first"
-        simulation = engine.begin(self.scene, setting)
-        seen = watch(simulation, self.scene, reference.trajectory.time, path)
-        verdicts = judge(self.scene, seen.extremes, self.scene.time.duration)
-        laws = {
-            fault.law: {
-                "step": fault.step,
-                "time": fault.time,
-                "text": fault.text,
-                "frames": seen.counts[fault.law],
-            }
-            for fault in seen.faults
-        }
-        criteria = [_entry(v) for v in verdicts if v.name != "contact_audit" and not v.name.startswith("warned_")]
-        parting = self._parting(result, seen.broken, simulation.dt)
-        return Examination(setting.name, criteria, laws, parting, path.name)
+    def _engine(self, setting: Setting) -> Engine:
+        return next(engine for engine in self.engines if engine.name == setting.engine)
+
+    def _recording(self, setting: Setting) -> Path:
+        return self.folder / f"{_file_name(setting.name)}.rrd"
 
     def _parting(self, result: Result, broken: list[tuple[float, str]], dt: float) -> dict[str, Any] | None:
         """Compare a measured run with the reference."""
@@ -217,59 +199,6 @@ class Crosscheck:
                     self.examinations[run["name"]] = Examination(**{name: run[name] for name in names})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ExperimentError(f"{path}: cannot be resumed ({error}); give --force to begin anew") from None
-
-
-def parting_of(
-    run: Trajectory, reference: Reference, broken: list[tuple[float, str]], dt: float, names: Names
-) -> Parting | None:
-    """Find where a run leaves a reference.
-
-    Parameters
-    ----------
-    run
-        The run.
-    reference
-        Its samples up to the horizon are compared.
-    broken
-        Times in s and laws of the frames that broke one, in order.
-    dt
-        s, the step of the run.
-    names
-        Of bodies and planes.
-
-    Returns
-    -------
-    parting
-        None if the run stays with the reference.
-    """
-    best = reference.trajectory.until(reference.samples)
-    apart, _ = reference.scale.apart(run.until(reference.samples), best)
-    away = np.flatnonzero(~(apart <= PARTED))
-    if len(away) == 0 and len(run) >= reference.samples:
-        return None
-    time = float(best.time[away[0]]) if len(away) else float(run.time[-1])
-    earlier = [k for k in np.argsort(best.met, kind="stable").tolist() if best.met[k] <= time]
-    last = earlier[-1] if earlier else None
-    met = float(best.met[last]) if last is not None else 0.0
-    laws = dict.fromkeys(law for at, law in broken if met - EARLIER * dt <= at <= max(time, met + LATER * dt))
-    return Parting(
-        time=time,
-        impact=len(earlier),
-        between=names.pair(best.pair[last].tolist()) if last is not None else "",
-        impact_time=met,
-        laws=list(laws),
-    )
-
-
-def _entry(verdict: Verdict) -> dict[str, Any]:
-    measured = verdict.measured if math.isfinite(verdict.measured) else None
-    return {
-        "name": verdict.name,
-        "bound": verdict.bound,
-        "limit": verdict.limit,
-        "measured": measured,
-        "met": verdict.met,
-    }
 
 
 def _file_name(name: str) -> str:

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from carom.experiment.crosscheck import PARTED, Crosscheck
+from carom.experiment.crosscheck.crosscheck import Crosscheck
+from carom.experiment.crosscheck.parting import PARTED
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.figure import FAINT, LEAST, styled
 

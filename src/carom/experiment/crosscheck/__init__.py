@@ -1,0 +1,1 @@
+"""A scene in several engines: measured, judged, and compared with the reference."""
