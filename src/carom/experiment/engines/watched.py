@@ -98,11 +98,11 @@ def watch(
         stride = 1 if setup.collides or dt == 0.0 else math.ceil(end / dt / MOST_SEEN)
         while frame.time < end * (1.0 - ROUNDING):
             if clock() - began > limit:
-                outcome = f"failed: stopped at t = {scene.unit_system.text(frame.time, TIME)}: it took more than {limit:g} s (--limit)"
+                reached = scene.unit_system.text(frame.time, TIME)
+                outcome = f"failed: stopped at t = {reached}: it took more than {limit:g} s (--limit)"
                 break
-            for _ in range(
-                stride if stride == 1 else min(stride, math.ceil((end - frame.time) / dt * (1.0 - ROUNDING)))
-            ):
+            left = math.ceil((end - frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
+            for _ in range(min(stride, left)):
                 step += 1
                 simulation.step()
             state = simulation.source.state()
