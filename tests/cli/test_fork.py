@@ -29,6 +29,7 @@ def test_many_forks_run_on_workers_and_give_a_band(folder: Path) -> None:
     told = json.loads(done.stdout)
     assert told["seeds"] == 3 and len(told["median"]) == len(told["time"]) == 200
     assert None not in told["median"]
+    assert [chance["probability"] for chance in told["outcome"]["chances"]] == [1.0] * 8
     assert told["outcome"]["hits"] == 3 and told["outcome"]["unperturbed"]
 
 

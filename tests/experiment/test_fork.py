@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -12,10 +13,11 @@ import pytest
 import carom
 from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Branch, start_of
+from carom.experiment.fork.chance import Chance, chances
 from carom.experiment.fork.ensemble import Ensemble, ensemble
 from carom.experiment.fork.fork import fork, write_ensemble
 from carom.experiment.fork.inevitable import inevitable, judge
-from carom.experiment.fork.workers import Result, Task, Workers, execute
+from carom.experiment.fork.workers import Result, Task, Workers, by_seed, execute
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import shades
 from carom.scene.schema import Scene
@@ -115,8 +117,10 @@ def test_the_band_and_the_spread_grow_and_outcomes_are_counted(gas: Path, tmp_pa
     squares = (found.spread.astype(np.float64) ** 2).mean(axis=1)
     assert squares == pytest.approx((found.rms**2).mean(axis=0), rel=1e-5)  # distances come as float32
     start = start_of(Branch(gas, 2.0))
-    write_ensemble(start, found, "text", tmp_path / "many.rrd")
-    assert Recording.open(tmp_path / "many.rrd").is_overlay
+    write_ensemble(start, replace(found, chances=[Chance(2.0, 5, 5), Chance(8.0, 3, 5)]), "text", tmp_path / "many.rrd")
+    written = Recording.open(tmp_path / "many.rrd")
+    assert written.is_overlay
+    assert {"outcome/low", "outcome/probability", "outcome/high"} <= {e.entity_path for e in written.store.entries}
 
 
 @pytest.mark.slow
@@ -138,6 +142,21 @@ def test_an_unknown_name_in_an_outcome_is_refused_with_the_nearest_one(gas: Path
 def test_bodies_are_shaded_by_decades_of_their_spread_over_their_radius() -> None:
     found = shades(np.array([0.0, 1e-9, 2e-4, 5e-3, 50.0]), np.ones(5))
     assert found[0] == found[1] and len(set(found.tolist())) == 4
+
+
+def test_the_probability_of_an_outcome_is_measured_at_each_time_of_the_fork() -> None:
+    def draw(time: float) -> Iterator[bool]:
+        return iter([True] * int(time) + [False] * (10 - int(time)))
+
+    found = list(chances(draw, 0.0, 8.0, 4))
+    assert [(chance.time, chance.probability) for chance in found] == [(2.0, 0.2), (4.0, 0.4), (6.0, 0.6)]
+    assert found[1].band == pytest.approx((0.168, 0.687), abs=1e-3)  # Wilson's interval of 4 of 10
+    assert Chance(0.0, 20, 20).band == pytest.approx((0.839, 1.0), abs=1e-3)
+
+
+def test_results_come_in_the_order_of_seeds_whatever_the_workers_do() -> None:
+    results = [Result(seed, np.zeros((1, 1), np.float32), None) for seed in (3, 1, 2, 5, 4)]
+    assert [result.seed for result in by_seed(results)] == [1, 2, 3, 4, 5]
 
 
 def test_the_moment_of_inevitability_is_found_by_bisection() -> None:

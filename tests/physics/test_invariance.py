@@ -19,9 +19,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from carom.experiment.hunt.documents import Document
 from carom.physics.frame import Frame
 from carom.physics.space import Space
-from scenes import EPS, Document, directions, documents, impact_documents, scene_from, smooth_documents, vectors
+from scenes import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
 
 FloatArray = NDArray[np.float64]
 

@@ -14,11 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.experiment.hunt.documents import Document
 from carom.physics.contact.pipeline import SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from scenes import EPS, Document, documents, scene_from
+from scenes import EPS, documents, scene_from
 
 FloatArray = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from carom.experiment.hunt.documents import Document
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.features import require
@@ -18,7 +19,7 @@ from carom.scene.error import SceneError
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
 from examples import cloud, pair, scene_of
-from scenes import Document, documents, scene_from
+from scenes import documents, scene_from
 
 SMOOTH = {"static_friction": 0, "restitution": 0.7}
 STEPS = 40

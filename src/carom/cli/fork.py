@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from carom.experiment.fork.ensemble import Ensemble
     from carom.experiment.fork.fork import Fork
     from carom.experiment.fork.inevitable import Inevitable
-    from carom.experiment.fork.workers import Workers
 
-MOST_SEEDS = 100_000
+MOST_SEEDS, MOST_TIMES = 100_000, 1000
 
 
 def fork(
@@ -46,6 +45,16 @@ def fork(
             help="Count the forks that end so: an expression on `carom inspect --json`, or x_3, speed_3 of body 3.",
         ),
     ] = None,
+    times: Annotated[
+        int,
+        typer.Option(
+            "--times",
+            metavar="N",
+            min=1,
+            max=MOST_TIMES,
+            help="Fork at N times from T on, for the probability of the --outcome over the time of the fork; 1: at T.",
+        ),
+    ] = 8,
     when: Annotated[
         bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
     ] = False,
@@ -89,7 +98,7 @@ def fork(
         if seeds == 1:
             document, lines = _one(start, target, None if perturb is None else 1, ulps)
         else:
-            document, lines = _many(start, branch, target, seeds, ulps, outcome, when)
+            document, lines = _many(start, branch, target, seeds, ulps, outcome, times, when)
     if as_json:
         say(json.dumps(document, indent=2, ensure_ascii=False))
         return
@@ -134,45 +143,48 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
 
 
 def _many(
-    start: Start, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, when: bool
+    start: Start, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, times: int, when: bool
 ) -> tuple[dict[str, Any], list[str]]:
+    from dataclasses import replace
+
     from carom.cli.extras import needing
 
     with needing("cluster", "carom fork --seeds", "distributed", "dask"):
+        from carom.experiment.fork.chance import Chance, chances
         from carom.experiment.fork.ensemble import ensemble
         from carom.experiment.fork.fork import write_ensemble
-        from carom.experiment.fork.workers import Workers
+        from carom.experiment.fork.inevitable import inevitable
+        from carom.experiment.fork.workers import Task, Workers, by_seed
         from carom.experiment.sweep.cluster import connected
+    from carom.scene.units.dimension import TIME
+
+    units = start.scene.unit_system
 
     class Line(LiveLine):
-        def update(self, done: int) -> None:
-            self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks")
+        def update(self, done: int, at: float = start.checkpoint.time) -> None:
+            self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks at t = {units.text(at, TIME)}")
 
     with connected(None, None, seeds) as client, Line() as line:
         workers = Workers(client)
+
+        def draw(time: float) -> Iterator[bool]:
+            tasks = [Task(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
+            for done, result in enumerate(by_seed(workers.results(tasks)), 1):
+                line.update(done, time)
+                yield bool(result.outcome)
+
         found = ensemble(start, branch, seeds, ulps, workers, outcome, line.update)
-        moment = _when(start, branch, ulps, seeds, outcome, found, workers) if when and outcome else None
+        begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
+        if outcome is not None:
+            here = Chance(begin, sum(found.outcomes), len(found.outcomes))
+            found = replace(found, chances=[here, *chances(draw, begin, end, times)])
+        if when:
+            came = bool(found.reference_outcome)
+            moment = inevitable(lambda time: (hit == came for hit in draw(time)), begin, end)
     document = _document(start, found, outcome, moment)
     lines = list(_lines(start, found, outcome, moment))
     write_ensemble(start, found, "\n\n".join(lines), target)
     return document, lines
-
-
-def _when(
-    start: Start, branch: Branch, ulps: int, seeds: int, outcome: str, found: Ensemble, workers: Workers
-) -> Inevitable:
-    """Look for the moment from which the outcome that came about was inevitable."""
-    from dataclasses import replace
-
-    from carom.experiment.fork.inevitable import inevitable
-    from carom.experiment.fork.workers import Task
-
-    def draw(time: float) -> Iterator[bool]:
-        tasks = [Task(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
-        for result in workers.results(tasks):
-            yield result.outcome == found.reference_outcome
-
-    return inevitable(draw, start.checkpoint.time, start.scene.time.duration)
 
 
 def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> dict[str, Any]:
@@ -201,6 +213,10 @@ def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevit
             "unperturbed": found.reference_outcome,
             "forks": len(found.outcomes),
             "hits": sum(found.outcomes),
+            "chances": [
+                {"time": c.time, "hits": c.hits, "forks": c.forks, "probability": c.probability, "band": list(c.band)}
+                for c in found.chances
+            ],
             "inevitable": None if moment is None else asdict(moment),
         },
     }
@@ -251,6 +267,9 @@ def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitabl
         hits, forks = sum(found.outcomes), len(found.outcomes)
         known = "holds" if found.reference_outcome else "does not hold"
         yield f"{outcome}: in {hits} of {forks} forks, {hits / forks:.0%}; without perturbation it {known}."
+        for chance in found.chances[1:]:
+            low, high = chance.band
+            yield f"  forked at {at(chance.time)}: {chance.probability:.0%} ({low:.0%} to {high:.0%})"
     if moment is not None:
         state = "was" if found.reference_outcome else "was not"
         for tested in moment.tested:

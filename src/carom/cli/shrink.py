@@ -66,6 +66,16 @@ def shrink(
             "--budget", parser=budget, metavar="TIME", help="Stop after this time, such as 60s or 10min. Default: none."
         ),
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            min=1,
+            help="Processes that try several smaller scenes at a time, where these take long. Default: one per core, "
+            "and 1 with --while-command.",
+        ),
+    ] = None,
     overrides: SetOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -94,7 +104,9 @@ def shrink(
     if known and known.finished:
         say(f"{path} is the smallest scene already; give --force to find it again.")
         return
-    reducer = _reducer(asked, seconds)
+    if while_command is not None and workers is None:
+        workers = 1  # two commands at a time may get into each other's way
+    reducer = _reducer(asked, seconds, workers)
     if known:
         given, reducer.before = source_of(str(path), []), known.before
     else:
@@ -107,12 +119,12 @@ def shrink(
         _print(result, path)
 
 
-def _reducer(asked: Any, seconds: float | None) -> Reducer:
+def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
     from math import inf
 
     from carom.experiment.shrink.reducer import Reducer
 
-    return Reducer(asked, inf if seconds is None else seconds)
+    return Reducer(asked, inf if seconds is None else seconds, workers=workers)
 
 
 def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import operator
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
@@ -140,6 +140,26 @@ def place_of(path: KeyPath) -> _Place | None:
     for key in keys[1:]:
         at = at and at.below.get(key)
     return at
+
+
+@dataclass(frozen=True)
+class _Factors(UnitSystem):
+    """Multiplies plain numbers."""
+
+    factor_of: Callable[[Dimension], float] = lambda dimension: 1.0
+
+    @property
+    def converts(self) -> bool:
+        return True
+
+    def converted(self, number: float, dimension: Dimension) -> float:
+        return number * self.factor_of(dimension)
+
+
+def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -> dict[str, Any]:
+    """Return a scene whose plain numbers are multiplied by a factor that depends on their dimension."""
+    factors = _Factors(factor_of=factor_of)
+    return {key: _walked(value, place(key), factors, (key,), []) for key, value in data.items()}
 
 
 @cache

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.experiment.diff.divergence import Curve, Divergence, divergence_of
 from carom.experiment.fork.branch import Branch, Start
+from carom.experiment.fork.chance import Chance
 from carom.experiment.fork.path import Path, path_of
 from carom.experiment.fork.workers import Task, Workers
 from carom.experiment.shrink.expression import Expression
@@ -35,6 +36,7 @@ class Ensemble:
     rates: FloatArray  # (r,) 1/s, λ of the branches that have one
     outcomes: list[bool]  # of the branches
     reference_outcome: bool | None
+    chances: list[Chance] = field(default_factory=list)  # of the outcome, by the time of the fork
 
     @property
     def rate_error(self) -> float:

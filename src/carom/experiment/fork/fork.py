@@ -6,6 +6,8 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from carom.experiment.diff.diff import Diff, diff, overlay
 from carom.experiment.fork.branch import Start
 from carom.experiment.fork.ensemble import Ensemble
@@ -72,5 +74,7 @@ def write_ensemble(start: Start, found: Ensemble, text: str, out: Path) -> None:
     """Write an ensemble for the viewer. RecordingError if it cannot be written."""
     when = start.scene.unit_system.text(start.checkpoint.time, TIME)
     title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"
-    forecast = Forecast(title, f"# {title}\n\n{text}", found.time, found.reference, found.spread, found.band)
+    rows = [(chance.time, chance.band[0], chance.probability, chance.band[1]) for chance in found.chances]
+    chances = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    forecast = Forecast(title, f"# {title}\n\n{text}", found.time, found.reference, found.spread, found.band, chances)
     write_forecast(out, start.recording, forecast)

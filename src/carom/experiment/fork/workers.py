@@ -72,6 +72,17 @@ class Workers:
             self._client.cancel(futures)  # type: ignore[no-untyped-call]
 
 
+def by_seed(results: Iterable[Result]) -> Iterator[Result]:
+    """Yield results in the order of their seeds, from 1 on, so that a test of them does not depend on the workers."""
+    waiting: dict[int, Result] = {}
+    seed = 1
+    for result in results:
+        waiting[result.seed] = result
+        while seed in waiting:
+            yield waiting.pop(seed)
+            seed += 1
+
+
 def execute(task: Task) -> Result:
     """Run one branch."""
     start, reference = _prepared(task.branch)

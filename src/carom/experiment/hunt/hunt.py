@@ -9,19 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.error import ExperimentError
-from carom.experiment.hunt.laws import Law, laws_of
+from carom.experiment.hunt.laws import ERROR, Law, laws_of
 from carom.experiment.hunt.scenes import drawn
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import output_folder
+from carom.experiment.report import report
 from carom.experiment.run import recording_space, simulate
 from carom.experiment.shrink.budget import Budget, OutOfTime
 from carom.experiment.shrink.condition import Condition
-from carom.experiment.shrink.observation import Observation
+from carom.experiment.shrink.observation import said_by
 from carom.experiment.shrink.reducer import Reducer
 from carom.experiment.shrink.result import key_of, text_of, write
 from carom.experiment.shrink.trials import observe
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
+from carom.recording.read.recording import Recording
 from carom.scene.command import command
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict, scene_from_text
@@ -34,8 +36,20 @@ LONGEST = 60.0  # s, likewise
 
 
 @dataclass(frozen=True, slots=True)
-class Miss:
+class Finding:
     """A law that a scene breaks."""
+
+    law: Law
+    condition: Condition
+    index: int  # of the scene, for the same seed
+    scene: Scene
+    bodies: int
+    said: str  # what its run shows
+
+
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """A finding that was filed."""
 
     law: str
     index: int  # of the scene, for the same seed
@@ -95,7 +109,8 @@ class Hunt:
             while self.most is None or index < self.first + self.most:
                 try:
                     budget.check()
-                    self._judge(index, budget)
+                    for finding in self.judge(index, budget):
+                        self._file(finding)
                 except OutOfTime as ended:
                     self.tally.stopped = str(ended)
                     break
@@ -104,58 +119,77 @@ class Hunt:
                 index += 1
         return self.tally
 
-    def _judge(self, index: int, budget: Budget) -> None:
-        """Draw a scene, run it, and file each law that it breaks."""
-        document = drawn(self.seed, index)
+    def judge(self, index: int, budget: Budget) -> list[Finding]:
+        """Draw a scene and run it; return the laws that it breaks."""
+        found = drawn(self.seed, index)
         self.tally.scenes += 1
         try:
-            scene = scene_from_dict(document | {"expect": {"contact_audit": AUDIT}})
-            laws = laws_of(scene)
-            space = Space(scene, threads=1)
+            scene = scene_from_dict(found.document | {"expect": {"contact_audit": AUDIT}})
+            laws = laws_of(scene, found.kind)
         except SceneError:
             self.tally.refused += 1
-            return
+            return []
+        try:
+            return self._broken(laws, index, scene, budget)
+        except (OutOfTime, ExperimentError):
+            raise
+        except SceneError:
+            self.tally.refused += 1
+            return []
         except PhysicsError:
             self.tally.stated += 1
-            return
-        seen = observe(space, budget, steps=STEPS)
+            return []
+        except Exception as error:  # before the first step, which is a fault like any later
+            return [Finding(ERROR, ERROR.broken(), index, scene, scene.count, said_by(error))]
+
+    def _broken(self, laws: list[Law], index: int, scene: Scene, budget: Budget) -> list[Finding]:
+        """Run a scene, and hold it to laws."""
+        seen = observe(Space(scene, threads=1), budget, steps=STEPS)
         if seen is None:
             self.tally.given_up += 1
-            return
+            return []
         self.tally.stated += bool(seen.error)
-        for law in laws:
-            condition = law.broken()
-            if condition.holds(seen):
-                self._file(law, condition, index, scene, seen)
+        conditions = [(law, law.broken()) for law in laws]
+        return [
+            Finding(law, condition, index, scene, scene.count, condition.said(seen))
+            for law, condition in conditions
+            if condition.holds(seen)
+        ]
 
-    def _file(self, law: Law, condition: Condition, index: int, scene: Scene, seen: Observation) -> None:
+    def _file(self, finding: Finding) -> None:
         """Shrink a scene that breaks a law, record it, and add it to the misses."""
-        said = condition.said(seen)
+        law, index, said, bodies = finding.law, finding.index, finding.said, finding.bodies
         if any(miss.law == law.name for miss in self.tally.misses):
-            self.tally.misses.append(Miss(law.name, index, said, None, len(seen.space.state)))
+            self.tally.misses.append(Miss(law.name, index, said, None, bodies))
             return
         output_folder(self.folder)
         path = self.folder / f"{law.name.replace(' ', '-')}-{self.seed}-{index}.toml"
-        bodies, small = len(seen.space.state), scene.toml
+        small = finding.scene.toml
         try:
-            result = Reducer(condition, min(LONGEST, SHARE * self.seconds)).reduce(scene)
-            key = key_of(scene.toml, condition.text)
+            result = Reducer(finding.condition, min(LONGEST, SHARE * self.seconds)).reduce(finding.scene)
+            key = key_of(small, finding.condition.text)
             how = command("hunt", "--seed", self.seed, "--from", index, "--scenes", 1)
             small = text_of(result, f"{law.name}: {law.says}", key, how)
             bodies, said = result.bodies, result.said
-        except ExperimentError as error:
-            said = f"{said} ({error})"
+        except OutOfTime:
+            raise
+        except Exception as error:  # a fault before the first step leaves nothing to shrink
+            said = f"{said} (not shrunk: {said_by(error)})"
         write(path, small)
         _record(small, path)
         self.tally.misses.append(Miss(law.name, index, said, path, bodies))
 
 
 def _record(text: str, path: Path) -> None:
-    """Record the run of a reduced scene beside it, as far as it goes."""
+    """Record the run of a reduced scene beside it, as far as it goes, and pack a report of it."""
+    recorded = path.with_suffix(".rrd")
     try:
-        simulate(recording_space(scene_from_text(text, str(path)), threads=1), path.with_suffix(".rrd"), force=True)
+        simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)
+        report(Recording.open(recorded), path.with_suffix(".zip"))
     except Exception:  # the fault that was found may end the run anyhow
-        path.with_suffix(".rrd").unlink(missing_ok=True)
+        for file in (recorded, path.with_suffix(".zip")):
+            if not file.exists() or not file.stat().st_size:
+                file.unlink(missing_ok=True)
 
 
 def as_document(tally: Tally) -> dict[str, Any]:

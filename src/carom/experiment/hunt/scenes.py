@@ -1,175 +1,251 @@
-"""Random scenes over the switches of the model: sizes, speeds and masses over decades, and bodies about to meet.
+"""The scenes that are hunted: bodies that meet, crowds, groups, planets, and what has a law of its own, with switches.
 
-Numbers come from coarse grids, which make ties, exact touches and exact zeros frequent.
+Most switches change any scene: forces, walls and planes, materials and pairs, units, how steps are chosen, how contacts
+are found and solved. The schema refuses some combinations; these scenes are counted and left.
 """
 
 from __future__ import annotations
 
 import math
-import random
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-Document = dict[str, Any]
+from carom.experiment.hunt.documents import Document, Scales, impacts, meeting, scales, smooth
+from carom.experiment.hunt.draw import Draw, RandomDraw, decade, direction, one_in, part, row, vector
+from carom.scene.parts import PARTS
 
-STEPS = 60  # that bodies of usual speeds need to meet, about
 MOST_BODIES = 16
-CROWD = 0.2  # of scenes have a few hundred bodies, which other search and solving paths need
-GAPS = (0.0, 0.0, 0.01, 0.1, 1.0)  # of radii, between a body and the one that it is placed beside
+DRIFT = 10.0  # of all bodies together; its energy, which is not in the scale of errors, is rounded, too
+MOST_FIXED = 200  # steps of a fixed length
+SMOOTH_STEPS = 20
+ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators whose error falls with the square of the step, or more
+
+SMOOTH, IMPACTS = "smooth", "impacts"  # kinds of scenes in which an error of rounding stays one
 
 
-def drawn(seed: int, index: int) -> Document:
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A scene that was drawn, and what kind of scene it is."""
+
+    document: Document
+    kind: str = ""
+
+
+def drawn(seed: int, index: int) -> Drawn:
     """Draw a scene; the same numbers give the same scene."""
-    return _Draw(random.Random(f"{seed} {index}")).scene(index)
+    draw = RandomDraw(f"{seed} {index}")
+    found = _drawn(draw)
+    found.document["title"] = f"Hunted scene {index}"
+    for number, body in enumerate(found.document.get("body", [])):
+        body["name"] = f"ball {number}"
+    return found
 
 
-class _Draw:
-    """Draws a scene with a length L, a speed U and a mass M."""
+def _drawn(draw: Draw) -> Drawn:
+    kind = draw.integer(0, 19)
+    if kind < 3:
+        document = smooth(draw, steps=SMOOTH_STEPS, integrators=ORDERED)
+        document["time"]["duration"] = SMOOTH_STEPS * document["time"]["fixed_dt"]
+        if one_in(draw, 3):
+            _set_drag(draw, document, document["time"]["duration"])
+        return Drawn(document, SMOOTH)
+    if kind < 5:
+        document = impacts(draw)
+        document["time"]["duration"] = 12 * document["time"]["fixed_dt"]
+        return Drawn(document, IMPACTS)
+    scale = scales(draw)
+    if kind < 6:
+        return Drawn(_planets(draw, scale))
+    if kind < 8:
+        document = _groups(draw, scale)
+    elif kind < 12:
+        document = _crowd(draw, scale)
+    else:
+        document = meeting(draw, scale=scale, most_bodies=MOST_BODIES, drift=DRIFT)
+    _set_switches(draw, document, scale)
+    return Drawn(document)
 
-    def __init__(self, rng: random.Random) -> None:
-        self._rng = rng
-        self._L, self._U, self._M = self._decade(-3, 4), self._decade(-4, 3), self._decade(-3, 9)  # m, m/s, kg
 
-    def scene(self, index: int) -> Document:
-        """Draw it."""
-        rng, T = self._rng, self._L / self._U
-        space = rng.choice(("open", "open", "periodic", "walls", "floor"))
-        bodies = self._crowd() if rng.random() < CROWD else self._bodies()
-        pulls = space != "periodic" and rng.random() < 0.3
-        falls = space != "periodic" and rng.random() < 0.5
-        document: Document = {
-            "title": f"Hunted scene {index}",
-            "body": bodies,
-            "time": self._time(T),
-            "gravity": self._gravity(pulls, falls),
-            "contact": self._contact(),
-            "record": {"every": "step"},
+def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
+    """Change what may be changed in any scene; each mostly stays as it is."""
+    time, contact, gravity = document["time"], document["contact"], document["gravity"]
+    T = scale.L / scale.U
+    _bound(draw, document, scale)
+    _set_time(draw, time, T)
+    contact["solver"] = draw.choice("lasting", "lasting", "staged")
+    contact["search"] = draw.choice("grid", "grid", "k-d-tree")
+    for key in sorted(contact):
+        if one_in(draw, 4) and key != "allow_overlap":
+            del contact[key]
+    if gravity["constant"]:
+        gravity["method"] = draw.choice("auto", "direct", "tree")
+        if one_in(draw, 3):
+            gravity |= {"opening_angle": draw.choice(0.3, 1.0), "quadrupoles": draw.choice(False, True)}
+    if one_in(draw, 6):
+        _set_drag(draw, document, T)
+        document["drag"]["medium_velocity"] = row(vector(draw) * scale.U)
+    if one_in(draw, 4):
+        _set_materials(draw, document)
+    if one_in(draw, 6):
+        document["units"] = {
+            "length": draw.choice("km", "cm", "au"),
+            "time": draw.choice("h", "ms", "yr"),
+            "mass": draw.choice("t", "g", "lb"),
         }
-        if space in ("periodic", "walls"):
-            size = [max(extent, 4.0 * self._largest(bodies)) for extent in self._recentred(bodies)]
-            document["domain"] = {"boundary": space, "size": size}
-        elif space == "floor":
-            lowest = min(body["position"][2] - body["radius"] for body in bodies)
-            document["plane"] = [{"point": [0.0, 0.0, lowest - rng.choice(GAPS) * self._L]}]
-        elif rng.random() < 0.2:
-            bodies[0] = {key: value for key, value in bodies[0].items() if "velocity" not in key} | {"fixed": True}
-        if rng.random() < 0.15:
-            document["drag"] = {"relaxation_time": T * self._decade(-1, 1), "medium_velocity": self._vector(self._U)}
-        return document
+    if one_in(draw, 10):
+        document["model"] = {"force": [draw.choice(*sorted(PARTS))]}
+    _suit(document)
 
-    def _time(self, T: float) -> Document:
-        rng = self._rng
-        time: Document = {
-            "duration": T * rng.choice((0.3, 1.0, 3.0)),
-            "max_dt": T * rng.choice((0.02, 0.1, 1.0)),
-            "integrator": rng.choice(("auto", "auto", "leapfrog", "yoshida4", "gauss-radau15")),
-        }
-        if rng.random() < 0.4:
-            time["fixed_dt"] = T / rng.choice((16, 64, 256))
-        elif rng.random() < 0.2:
-            time["velocity_limit"] = "fastest-body"
-        return time
 
-    def _gravity(self, pulls: bool, falls: bool) -> Document:
-        rng, scale = self._rng, self._U * self._U
-        gravity: Document = {"constant": rng.choice((0.1, 1.0)) * scale * self._L / self._M if pulls else 0.0}
-        if pulls:
-            gravity["softening"] = rng.choice((0.0, 0.1, 1.0)) * self._L
-            gravity["method"] = rng.choice(("auto", "direct", "tree"))
-        if falls:
-            gravity["uniform"] = rng.choice(([0.0, 0.0, -scale / self._L], self._vector(scale / self._L)))
-        return gravity
+def _suit(document: Document) -> None:
+    """Leave out what the integrator refuses."""
+    time, contact = document["time"], document["contact"]
+    if "drag" in document and time["integrator"] != "auto":
+        time["integrator"] = "leapfrog"
+    elif time["integrator"] == "gauss-radau15":
+        for key in ("target_dx", "cfl", "smoothing", "velocity_limit"):
+            time.pop(key, None)
+        contact.pop("timing", None)
+    elif time["integrator"] == "leapfrog-dkd":
+        contact["enabled"] = False
+    elif "accuracy" in time or time["integrator"] == "yoshida4":
+        contact.pop("timing", None)
 
-    def _contact(self) -> Document:
-        rng = self._rng
-        static = rng.choice((0.0, 0.0, 0.1, 0.5, 1.0))
-        contact: Document = {
-            "restitution": rng.choice((0.0, 0.5, 0.9, 1.0)),
-            "static_friction": static,
-            "kinetic_friction": static * rng.choice((0.5, 1.0)),
-            "solver": rng.choice(("lasting", "lasting", "staged")),
-            "colouring": rng.choice(("contacts", "bodies")),
-            "stabilisation": rng.choice(("split", "split", "none")),
-            "timing": rng.choice(("auto", "auto", "end-of-step", "time-of-impact")),
-            "search": rng.choice(("grid", "grid", "k-d-tree")),
-        }
-        if rng.random() < 0.1:
-            contact["enabled"] = False
-        return {key: value for key, value in contact.items() if rng.random() < 0.6}
 
-    def _bodies(self) -> list[Document]:
-        """Draw a few bodies, each beside one placed before it, so that most meet."""
-        rng, alike = self._rng, self._rng.random() < 0.5
-        bodies: list[Document] = []
-        for index in range(rng.randint(1, MOST_BODIES)):
-            radius = self._L if alike else self._L * self._decade(-1, 1)
-            position = np.zeros(3)
-            for _ in range(20):
-                if not bodies:
-                    break
-                beside = rng.choice(bodies)
-                ray = self._direction()
-                reach = (radius + beside["radius"]) * (1.0 + 1e-12) + rng.choice(GAPS) * min(radius, beside["radius"])
-                position = np.array(beside["position"]) + reach * ray
-                if all(math.dist(position, b["position"]) >= radius + b["radius"] for b in bodies):
-                    break
-            else:
-                continue
-            bodies.append(self._body(index, position, radius, alike))
-        return bodies
+def _set_time(draw: Draw, time: Document, T: float) -> None:
+    time["integrator"] = draw.choice(*[time["integrator"]] * 3, "auto", "auto", "leapfrog-dkd", "gauss-radau15")
+    time["duration"] = T * draw.choice(0.3, 1.0, 3.0)
+    if "fixed_dt" in time:
+        time["duration"] = min(time["duration"], MOST_FIXED * time["fixed_dt"])
+    elif one_in(draw, 8):
+        for key in ("target_dx", "cfl", "smoothing", "velocity_limit"):
+            time.pop(key, None)
+        time |= {"accuracy": draw.choice(1e-3, 1e-6, 1e-9), "integrator": draw.choice("auto", "leapfrog", "yoshida4")}
+    elif one_in(draw, 8):
+        time["pull_fraction"] = draw.choice(0.01, 0.1)
 
-    def _crowd(self) -> list[Document]:
-        """Draw some hundred bodies on a jittered grid, of which neighbours may touch within a step."""
-        rng, side = self._rng, self._rng.randint(5, 7)
-        pitch = 2.0 * self._L * rng.choice((1.0 + 1e-9, 1.05, 1.3))
-        slack = 0.5 * pitch - self._L
-        bodies = []
-        for index in range(side**3):
-            place = np.array([index % side, index // side % side, index // side**2]) - 0.5 * (side - 1)
-            jitter = np.array([rng.uniform(-slack, slack) for _ in range(3)])
-            bodies.append(self._body(index, pitch * place + jitter, self._L, alike=True))
-        return bodies
 
-    def _body(self, index: int, position: FloatArray, radius: float, alike: bool) -> Document:
-        rng = self._rng
-        body: Document = {
-            "name": f"ball {index}",
-            "position": [float(x) for x in position],
-            "velocity": self._vector(self._U),
-            "radius": radius,
-            "mass": self._M if alike else self._M * self._decade(-2, 2),
-        }
-        if rng.random() < 0.3:
-            body["angular_velocity"] = self._vector(self._U / radius)
-        if rng.random() < 0.1:
-            body["inertia_factor"] = rng.choice((2 / 3, 0.05))
-        return body
+def _bound(draw: Draw, document: Document, scale: Scales) -> None:
+    """Put walls around a scene, planes beside it, or fix one of its bodies; not in a periodic box."""
+    if "domain" in document or "body" not in document:
+        return
+    bodies, gap = document["body"], draw.choice(0.0, 0.0, 0.01, 0.1, 1.0) * scale.L
+    position = np.array([body["position"] for body in bodies])
+    radius = np.array([body["radius"] for body in bodies])[:, None]
+    low, high = (position - radius).min(axis=0), (position + radius).max(axis=0)
+    kind = draw.integer(0, 9)
+    if kind < 2:
+        for body, place in zip(bodies, position - 0.5 * (low + high), strict=True):
+            body["position"] = row(place)
+        document["domain"] = {"boundary": "walls", "size": row((high - low) * (1.0 + 1e-9) + 2.0 * gap)}
+    elif kind < 4:
+        document["plane"] = [{"point": [0.0, 0.0, float(low[2]) - gap]}]
+        if one_in(draw, 3):
+            normal = direction(draw)
+            lowest = float((position @ normal - radius[:, 0]).min())
+            document["plane"].append({"point": row((lowest - gap) * normal), "normal": row(normal)})
+        if one_in(draw, 3):
+            document["plane"][0] |= {"restitution": part(draw), "static_friction": draw.choice(0.0, 1.0)}
+    elif kind == 4:
+        fixed = bodies[draw.integer(0, len(bodies) - 1)]
+        fixed.pop("velocity", None)
+        fixed.pop("angular_velocity", None)
+        fixed["fixed"] = True
 
-    def _recentred(self, bodies: list[Document]) -> list[float]:
-        """Move the middle of the bodies to the origin; return the size of a box around them."""
-        position = np.array([body["position"] for body in bodies])
-        radius = np.array([body["radius"] for body in bodies])[:, None]
-        low, high = (position - radius).min(axis=0), (position + radius).max(axis=0)
-        for body, x in zip(bodies, position - 0.5 * (low + high), strict=True):
-            body["position"] = [float(value) for value in x]
-        slack = self._rng.choice((1.0 + 1e-9, 1.1, 2.0))
-        return [float(value) for value in (high - low) * slack]
 
-    def _largest(self, bodies: list[Document]) -> float:
-        return max(float(body["radius"]) for body in bodies)
+def _set_drag(draw: Draw, document: Document, T: float) -> None:
+    document["drag"] = {"relaxation_time": T * decade(draw, -1, 1)}
 
-    def _decade(self, low: int, high: int) -> float:
-        """Draw from 10^low to 10^high, four values a decade."""
-        return float(10.0 ** (self._rng.randint(4 * low, 4 * high) / 4))
 
-    def _vector(self, size: float) -> list[float]:
-        return [size * self._rng.randint(-4, 4) / 4 for _ in range(3)]
+def _set_materials(draw: Draw, document: Document) -> None:
+    """Make bodies, planes and walls of two materials, which may have a law of their own between them."""
+    names = ("soft", "hard")
+    document["material"] = [
+        {"name": name, "restitution": part(draw), "static_friction": draw.choice(0.0, 0.3, 1.0)} for name in names
+    ]
+    if one_in(draw, 2):
+        document["material"][0]["density"] = 1000.0
+    if one_in(draw, 2):
+        document["pair"] = [{"materials": [draw.choice(*names), draw.choice("default", *names)], "restitution": 1.0}]
+    for matter in [*document.get("body", []), *document.get("group", [])]:
+        if one_in(draw, 2):
+            matter["material"] = draw.choice(*names)
+    for plane in document.get("plane", []):
+        if len(plane) == 1:
+            plane["material"] = draw.choice(*names)
+    if document.get("domain", {}).get("boundary") == "walls":
+        document["domain"]["material"] = draw.choice(*names)
 
-    def _direction(self) -> FloatArray:
-        while True:
-            vector = np.array(self._vector(1.0))
-            if vector.any():
-                return np.asarray(vector / np.linalg.norm(vector))
+
+def _crowd(draw: Draw, scale: Scales) -> Document:
+    """Draw some hundred bodies on a jittered grid, of which neighbours may touch within a step."""
+    document, (L, U, M) = meeting(draw, scale=scale, most_bodies=1), scale
+    side, pitch = draw.integer(4, 6), 2.0 * L * draw.choice(1.0 + 1e-9, 1.05, 1.3)
+    slack = 0.5 * pitch - L
+    bodies = []
+    for index in range(side**3):
+        place = np.array([index % side, index // side % side, index // side**2]) - 0.5 * (side - 1)
+        jitter = np.array([draw.integer(-1000, 1000) / 1000 for _ in range(3)])
+        body: Document = {"position": row(pitch * place + slack * jitter), "velocity": row(vector(draw) * U)}
+        bodies.append(body | {"radius": L, "mass": M})
+    document["body"] = bodies
+    if "domain" in document:
+        document["domain"]["size"] = [side * pitch] * 3
+    return document
+
+
+def _groups(draw: Draw, scale: Scales) -> Document:
+    """Draw groups of bodies that carom places itself."""
+    document, (L, U, M) = meeting(draw, scale=scale, most_bodies=1), scale
+    count, room = draw.integer(2, 24), L * draw.choice(6.0, 10.0)
+    shape = draw.choice("ball", "box", "cylinder", "shell")
+    region: Document = {"shape": shape}
+    region |= {"size": [2.0 * room] * 3} if shape == "box" else {"radius": room}
+    region |= {"cylinder": {"height": room}, "shell": {"inner_radius": 0.3 * room}}.get(shape, {})
+    group: Document = {
+        "count": count,
+        "radius": draw.choice(L, L, None) or {"min": 0.5 * L, "max": L},
+        "mass": M,
+        "region": region,
+        "arrangement": draw.choice("random", "random", "cubic", "fcc", "hcp"),
+        "velocity": {"mean": row(vector(draw) * U), "dispersion": draw.choice(0.0, 1.0) * U},
+    }
+    if one_in(draw, 2):
+        group["spin"] = {"dispersion": U / L}
+    if one_in(draw, 4):
+        group["bulk_rotation"] = row(vector(draw) * (U / room))
+    document["group"] = [group]
+    del document["body"]
+    if "domain" in document:
+        document["domain"]["size"] = [4.0 * room] * 3
+    return document
+
+
+def _planets(draw: Draw, scale: Scales) -> Document:
+    """Draw a few light bodies on orbits about a heavy one."""
+    L, U, M = scale
+    constant = U * U * L / M
+    bodies: list[Document] = [{"position": [0.0, 0.0, 0.0], "radius": 1e-3 * L, "mass": M}]
+    for number in range(draw.integer(1, 4)):
+        distance, angle = L * 1.7**number, 2.0 * math.pi * draw.integer(0, 15) / 16
+        speed = math.sqrt(constant * M / distance) * draw.choice(1.0, 0.95)
+        there = np.array([math.cos(angle), math.sin(angle), 0.0])
+        along = np.array([-there[1], there[0], draw.choice(0.0, 0.05)])
+        small: Document = {"position": row(distance * there), "velocity": row(speed * along)}
+        bodies.append(small | {"radius": 1e-5 * L, "mass": M * decade(draw, -9, -4)})
+    time: Document = {
+        "duration": draw.choice(1.0, 6.0) * L / U,
+        "integrator": draw.choice("auto", "leapfrog", "yoshida4", "gauss-radau15", "wisdom-holman"),
+    }
+    if time["integrator"] == "wisdom-holman":
+        time |= {"fixed_dt": 0.05 * L / U, "encounters": draw.choice("resolve", "ignore")}
+    elif one_in(draw, 2):
+        time["accuracy"] = draw.choice(1e-4, 1e-8)
+    return {
+        "body": bodies,
+        "time": time | {"max_dt": L / U},
+        "gravity": {"constant": constant},
+        "contact": {"enabled": draw.choice(False, True)},
+        "record": {"every": "step"},
+    }

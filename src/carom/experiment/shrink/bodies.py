@@ -23,7 +23,7 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
     before = smallest.bodies
     _keep_the_cone(smallest, trials)
     base = smallest.document
-    fewest(range(smallest.bodies), lambda kept: smallest.takes(with_bodies(base, kept)))
+    fewest(range(smallest.bodies), lambda parts: smallest.takes_first([with_bodies(base, part) for part in parts]))
     return smallest.bodies < before
 
 

@@ -9,6 +9,7 @@ from typing import Protocol
 from carom.experiment.error import ExperimentError
 from carom.experiment.expectation import Verdict
 from carom.experiment.shrink.expression import Expression, UnknownNameError, explain_unknown
+from carom.experiment.shrink.invariance import Varies
 from carom.experiment.shrink.observation import Observation, Pair, end_name
 from carom.experiment.shrink.whole_run import ReplayDiffers
 from carom.scene.half_space import half_spaces
@@ -21,6 +22,7 @@ WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "hor
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
+_INVARIANCE = re.compile(r"\s*invariance ([a-z]+)\s*")
 _ABOUT = {  # moments of a summary, by the names that have to do with them
     "energy_error": re.compile(r"energy\.|moments\.energy_error"),
     "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
@@ -83,8 +85,8 @@ def condition_from(text: str | None) -> Condition:
     ----------
     text
         None: whatever goes wrong, an error or a missed promise. ``expect`` or ``expect.NAME`` (a missed promise),
-        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``replay differs``,
-        otherwise an expression over the numbers of ``carom inspect --json``.
+        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``,
+        ``replay differs``, ``invariance NAME``, otherwise an expression over the numbers of ``carom inspect --json``.
 
     Raises
     ------
@@ -101,8 +103,12 @@ def condition_from(text: str | None) -> Condition:
         return Warned(text, matched[1] or "")
     if " ".join(text.lower().split()) == "replay differs":
         return ReplayDiffers(text)
+    if matched := _INVARIANCE.fullmatch(text):
+        return Varies(text, matched[1])
     if text.strip().lower() == "crash":
         return Failed(text, stated=False)
+    if text.strip().lower() == "not finite":
+        return Failed(text, about="no longer finite")
     if text.strip().lower() == "physicserror":
         return Failed(text)
     return Measured(text, Expression(text))
@@ -303,6 +309,7 @@ class Failed:
     text: str
     message: str = ""  # its message without numbers and names; empty: any
     stated: bool = True  # whether a PhysicsError counts, which gives a reason, not only other exceptions
+    about: str = ""  # what the message has to say
     needs_impacts = False
     of_whole_run = False
 
@@ -321,7 +328,7 @@ class Failed:
         """Tell whether the run failed so."""
         if not seen.error or (seen.stated and not self.stated):
             return False
-        return self.message in ("", _template(seen.error))
+        return self.about in seen.error and self.message in ("", _template(seen.error))
 
     def said(self, seen: Observation) -> str:
         """Return the message."""

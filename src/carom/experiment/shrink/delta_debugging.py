@@ -9,26 +9,27 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
-def fewest(items: Sequence[Item], fails: Callable[[list[Item]], bool]) -> list[Item]:
+def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
     """Return a part of the items that fails, and of which no item can be left out.
 
     Parameters
     ----------
     items
         They fail together.
-    fails
-        Tells whether some of them, in their order, fail.
+    first
+        Returns the number of the first of several parts that fails; items keep their order in each.
     """
     kept, parts = list(items), 2
     while len(kept) > 1:
         pieces = _split(kept, min(parts, len(kept)))
-        smaller = next((piece for piece in pieces if fails(piece)), None) if parts == 2 else None
-        if smaller is not None:
-            kept, parts = smaller, 2
+        found = first(pieces) if parts == 2 else None
+        if found is not None:
+            kept, parts = pieces[found], 2
             continue
-        rest = next((rest for k in range(len(pieces)) if fails(rest := _without(pieces, k))), None)
-        if rest is not None:
-            kept, parts = rest, max(2, len(pieces) - 1)
+        rests = [_without(pieces, k) for k in range(len(pieces))]
+        found = first(rests)
+        if found is not None:
+            kept, parts = rests[found], max(2, len(pieces) - 1)
         elif len(pieces) == len(kept):
             break
         else:

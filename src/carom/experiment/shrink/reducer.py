@@ -17,6 +17,7 @@ from carom.experiment.shrink.parts import drop_parts, set_defaults
 from carom.experiment.shrink.smallest import Smallest
 from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_time
 from carom.experiment.shrink.trials import Trials
+from carom.experiment.shrink.workers import Workers
 from carom.physics.space import Space
 from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
@@ -79,6 +80,8 @@ class Reducer:
         Called before each candidate, and when a smaller scene is found.
     keep
         Called with each smaller scene and what it shows.
+    workers
+        Processes that judge candidates of delta debugging, None for one a core; 1 is this one.
     before
         Bodies and steps of the scene, if an earlier reduction began with a larger one.
     """
@@ -88,6 +91,7 @@ class Reducer:
     watch: Callable[[Progress], None] = lambda progress: None
     keep: Callable[[Document, str], None] = lambda document, said: None
     before: tuple[int, int] | None = None
+    workers: int | None = 1
     _progress: Progress = field(default_factory=Progress)
     _stages: list[Stage] = field(default_factory=list)
 
@@ -108,9 +112,9 @@ class Reducer:
         SceneError
             If the scene cannot run.
         """
-        with Interrupts() as interrupts:
+        with Interrupts() as interrupts, Workers(self.workers) as workers:
             budget = Budget(self.seconds, interrupts)
-            trials = Trials(self.condition, budget)
+            trials = Trials(self.condition, budget, workers=workers)
             trials.watch = lambda: self._look(trials)
             try:
                 smallest = self._begin(scene, start or place(scene), trials)

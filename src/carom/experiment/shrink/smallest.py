@@ -74,3 +74,18 @@ class Smallest:
         self._keep(document, seen)
         self._taken(self)
         return True
+
+    def takes_first(self, documents: list[Document]) -> int | None:
+        """Take over the first of several candidates that shows the failure; return its number.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        number = 0
+        while (found := self._trials.promising(documents, number)) is not None:
+            if self.takes(documents[found]):
+                return found
+            number = found + 1
+        return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -10,6 +11,7 @@ from carom.experiment.shrink.budget import Budget, OutOfTime
 from carom.experiment.shrink.condition import Condition
 from carom.experiment.shrink.literal import BODIES, Document
 from carom.experiment.shrink.observation import Observation, Touches, said_by
+from carom.experiment.shrink.workers import Workers
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
@@ -109,6 +111,8 @@ class Trials:
         Number of candidates that ran.
     watch
         Called before each candidate runs.
+    workers
+        Judge several candidates at a time, where these take long.
     """
 
     condition: Condition
@@ -116,6 +120,8 @@ class Trials:
     steps: int = FEWEST_STEPS
     count: int = 0
     watch: Callable[[], None] = lambda: None
+    workers: Workers | None = None
+    _seconds: float = 0.0  # that the last candidate took
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
@@ -139,12 +145,38 @@ class Trials:
             return None
         self.watch()
         self.count += 1
-        seen = self._judge(document, steps or max(FEWEST_STEPS, STEPS_MORE * self.steps))
+        began = time.monotonic()
+        seen = self.judge(document, steps or self._most_steps)
+        self._seconds = time.monotonic() - began
         if seen is None:
             self._rejected.add(key)
         return seen
 
-    def _judge(self, document: Document, steps: int) -> Observation | None:
+    def promising(self, documents: list[Document], number: int) -> int | None:
+        """Return the number of the next of several candidates that may show the failure; None if there is none.
+
+        Without workers that is the next one. Workers judge the others ahead, so it is the first that shows it.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        rest = documents[number:]
+        if self.workers is None or not self.workers.pay(self._seconds, len(rest)):
+            return number if rest else None
+        self.watch()
+        found = self.workers.first(rest, self.condition, self._most_steps, self.budget.check)
+        self.count += len(rest) if found is None else found
+        return None if found is None else number + found
+
+    @property
+    def _most_steps(self) -> int:
+        """Number of steps that a candidate may take, unless it is said otherwise."""
+        return max(FEWEST_STEPS, STEPS_MORE * self.steps)
+
+    def judge(self, document: Document, steps: int) -> Observation | None:
+        """Run a candidate for so many steps at most; return what is seen of it if it shows the failure."""
         if not document[BODIES]:
             return None
         try:

@@ -63,7 +63,7 @@ def connected(address: str | None, workers: int | None, runs: int) -> Iterator[C
     with dask.config.set(_SETTINGS), contextlib.ExitStack() as stack:
         if address is None:
             stack.enter_context(dask.config.set(_LOCAL_SETTINGS))
-            cluster: Any = stack.enter_context(_local_cluster(min(workers or _cores(), runs)))
+            cluster: Any = stack.enter_context(_local_cluster(min(workers or cores(), runs)))
             yield stack.enter_context(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
         else:
             yield stack.enter_context(_client_of(address))
@@ -127,6 +127,6 @@ def _client_of(address: str) -> Client:
         raise ExperimentError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -31,6 +31,11 @@ _BAND = (
     ("spread/median", "median", palette.LINES["red"]),
     ("spread/high", "95 %", palette.LINES["blue"]),
 )
+_CHANCE = (
+    ("outcome/low", "95 %, from", palette.LINES["grey"]),
+    ("outcome/probability", "probability", palette.LINES["red"]),
+    ("outcome/high", "95 %, to", palette.LINES["grey"]),
+)
 # by spread over radius, each a factor of ten: from known to unknown
 _SHADES = np.array([0x56B4E9FF, 0x7FC8E8FF, 0xA9DCE5FF, 0xF0E442FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)
 _SURE = 1e-5  # spread over radius at which the first shade ends
@@ -46,6 +51,7 @@ class Forecast:
     position: FloatArray  # (k, n, 3) m
     spread: FloatArray  # (k, n) m
     band: FloatArray  # (3, k) m: 5 %, median and 95 %
+    chances: FloatArray  # (c, 4) times of forks in s, and the probability of the outcome: low, measured, high
 
 
 def shades(spread: FloatArray, radius: FloatArray) -> Colours:
@@ -90,22 +96,36 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         for (path, _, _), values in zip(_BAND, logarithms, strict=True):
             drawn = np.where(np.isfinite(values), values, np.nan)
             writer.send_columns(path, index, rr.Scalars.columns(scalars=drawn))
+        _write_chances(writer, clock, forecast)
         times = pa.array(forecast.time)
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
-        writer.send_layout(_layout(camera.view(), recording.units.recorded_unit(LENGTH.unit)))
+        writer.send_layout(
+            _layout(camera.view(), recording.units.recorded_unit(LENGTH.unit), len(forecast.chances) > 0)
+        )
         writer.flush()
 
 
-def _layout(view: View, length: str) -> rrb.Blueprint:
-    panels = rrb.Vertical(
-        rrb.TimeSeriesView(
-            name=f"log₁₀ of rms distance{f' ({length})' if length != '1' else ''}: median, 5 and 95 %",
-            origin="/",
-            contents=[path for path, _, _ in _BAND],
-            axis_x=whole_time(),
-        ),
-        rrb.TextDocumentView(name="Fork", origin=_TEXT),
-        row_shares=[3, 2],
-    )
+def _write_chances(writer: Writer, clock: Clock, forecast: Forecast) -> None:
+    """Write the probability of an outcome over the time of the fork."""
+    if not len(forecast.chances):
+        return
+    times = forecast.chances[:, 0]
+    steps = np.searchsorted(forecast.time, times).tolist()
+    for (path, name, colour), values in zip(_CHANCE, forecast.chances.T[1:], strict=True):
+        writer.log(path, curve_style(name, colour))
+        writer.send_columns(path, clock.columns(steps, times.tolist()), rr.Scalars.columns(scalars=values))
+
+
+def _layout(view: View, length: str, has_chances: bool) -> rrb.Blueprint:
+    unit = f" ({length})" if length != "1" else ""
+    plots = [_plot(f"log₁₀ of rms distance{unit}: median, 5 and 95 %", _BAND)]
+    if has_chances:
+        plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))
+    text = rrb.TextDocumentView(name="Fork", origin=_TEXT)
+    panels = rrb.Vertical(*plots, text, row_shares=[3] * len(plots) + [2])
     return beside_bodies("Bodies by spread: blue is known, red is not", [_BODIES], view, panels)
+
+
+def _plot(name: str, curves: tuple[tuple[str, str, int], ...]) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name=name, origin="/", contents=[path for path, _, _ in curves], axis_x=whole_time())
