@@ -9,8 +9,9 @@ from carom.recording.edit.bundle import is_bundle, opened
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, start_of
-from carom.scene.load import RECORDED, load_scene
+from carom.scene.load import load_scene
 from carom.scene.placement import Start, place
+from carom.scene.scene_file import RECORDED
 from carom.scene.schema import Scene
 
 

@@ -1,0 +1,142 @@
+"""What is wrong with a key of a scene, and what would be right, in one line with its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from typing import Any
+
+from pydantic import BaseModel
+
+from carom.scene.conversion import Wrong, place_of
+from carom.scene.hint import hint, model_in
+from carom.scene.key_places import KeyPlaces
+from carom.scene.lines import KeyPath
+from carom.scene.schema import Scene
+from carom.scene.schema.section_error import SectionError
+from carom.scene.units.system import UnitSystem
+
+
+def is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
+    """Tell whether there is a message already about a key, or about one that contains it."""
+    wrong_units = path[0:1] == ("units",) and any(other[0] == "units" for other in messages)
+    return wrong_units or any(path[:depth] in messages for depth in range(1, len(path) + 1))
+
+
+def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
+    """Return one line with the place, the key, what is wrong and what would be right."""
+    key = ".".join(str(part)[:80] for part in wrong.path)
+    given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
+    return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
+
+
+def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: UnitSystem) -> str:
+    """Return one line with the place, the key, what is wrong and what would be right."""
+    place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
+    if detail["type"] == "extra_forbidden":
+        return f"{place}unknown key {key}{hint(path)}"
+    if detail["type"] == "missing" and isinstance(detail["loc"][-1], str):
+        return f"{place}{key} is missing{_expected(path, units)}"
+    if detail["type"] == "value_error":
+        return f"{place}{key}{': ' if key else ''}{detail['ctx']['error']}"
+    shown = repr(given) if isinstance(given, str) else str(given)
+    return f"{place}{key} = {shown[:80]}: {_wrong(detail)}{_expected(path, units)}"
+
+
+def _is_union_member(key: str | int) -> bool:
+    """Tell whether a key names a member of a union, which Pydantic adds to the path and nobody wrote."""
+    return isinstance(key, str) and ("[" in key or key.startswith("constrained") or key in ("float", "nan", "literal"))
+
+
+def written_path(detail: Any, data: Any) -> KeyPath:
+    """Return the path as it was written: a radius given as a number has no `min`, a vector no `2`."""
+    path: KeyPath = tuple(key for key in detail["loc"] if not _is_union_member(key))
+    error = detail.get("ctx", {}).get("error")
+    if isinstance(error, SectionError):
+        path = (*path, *error.path)
+    node = data
+    for depth, key in enumerate(path):
+        if isinstance(node, dict):
+            node = node.get(key)
+        elif isinstance(node, list) and isinstance(key, int) and key < len(node):
+            node = node[key]
+        else:
+            return path[:depth]
+    return path
+
+
+def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
+    """Return the value at a path before its conversion, if there was one."""
+    found, given = data, detail["input"]
+    if not isinstance(given, int | float):
+        return given
+    try:
+        for key in path:
+            found = found[key]
+    except (KeyError, IndexError, TypeError):  # a default that follows another key
+        return given
+    return found if isinstance(found, str | int | float) else given
+
+
+def _wrong(detail: Any) -> str:
+    context = detail.get("ctx", {})
+    match detail["type"]:
+        case "greater_than":
+            return f"must be more than {context['gt']:g}"
+        case "greater_than_equal":
+            return f"must be at least {context['ge']:g}"
+        case "less_than":
+            return f"must be less than {context['lt']}"
+        case "less_than_equal":
+            return f"must be at most {context['le']:g}"
+        case "finite_number":
+            return "must be a finite number"
+        case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
+            kinds = {
+                "float": "a number",
+                "int": "a whole number",
+                "string": "text in quotes",
+                "bool": "true or false",
+            }
+            return f"must be {kinds[detail['type'].split('_')[0]]}"
+        case "literal_error":
+            return f"must be {context['expected']}"
+        case "tuple_type" if isinstance(detail["input"], dict):
+            return "must be a list of sections; write it in double brackets"
+        case "too_short" | "too_long" if all(isinstance(each, str) for each in detail["input"]):
+            return "must be the names of three columns"
+        case "too_short" | "too_long" | "tuple_type" | "missing":
+            return "must be three numbers [x, y, z]"
+        case "model_type" | "model_attributes_type" | "dict_type":
+            return "must be a section with keys"
+        case _:
+            return str(detail["msg"])
+
+
+def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
+    """Follow a path of keys through the models; return the model of the last key, and its field."""
+    model: type[BaseModel] | None = Scene
+    field = None
+    for key in path:
+        if isinstance(key, int):
+            continue
+        if model is None:
+            return None, None
+        holder, field = model, model.model_fields.get(key)
+        model = model_in(field.annotation) if field is not None else None
+        if field is None:
+            return holder, None
+    return model, field
+
+
+def _expected(path: KeyPath, units: UnitSystem) -> str:
+    """Return the description of a key; its numbers are in the units of the scene."""
+    _, field = _field(path)
+    if field is None or not field.description:
+        return ""
+    text, at = field.description, place_of(path)
+    if at is not None and at.dimension is not None:
+        unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
+        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default, which is in SI
+            text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
+    return f" ({path[-1]}: {text})"

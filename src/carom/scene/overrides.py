@@ -1,0 +1,93 @@
+"""Overrides of a scene's keys, as ``--set key=value`` gives them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from typing import Any
+
+import tomlkit
+import tomlkit.exceptions
+
+from carom.scene.error import SceneError
+from carom.scene.hint import hint
+from carom.scene.lines import KeyPath
+from carom.scene.nesting import DEEPEST
+from carom.scene.renamed import other_name
+from carom.scene.schema import Scene, Time
+from carom.scene.schema.expect import ABOUT_THE_END
+
+TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
+_INDEX = re.compile(r"[0-9]{1,9}")
+
+
+def apply_override(document: Any, override: str) -> KeyPath:
+    """Set one key of the document, keeping its comments; return the path that was set."""
+    dotted, separator, text = override.partition("=")
+    keys = key_path(override)
+    if not separator or not all(key != "" for key in keys):
+        raise SceneError(f"--set {override}: expected key=value, such as contact.restitution=0.8")
+    if len(keys) > DEEPEST:
+        raise SceneError(f"--set {override[:80]} …: a key of more than {DEEPEST} parts")
+    node: Any = document
+    for depth, key in enumerate(keys[:-1]):
+        try:
+            if isinstance(key, str) and key not in node:
+                node[key] = tomlkit.table()
+            node = node[key]
+        except (KeyError, IndexError, TypeError):
+            where = ".".join(map(str, keys[: depth + 1]))
+            unknown = hint(keys[:1]) if keys[0] not in Scene.model_fields else ""
+            raise SceneError(f"--set {override}: there is no {where} in the scene{unknown}") from None
+        if not isinstance(node, (dict, list)):
+            where = ".".join(map(str, keys[: depth + 1]))
+            raise SceneError(f"--set {override}: {where} is a value, not a section")
+    try:
+        if not text.strip() and keys[-1] not in TEXTS:
+            node.pop(keys[-1])
+        else:
+            node[keys[-1]] = _parse_value(text.strip())
+        if other := other_name(keys):
+            node.pop(other[-1], None)
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise SceneError(f"--set {override}: there is no {dotted.strip()} in the scene") from None
+    return keys
+
+
+def key_path(override: str) -> KeyPath:
+    """Return the path of the key that an override sets."""
+    dotted = override.partition("=")[0].strip()
+    return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
+
+
+def forget_digest(document: Any, path: KeyPath) -> None:
+    """Remove what is known of the former file, if an override names another file of bodies."""
+    if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot"):
+        for key in ("count", *(("sha256",) if path[2] == "file" else ())):
+            document["bodies"][path[1]].pop(key, None)
+
+
+def keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
+    """Store the duration that the promises about the end refer to, if an override changes the duration."""
+    expect, duration = before.get("expect"), _duration(before)
+    if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
+        return
+    promises = {("expect", name) for name in ABOUT_THE_END if name in expect}
+    if promises.difference(overridden) and duration is not None and duration != _duration(document):
+        document["expect"]["duration"] = duration
+
+
+def _duration(document: Any) -> float | str | None:
+    """Return the duration as written; None if it is neither a number nor a text."""
+    time = document.get("time", {})
+    default = f"{Time().duration!r} s" if isinstance(document.get("units"), dict) else Time().duration
+    duration = time.get("duration", default) if isinstance(time, dict) else None
+    return duration if isinstance(duration, int | float | str) else None
+
+
+def _parse_value(text: str) -> Any:
+    """Read a TOML value; a bare word is a string."""
+    try:
+        return tomlkit.value(text).unwrap()
+    except (tomlkit.exceptions.TOMLKitError, ValueError):
+        return text
