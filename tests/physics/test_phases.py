@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numba
+import numpy as np
 import pytest
 
 from carom.experiment.warmup import SCENES
@@ -10,6 +13,7 @@ from carom.physics.contact.constraints import PREPARE, ConstraintSystem
 from carom.physics.contact.solver import contact_solver, phase_code
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.phase_code import PHASES
+from carom.physics.parallel.lanes import WIDTH
 from carom.physics.parallel.task import code_for
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -58,3 +62,46 @@ def test_code_for_systems_of_another_kind_is_not_called() -> None:
     solver._code.kind += 1
     with pytest.raises(TypeError, match="systems of another kind"):
         solver.resolve_impacts(0.0, 1, False)
+
+
+@pytest.mark.parametrize("static, kinetic", [(0.6, 0.3), (0.0, 0.0)])
+def test_contacts_solved_in_blocks_have_the_bits_of_those_solved_one_by_one(
+    static: float, kinetic: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heap = Scene.from_dict(
+        {
+            "seed": 3,
+            "group": [
+                {
+                    "count": 60,
+                    "radius": {"min": 0.1, "max": 0.2},
+                    "region": {"shape": "box", "size": [1.8, 1.8, 1.6], "centre": [0.0, 0.0, 0.6]},
+                }
+            ],
+            "body": [{"fixed": True, "radius": 0.35, "position": [0.0, 0.0, -1.1]}],
+            "domain": {"boundary": "walls", "size": [2.0, 2.0, 3.0]},
+            "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            "contact": {"static_friction": static, "kinetic_friction": kinetic},
+            "time": {"duration": 1.0, "fixed_dt": 0.01},
+        }
+    )
+
+    def run() -> tuple[Any, int]:
+        space = Space(heap, threads=1)
+        largest = 0
+        for step in range(80):
+            space.compute_dynamics(step + 1)
+            order = solver_of(space).order
+            largest = max(largest, *np.diff(order.pieces).ravel(), 0) if len(order.pieces) else largest
+        return space.fingerprint(), largest
+
+    in_blocks, largest = run()
+    lay = ContactSolver.lay
+
+    def lay_as_if_bodies_were_shared(solver: ContactSolver, *given: Any) -> None:
+        lay(solver, *given)
+        solver._settings["independent"] = 0
+
+    monkeypatch.setattr(ContactSolver, "lay", lay_as_if_bodies_were_shared)
+    assert run()[0] == in_blocks
+    assert largest > 2 * WIDTH  # contacts of a colour: whole blocks, and rests of them

@@ -17,8 +17,12 @@ def instruction(define: Callable[..., Any]) -> Any:
 
 
 def element_address(context: Any, builder: Any, signature: Any, array: Any, indices: Any) -> Any:
-    """Return the address of an element of an array."""
-    kind = signature.args[0]
+    """Return the address of an element of an array, the first argument of an instruction."""
+    return address_in(context, builder, signature.args[0], array, indices)
+
+
+def address_in(context: Any, builder: Any, kind: Any, array: Any, indices: Any) -> Any:
+    """Return the address of an element of an array of a kind."""
     view = context.make_array(kind)(context, builder, array)
     return cgutils.get_item_pointer(context, builder, kind, view, list(indices))  # type: ignore[no-untyped-call]
 

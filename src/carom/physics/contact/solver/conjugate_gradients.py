@@ -19,7 +19,7 @@ from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
-from carom.physics.parallel.jit import inner, kernel
+from carom.physics.parallel.jit import kernel, unowned
 
 # The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
 # a tenth of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
@@ -31,7 +31,7 @@ DEEP = 5e-3  # of the smaller radius: a resting contact with more overlap has su
 PART_WHEN_DEEP = 1e-2  # of the rest speed, for such a contact
 
 
-@inner
+@unowned
 def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
     """Find by how much the worst contact of a piece exceeds its tolerance, in m/s; 0 if none does."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
@@ -77,7 +77,7 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
     return min(max(PART_OF_REST * rest_speed, PART_OF_APPROACH * approach), PART_OF_RADIUS * radius_per_step)
 
 
-@inner
+@unowned
 def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
     """Move by α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
@@ -113,7 +113,7 @@ def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
     found.residual_norm, found.largest_push, found.largest_pull = norm, most, -least
 
 
-@inner
+@unowned
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
     """Find the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
@@ -144,7 +144,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
                 search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz
 
 
-@inner
+@unowned
 def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
@@ -162,7 +162,7 @@ def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
             accumulate_impulse(contact, body_i, body_j, spins, normal, dx, dy, dz)
 
 
-@inner
+@unowned
 def project(piece: int, end: int, system: ConstraintSystem) -> None:
     """Release contacts that would pull; store the remaining change of the impulses for a line search."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]

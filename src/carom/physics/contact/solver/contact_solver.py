@@ -232,7 +232,9 @@ class ContactSolver:
         system = self._system
         counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
         self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, counts)
-        self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
+        self._team.divide(
+            len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states, system.island
+        )
         self._work(POSITIONS, system, max_iterations)
 
     def audit_corrections(self) -> None:

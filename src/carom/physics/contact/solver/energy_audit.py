@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 
-@inner
+@unowned
 def audit(piece: int, end: int, system: ConstraintSystem) -> None:
     """Book the energies of the impulses of a piece, by contact and in sum."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]

@@ -16,10 +16,10 @@ from __future__ import annotations
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.contact.union_find import join, root_of
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import unowned
 
 
-@inner
+@unowned
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island by θ where θ < 1."""
     pairs, bodies, active = system.pairs, system.bodies, system.active

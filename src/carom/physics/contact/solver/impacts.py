@@ -27,7 +27,7 @@ from carom.physics.contact.law import LAW, material_index, normal_loss, restitut
 from carom.physics.contact.solver.body_state import push, turn
 from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.parallel.jit import long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 FloatArray = NDArray[np.float64]
@@ -37,7 +37,7 @@ Records = NDArray[np.void]
 CONVERGED = 1e-9  # of the first iteration's largest change of a velocity; iterations end when the change is smaller
 
 
-@inner
+@unowned
 def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     """Resolve the impacts of a piece once; note the largest change of a velocity.
 

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import unowned
 
 Records = NDArray[np.void]
 
 
-@inner
+@unowned
 def line_search(block: int, end: int, system: ConstraintSystem) -> None:
     """Sum m p·v + I t·ω, and m p² + I t², over a block of bodies."""
     spins, active = system.settings[0].spins, system.active
@@ -45,7 +45,7 @@ def line_search(block: int, end: int, system: ConstraintSystem) -> None:
     sums.slope, sums.curvature = slope, curvature
 
 
-@inner
+@unowned
 def step_length(found: Records, sums: Records) -> float:
     """Return α; 0 if repeating the change would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
@@ -60,7 +60,7 @@ def step_length(found: Records, sums: Records) -> float:
     return min(-slope / curvature, step_limit)
 
 
-@inner
+@unowned
 def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities of a block of bodies by α p and α t, and clear p and t."""
     spins, alpha, active = system.settings[0].spins, system.settings[0].alpha, system.active

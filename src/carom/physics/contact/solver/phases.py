@@ -135,6 +135,7 @@ def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> 
     """Push resting contacts apart until they no longer overlap."""
     iterations, again = 0, 1.0
     while iterations < max_iterations and again > 0.0:
+        phases.settings[0].iteration = iterations
         _share_colours(board, phases, CORRECT_POSITIONS)
         again = _largest_residual(phases)
         iterations += 1

@@ -6,14 +6,14 @@ import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
 # rounding is 1e-16 of that velocity
 
 
-@inner
+@unowned
 def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
     """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]

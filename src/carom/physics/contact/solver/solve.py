@@ -32,28 +32,33 @@ import numpy as np
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, push, turn
+from carom.physics.contact.solver.solve_block import solve_block
 from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import inline, unowned
+from carom.physics.parallel.lanes import WIDTH
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 HELD = 1e-8  # of the largest velocity that a contact removes; iterations end when they change velocities by less
+FEWEST = 4  # contacts worth a block
 
 
-@inner
+@unowned
 def solve_turning(piece: int, end: int, system: ConstraintSystem) -> None:
     """Solve the contacts of a piece once, with friction and spin."""
     solve(piece, system, (1,))
 
 
-@inner
+@unowned
 def solve_straight(piece: int, end: int, system: ConstraintSystem) -> None:
     """Solve the contacts of a piece once, without friction."""
     solve(piece, system, ())
 
 
-@inner
+@unowned
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
     """Solve the contacts of a piece once, each at the velocities that those before it left.
+
+    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the others one by one.
 
     Parameters
     ----------
@@ -61,6 +66,59 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    if piece < system.edges[system.settings[0].independent] and hi - lo >= FEWEST:
+        found = _solve_blocks(lo, hi, system, turning)
+    else:
+        found = _solve_each(lo, hi, system, turning)
+    findings = system.found[piece]
+    findings.residual, findings.step_limit, findings.slope = found
+
+
+@inline
+def _solve_blocks(
+    lo: int, hi: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
+) -> tuple[float, float, float]:
+    """Solve the contacts [lo, hi) in blocks; return the largest change, the limit of the step, and the slope."""
+    pairs, held, contacts, states, bodies = system.pairs, system.held, system.contacts, system.states, system.bodies
+    materials, places, settings, count = system.materials, system.places, system.settings[0], len(system.position)
+    alpha, drift, keeps_sliding = settings.alpha, settings.drift, settings.keeps_sliding
+    change, step_limit, slope = 0.0, np.inf, 0.0
+    last = len(pairs) - 1
+    for first in range(lo, hi, WIDTH):
+        for c in range(first + AHEAD, first + AHEAD + WIDTH):
+            ahead = min(last, c)
+            i, j = pairs[ahead, 0], pairs[ahead, 1]
+            prefetch_record(bodies, i, 0)
+            prefetch_record(bodies, i, 1)
+            prefetch_record(bodies, j, 0)
+            prefetch_record(bodies, j, 1)
+        change, step_limit, slope = solve_block(
+            pairs,
+            held,
+            contacts,
+            states,
+            bodies,
+            materials,
+            places,
+            first,
+            hi,
+            count,
+            alpha,
+            drift,
+            keeps_sliding,
+            change,
+            step_limit,
+            slope,
+            turning,
+        )
+    return change, step_limit, slope
+
+
+@inline
+def _solve_each(
+    lo: int, hi: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
+) -> tuple[float, float, float]:
+    """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope."""
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
@@ -114,5 +172,4 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         change = max(change, largest * (body_i.inverse_mass + body_j.inverse_mass))
         push(body_i, body_j, Jx, Jy, Jz)
         accumulate_push(body_i, body_j, Jx, Jy, Jz)
-    found = system.found[piece]
-    found.residual, found.step_limit, found.slope = change, step_limit, slope
+    return change, step_limit, slope

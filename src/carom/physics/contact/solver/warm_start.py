@@ -16,7 +16,7 @@ from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, ConstraintSystem
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.body_state import apply_impulse
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.parallel.jit import long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
 
@@ -111,7 +111,7 @@ def _carry(
         contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
 
 
-@inner
+@unowned
 def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
     """Apply the impulses from which the contacts of a piece start."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
