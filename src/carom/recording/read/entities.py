@@ -42,6 +42,11 @@ class Entities:
         with reading(self._container.path):
             yield from self._container.chunks(entries)
 
+    def below(self, root: str) -> dict[str, str]:
+        """Return the paths of what changes with time below an entity, by their last parts."""
+        changing = {entry.entity_path for entry in self._store.entries if not entry.is_static}
+        return {path.rsplit("/", 1)[1]: path for path in sorted(changing) if path.startswith(f"{root}/")}
+
     def layout(self) -> list[Chunk]:
         """Read the chunks of the layout that the file opens with; empty if there is none."""
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import cached_property, reduce, wraps
+from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
 
@@ -18,10 +18,12 @@ from carom.recording.read.body_states import bodies_at
 from carom.recording.read.body_table import BodyTable
 from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
-from carom.recording.read.entities import Entities, Values, values_of
+from carom.recording.read.entities import Entities, Values
+from carom.recording.read.events import event_table, warnings_of
 from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
+from carom.recording.read.series import scalar_series
 from carom.recording.read.summary import summary
 from carom.recording.read.trajectory import trajectory
 from carom.recording.rrd.index import Container
@@ -29,10 +31,9 @@ from carom.recording.rrd.messages import RECORDING, Chunk, Entry, Store
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.body_names import names_of
-from carom.recording.schema.event_kinds import CLOSING, kind_of
 from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.series import is_recorded
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.timelines import STEP
 from carom.scene.data.columns import BodyColumns
 from carom.scene.units.system import UnitSystem
 
@@ -364,28 +365,11 @@ class Recording:
 
         Recordings made before events had kinds say only of some, by their texts, which kind they are.
         """
-        table = self._entities.table(paths.EVENTS, tables.EVENTS, optional=("kind",))
-        table = table.rename_columns([name.removeprefix("TextLog:") for name in table.column_names])
-        told = zip(table["kind"].to_pylist(), table["text"].to_pylist(), strict=True)
-        kinds = pa.array([kind_of(kind, text) for kind, text in told], pa.string())
-        table = table.set_column(table.column_names.index("kind"), "kind", kinds)
-        # events logged at the end are about earlier steps
-        return table.take(np.argsort(table[STEP].to_numpy(), kind="stable"))
+        return event_table(self._entities)
 
     def warnings(self, until: int | None = None) -> list[Event]:
         """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
-        events, scale = self.events(), float(self.info["time_scale"])
-        seconds = events[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * scale
-        names = ("level", "text", "kind")
-        rows = zip(
-            events[STEP].to_pylist(), seconds.tolist(), *(events[name].to_pylist() for name in names), strict=True
-        )
-        found = [Event(*row) for row in rows]
-        return [
-            event
-            for event in found
-            if event.level == "WARN" and event.kind not in CLOSING and (until is None or event.step <= until)
-        ]
+        return warnings_of(self.events(), float(self.info["time_scale"]), until)
 
     @_named
     def phases(self) -> pa.Table:
@@ -422,24 +406,9 @@ class Recording:
             If there is none at this step, or it is damaged: not finite, not what its digest was made of, or not of its
             frame's fingerprint.
         """
-        from carom.recording.schema.checkpoint import decode  # noqa: PLC0415 - loads Numba, which looking at a file does not need
+        from carom.recording.read.checkpoint import checkpoint_at  # noqa: PLC0415 - loads Numba, which looking at a file does not need
 
-        found = decode(step, self._checkpoint_row(step), len(self.bodies.mass))
-        own = np.flatnonzero(self._fingerprints[STEP].to_numpy() == step)
-        if len(own) and self._fingerprints["fingerprint"][int(own[0])].as_py() != found.fingerprint:
-            raise RecordingError(
-                f"{self.path}: the checkpoint at step {step} does not have the fingerprint of its frame; one is damaged"
-            )
-        return found
-
-    def _checkpoint_row(self, step: int) -> dict[str, Values]:
-        for chunk in self._entities.chunks_at(step, paths.CHECKPOINT):
-            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-            if len(rows):
-                return {name: values_of(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
-        if self._start and int(self._start[STEP][0]) == step:
-            return self._start
-        raise RecordingError(f"{self.path} has no checkpoint at step {step}")
+        return checkpoint_at(self, self._entities, self._start, step)
 
     def checkpoints(self) -> Iterator[Checkpoint]:
         """All exact states, in order."""
@@ -532,31 +501,11 @@ class Recording:
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        """Return all scalars below an entity as one table, of the frames that have a value in each.
-
-        A run that was killed may have sent half a batch, and of a repaired one any piece may be missing: without names,
-        a column that has no rows is left out.
-        """
-        series = {entry.entity_path for entry in self.store.entries if not entry.is_static}
-        paths = {path.rsplit("/", 1)[1]: path for path in sorted(series) if path.startswith(f"{root}/")}
-        parts: dict[str, pa.Table] = {}
-        for name in names or paths:
-            chunks = self._entities.chunks(paths[name], "Scalars:scalars") if name in paths else iter(())
-            found = tables.table(f"{root}/{name}", chunks, tables.SCALARS)
-            if found.num_rows:
-                parts[name] = found
-            elif names and self.frames and is_recorded(root, name, self.info):
+        found = scalar_series(self._entities, root, names, self._fingerprints)
+        for name in names:
+            if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
                 raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
-        frames = self._fingerprints
-        columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
-        columns |= {name: part["Scalars:scalars"] for name, part in parts.items()}
-        steps = {name: part[STEP].to_numpy() for name, part in parts.items()}
-        own = frames[STEP].to_numpy()
-        if all(np.array_equal(column, own) for column in steps.values()):
-            return pa.table(columns)
-        common = reduce(np.intersect1d, steps.values(), own)
-        places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
-        return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
+        return found
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks one by one, unchanged."""
