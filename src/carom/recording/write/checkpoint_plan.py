@@ -42,7 +42,7 @@ class CheckpointPlan:
             self._others += _bytes_of(frame)
             room, cost = self._SHARE * self._others, size(frame)
             before, self._before = self._before, frame
-            if before and before.step != self._last_kept and self._may_warn(frame, size(before), room):
+            if before and before.step != self._last_kept and self._may_warn(frame, before, room):
                 kept.append(before)
                 self._last_kept = before.step
             if self._last_kept < 0 or self._regular + cost <= room:
@@ -51,9 +51,10 @@ class CheckpointPlan:
                 self._last_kept = frame.step
         return kept
 
-    def _may_warn(self, frame: Frame, cost: int, room: float) -> bool:
+    def _may_warn(self, frame: Frame, before: Frame, room: float) -> bool:
         if not any(event.level == "WARN" for event in frame.events):
             return False
+        cost = size(before)
         if self._warnings >= self._WARNINGS_AT_LEAST and self._warned + cost > room:
             return False
         self._warnings += 1

@@ -29,7 +29,8 @@ Result = TypeVar("Result")
 
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
 _PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
-_POLL = 0.0005  # s
+_POLL = 0.001  # s
+_GATHER = 0.002  # s between two reads: each takes the interpreter's lock, for which the physics waits
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -110,6 +111,7 @@ class DurableSink:
         size = 1
         while size:
             select.select([self._source], [], [])
+            time.sleep(_GATHER)
             with self._turn:  # `settle` may then conclude from an empty pipe that all is written
                 size = os.readv(self._source, [self._piece])
                 if self.error is None:  # or else drain the pipe: Rerun's sink would block for ever

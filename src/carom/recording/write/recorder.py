@@ -38,6 +38,7 @@ _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
 _QUEUE_BYTES = 64_000_000
+_LOOK = 1.25  # times as many frames from one look of the camera to the next
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
@@ -77,6 +78,7 @@ class Recorder:
         self._references: dict[str, float] = {}  # as last sent
         self._camera_fit: CameraFit | None = None
         self._laid_out = False
+        self._looked = 0  # frames when the camera last took one into account
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
@@ -220,11 +222,14 @@ class Recorder:
         if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit))
             self._laid_out = True
-        self._camera_fit.see(batch, origin)
+        if self.frames >= _LOOK * self._looked:  # a look takes a millisecond, during which the physics waits
+            self._looked = self.frames
+            self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
         """Send a layout that shows the whole recording, and of the plots those that have something to show."""
-        if self._camera_fit is not None and self._encoder is not None:
+        if self._camera_fit is not None and self._encoder is not None and self._last is not None:
+            self._camera_fit.see([self._last], self._encoder.origin)
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))
 
     def _fail(self, error: RecordingError) -> None:
