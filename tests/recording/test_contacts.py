@@ -191,10 +191,32 @@ def thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
     return recording
 
 
-def test_where_impacts_were_left_out_a_replay_compares_the_largest(thinned: Recording) -> None:
-    for begin in (0.0, 1.0):
-        found = replay(thinned, begin)
-        assert found.same and LEFT_OUT in found.not_compared
+def test_where_impacts_were_left_out_a_replay_compares_the_largest(thinned: Recording, tmp_path: Path) -> None:
+    whole = replay(thinned)
+    assert whole.same and whole.not_compared == []
+    clip(thinned.path, tmp_path / "clip.rrd", 0.8, 1.9)
+    part = replay(Recording.open(tmp_path / "clip.rrd"))
+    assert part.same and LEFT_OUT in part.not_compared, "a clip does not know what was recorded before it"
+
+
+def test_a_replay_finds_that_fewer_impacts_were_kept_than_there_was_room_for(
+    recording: Recording, tmp_path: Path
+) -> None:
+    counts = pc.value_counts(pc.ceil(pc.divide(pc.cast(recording.impacts()["step"], pa.float64()), 20.0)))
+    interval = next(row["values"] for row in counts.to_pylist() if row["counts"] > 1)
+    dropped = list[int]()
+
+    def without_the_weakest(batch: pa.RecordBatch) -> pa.RecordBatch:
+        inside = np.ceil(batch["step"].to_numpy() / 20.0) == interval
+        impulses = np.array([row[0] for row in batch["normal_impulse"].to_pylist()])
+        weakest = int(np.argmin(np.where(inside, impulses, np.inf)))
+        dropped.append(batch["impact"][weakest].as_py())
+        return batch.filter(pa.array(np.arange(batch.num_rows) != weakest))
+
+    changed(recording.path, tmp_path / "fewer.rrd", "impacts", without_the_weakest)
+    found = replay(Recording.open(tmp_path / "fewer.rrd")).difference
+    assert found is not None
+    assert (found.quantity, found.recorded, found.replayed) == (f"impact {dropped[0]} in /impacts", "nothing", "a row")
 
 
 def test_a_replay_finds_that_not_the_largest_impacts_were_kept(thinned: Recording, tmp_path: Path) -> None:

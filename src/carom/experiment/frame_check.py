@@ -80,8 +80,10 @@ class FrameCheck:
         self._shown, self._n = recording.shown, header.bodies
         self._box = header.box
         self._impacts = None
+        self._same_words = recording.versions == versions()
         if header.records_contacts:
-            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few())
+            whole = all_frames and begin == 0 and self._same_words and _is_whole(recording)
+            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
             self.skipped = self._impacts.skipped
         self._states = {
             paths.PHASE: _States.of(recording.phases()),
@@ -89,7 +91,6 @@ class FrameCheck:
         }
         events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
         self._events = [(row[STEP], row["level"], row["text"]) for row in events if row["kind"] not in CLOSING]
-        self._same_words = recording.versions == versions()
         self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
@@ -224,6 +225,11 @@ class FrameCheck:
         if [event[:words] for event in recorded] != [event[:words] for event in replayed]:
             return [Mismatch(frame.step, "/events", _told(recorded, replayed), _told(replayed, recorded))]
         return []
+
+
+def _is_whole(recording: Recording) -> bool:
+    """Tell whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
+    return "resumed.step" not in recording.properties and "; repaired, " not in recording.outcome
 
 
 def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:

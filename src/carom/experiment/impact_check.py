@@ -24,10 +24,10 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_frames import orientations_at, positions_at
-from carom.recording.write.impact_plan import largest
+from carom.recording.write.impact_plan import ImpactPlan, largest
 from carom.recording.write.impact_rows import impact_rows
 
-LEFT_OUT = "impacts that the recording leaves out, and whether they should be (it has the largest between two frames)"
+LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
 FIRST_BODIES = "bodies drawn at impacts before the first frame"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
@@ -40,6 +40,7 @@ class _Interval(NamedTuple):
     frame: Frame  # at its end
     before: Frame | None  # at its beginning
     impacts: NDArray[np.void]  # (k,) CONTACT_ROW, in order of time
+    kept: int | None  # how many of them should be recorded; None if that cannot be told
     numbers: IntArray  # (k,)
     begin: int  # the impacts of the run before it
     end: int  # and up to its end
@@ -58,10 +59,19 @@ class ImpactCheck:
         The rows of the recording.
     few
         The bodies of a clip that does not show all.
+    whole
+        Whether all frames that were recorded since the start of the run are replayed, which tells how many impacts
+        there was room for.
     """
 
     def __init__(
-        self, recording: Recording, encoder: BatchEncoder, rows: RecordedRows, few: Selection | None = None
+        self,
+        recording: Recording,
+        encoder: BatchEncoder,
+        rows: RecordedRows,
+        few: Selection | None = None,
+        *,
+        whole: bool = False,
     ) -> None:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
         self._path = recording.path
@@ -74,7 +84,8 @@ class ImpactCheck:
         self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
-        if self._leaves_out:
+        self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
+        if self._leaves_out and self._plan is None:
             self.skipped[LEFT_OUT] = None
         if few:
             self.skipped[OF_OTHERS] = None
@@ -94,21 +105,24 @@ class ImpactCheck:
         found = len(impacts) + self._missed
         before, counted = self._before or (None, None)
         count = self._count_at(frame.step)
+        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
+        kept = None if self._plan is None else _room(self._plan, frame, len(impacts))
         self._since, self._missed, self._before = [], 0, (frame, count)
         if count is None:
             self.skipped[f"impacts, where rows of /{paths.CONTACTS} are missing"] = None
             return None
         if counted is not None and count - counted != found:
             return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
-        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
         numbers = count - found + 1 + np.arange(len(impacts))
-        interval = _Interval(frame, before, impacts, numbers, count - found, count)
+        interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
         return self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
 
     def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
         recorded = _within(self._numbers, interval)
         own = self._numbers[recorded]
-        if self._few or (self._leaves_out and interval.before is None):
+        if interval.kept is not None:
+            chosen = largest(interval.impacts, interval.kept)
+        elif self._few or (self._leaves_out and interval.before is None):
             chosen = np.flatnonzero(np.isin(interval.numbers, own))
         elif self._leaves_out:
             chosen = largest(interval.impacts, max(1, len(own)))
@@ -173,6 +187,13 @@ class ImpactCheck:
                 if "impact_count" in chunk.components:
                     return int(flat(chunk, "impact_count", Column(pa.int64()))[0].as_py())
         return None
+
+
+def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> int:
+    """Return how many of the impacts since the frame before a plan records."""
+    contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
+    counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
+    return int(plan.choose(frame.position[None], *counts).impacts[0])
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:

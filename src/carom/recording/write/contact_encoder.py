@@ -58,8 +58,7 @@ class ContactEncoder:
         self._origin = origin
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
         self._references = references
-        everything_kept = everything or header.record_impacts == "all"
-        self._plan = ImpactPlan(everything=everything_kept, oriented=header.has_orientation, turned=header.has_torque)
+        self._plan = ImpactPlan.of(header, everything=everything)
         self._count, self._recorded = before.count, before.recorded
         self._shows_bodies = not everything
 

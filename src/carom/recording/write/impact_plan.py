@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import inline, long_kernel
+from carom.recording.schema.header import Header
 from carom.recording.write.encoding_kernels import count_moved
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +51,12 @@ class ImpactPlan:
         self._model = everything, oriented, turned
         self._budget = np.array([ONCE, 0.0, 0.0, 0.0])
         self._before: NDArray[np.float32] | None = None  # (n, 3) m, as drawn in the frame before
+
+    @classmethod
+    def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
+        """Return the plan of a recording; with everything if its scene asks for that, or if it is asked for here."""
+        everything = everything or header.record_impacts == "all"
+        return cls(everything=everything, oriented=header.has_orientation, turned=header.has_torque)
 
     def choose(self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray) -> Kept:
         """Decide for the next frames.
