@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from carom.experiment.shrink.observation import Observation
 from carom.experiment.shrink.reducer import Reducer, Reduction
 from carom.experiment.shrink.text import commented
 from carom.experiment.shrink.trials import Trials
+from carom.experiment.shrink.workers import Task, Workers
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
@@ -197,6 +200,65 @@ def test_delta_debugging_leaves_items_of_which_none_can_be_left_out() -> None:
         return next((k for k, items in enumerate(parts) if {3, 17, 40} <= set(items)), None)
 
     assert fewest(range(64), first) == [3, 17, 40]
+
+
+class Client:
+    """Judges documents that say whether they fail, and remembers what it was sent and told to forget."""
+
+    def __init__(self) -> None:
+        self.sent: list[Document] = []
+        self.forgotten: list[Future[bool]] = []
+
+    def submit(self, execute: Any, task: Task, pure: bool) -> Future[bool]:
+        self.sent.append(task.document)
+        future: Future[bool] = Future()
+        if task.document["fails"] is not None:
+            future.set_result(task.document["fails"])
+        return future
+
+    def cancel(self, futures: list[Future[bool]]) -> None:
+        self.forgotten += futures
+
+
+def judging(client: Client) -> Workers:
+    workers = Workers(2)
+    workers._client = cast(Any, client)
+    return workers
+
+
+def test_of_candidates_on_workers_the_first_in_order_is_taken_and_those_ahead_are_dropped() -> None:
+    client, condition = Client(), condition_from("bodies > 1")
+    documents: list[Document] = [{"fails": fails} for fails in (False, True, True)]
+    assert judging(client).first([*documents, *documents, *documents], condition, 10, lambda: None) == 1
+    assert len(client.sent) == 5 and len(client.forgotten) == 3  # two a worker are sent ahead
+
+
+def test_a_spent_budget_ends_the_wait_for_a_worker() -> None:
+    def spent() -> None:
+        raise OutOfTime("the budget was spent")
+
+    client = Client()
+    with pytest.raises(OutOfTime):
+        judging(client).first([{"fails": None}] * 3, condition_from("bodies > 1"), 10, spent)
+    assert len(client.forgotten) == 2
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_sweep_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.experiment.shrink.workers.START", -1.0)
+    monkeypatch.setattr("carom.experiment.shrink.workers.WORTH", -1.0)
+    asked: list[int] = []
+    first = Workers.first
+
+    def counted(workers: Workers, documents: Sequence[Document], *given: Any) -> int | None:
+        asked.append(len(documents))
+        return first(workers, documents, *given)
+
+    monkeypatch.setattr(Workers, "first", counted)
+    scene, condition = Scene.from_dict(GAS), condition_from("contacts.impacts > 2")
+    alone, together = (Reducer(condition, workers=count).reduce(scene) for count in (1, 2))
+    assert together.document == alone.document and together.minimal
+    assert asked
 
 
 def test_the_backward_cone_has_what_led_to_a_contact_and_not_what_followed() -> None:

@@ -187,7 +187,7 @@ def test_without_the_bodies_outside_the_cone_an_event_stays_and_without_its_firs
         (tmp_path / str(seed)).mkdir()
         recording = recorded(scene, tmp_path / str(seed))
         history = History.replay(recording, recording.checkpoint(0), np.inf, (), lambda status: None)
-        for k in np.random.default_rng(seed).choice(len(history.impacts), 75, replace=False):
+        for k in np.random.default_rng(seed).choice(len(history.impacts), 100, replace=False):
             impact = history.impacts[k]
             ends = int(impact["i"]), int(impact["j"])
             question = Question(ends, ends, float(impact["time"]), "")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import TimeoutError as NotYetError
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -117,11 +117,13 @@ class Workers:
         return None
 
     def _result(self, future: Any, check: Callable[[], None]) -> bool:
-        while True:
-            try:
-                return bool(future.result(timeout=_TICK))
-            except NotYetError:
-                check()
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        while not done.wait(_TICK):  # `result` with a timeout of its own may fail in distributed, when both run out
+            check()
+        if future.cancelled():
+            raise ExperimentError("the workers are gone; --workers 1 needs none")
+        return bool(future.result())
 
     def _begin(self) -> None:
         """Start the workers; without `carom[cluster]` there are none."""
