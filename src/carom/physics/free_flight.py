@@ -155,7 +155,10 @@ def _fly(
     potential: FloatArray,
     saved: FloatArray,
 ) -> tuple[int, float, float, float, int, float, float]:
-    """Take steps; return their number, the time before and after the last one, its length and limit, the averages."""
+    """Take steps; return their number, the time before and after the last one, its length and limit, the averages.
+
+    The arguments are not grouped: as five named tuples they made a call of one step take 4.8 µs in place of 1.7.
+    """
     P, n, last = plan[0], len(mass), len(substeps) - 1
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
