@@ -50,3 +50,10 @@ class Drag(Section):
                 "units"
             )
         return self
+
+
+class Forces(Section):
+    """The keys of the forces in a scene."""
+
+    gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
+    drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
@@ -12,18 +12,16 @@ from carom.scene.schema.body import Body
 from carom.scene.schema.contact import Contact
 from carom.scene.schema.domain import Domain
 from carom.scene.schema.expect import Expect
-from carom.scene.schema.forces import Drag, Gravity
+from carom.scene.schema.forces import Forces
 from carom.scene.schema.group import Group
+from carom.scene.schema.heading import Heading
 from carom.scene.schema.material import Material, Pair
 from carom.scene.schema.material_names import check_materials
 from carom.scene.schema.model import Model
 from carom.scene.schema.plane import Plane
 from carom.scene.schema.promise import Promise
-from carom.scene.schema.quantity import Section
 from carom.scene.schema.record import Record
 from carom.scene.schema.sweep import Sweep
-from carom.scene.schema.time import Time
-from carom.scene.schema.units import Units
 from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
     from carom.scene.data.sources import HeldBodies
 
 
-class Scene(Section):
+class Scene(Forces, Heading):
     """What to simulate: validated, complete, immutable.
 
     Examples
@@ -43,19 +41,6 @@ class Scene(Section):
     1.0
     """
 
-    title: str = Field("Untitled scene", description="one line; shown everywhere")
-    description: str = Field("", description="what to look for, shown in the recording")
-    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
-        0, description="seed of the random start; 0 or more, below 2**63"
-    )
-    units: str | Units | None = Field(
-        None,
-        description="the units of plain numbers, a section; or those that the scene is simulated in, a text such as "
-        '"au, day, solar mass"; SI by default',
-    )
-    time: Time = Field(Time(), description="the duration, and how the step is chosen")
-    gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
-    drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
     contact: Contact = Field(Contact(), description="how contacts are modelled")
     domain: Domain = Field(Domain(), description="the space around the bodies")
     model: Model = Field(Model(), description="parts to model even though the scene does not require them")
