@@ -1,14 +1,14 @@
 """Gravity beside its peers, in one run: the same bodies, rounds interleaved, medians compared.
 
     python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound
-                                 fmm3d] [--rounds N]
+                                 fmm3d] [--methods tree fast-multipole] [--rounds N]
 
-`direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: carom gets
-the largest opening angle, in steps of 0.005, whose median and 99th percentile of the error are both no larger than the
-peer's. FMM3D, which is for high accuracy, gets the tolerance that leaves it at 10⁻⁴ in the last of them. Without
-`--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one peer at a
-time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it. Rows take the place
-of those of the same bodies, shape and peer in benchmarks/results/gravity.json.
+`direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: each
+method of carom gets the largest opening angle, in steps of 0.005, whose median and 99th percentile of the error are
+both no larger than the peer's. FMM3D, which is for high accuracy, gets the tolerance that leaves it at 10⁻⁴ in the
+last of them. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape
+and one peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it.
+Rows take the place of those of the same method, bodies, shape and peer in benchmarks/results/gravity.json.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
@@ -41,6 +42,7 @@ SAMPLE = 1000  # bodies whose error is measured
 ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
 PEERS = ("rebound", "pytreegrav", "fmm3dpy")
 CHOICES = ("pytreegrav", "rebound", "fmm3d")  # of trees
+METHODS = ("tree", "fast-multipole")  # of carom
 TINY = 1e-12  # s: REBOUND's step is one evaluation of the forces, and drifts that cost n
 
 
@@ -68,12 +70,13 @@ def carom_direct(position: FloatArray, mass: FloatArray, threads: int, potential
     return _carom(gravity, position, potential)
 
 
-def carom_tree(position: FloatArray, mass: FloatArray, theta: float, threads: int) -> Force:
-    gravity = TreeGravity(mass, 1.0, 0.0, theta, True, Team(threads))
+def carom_tree(method: str, position: FloatArray, mass: FloatArray, theta: float, threads: int) -> Force:
+    law, team = (mass, 1.0, 0.0, theta), Team(threads)
+    gravity = TreeGravity(*law, team=team) if method == "tree" else FastMultipoleGravity(*law, team=team)
     return _carom(gravity, position, potential=False)
 
 
-def _carom(gravity: DirectGravity | TreeGravity, position: FloatArray, potential: bool) -> Force:
+def _carom(gravity: DirectGravity | TreeGravity | FastMultipoleGravity, position: FloatArray, potential: bool) -> Force:
     acceleration = np.empty_like(position)
 
     def force() -> FloatArray:
@@ -165,12 +168,14 @@ class Errors:
         return float(np.median(relative)), float(np.percentile(relative, 99))
 
 
-def opening_angle(position: FloatArray, mass: FloatArray, errors: Errors, median: float, last: float) -> float:
+def opening_angle(
+    method: str, position: FloatArray, mass: FloatArray, errors: Errors, median: float, last: float
+) -> float:
     """Return the largest opening angle of carom, in steps of 0.005, with no larger errors than these."""
     low, high = 1, 200  # two-hundredths; the errors grow with the angle
     while low < high:
         middle = (low + high + 1) // 2
-        found = errors.of(carom_tree(position, mass, middle / 200, 2)())
+        found = errors.of(carom_tree(method, position, mass, middle / 200, 2)())
         low, high = (middle, high) if found[0] <= median and found[1] <= last else (low, middle - 1)
     return low / 200
 
@@ -196,7 +201,9 @@ def compare_direct(bodies: list[int], rounds: int) -> list[dict[str, Any]]:
     return rows
 
 
-def compare_trees(bodies: list[int], shapes: list[str], peers: list[str], rounds: int) -> list[dict[str, Any]]:
+def compare_trees(
+    bodies: list[int], shapes: list[str], peers: list[str], methods: list[str], rounds: int
+) -> list[dict[str, Any]]:
     print(f"\n{'trees':>9} {'shape':>8} {'':29} {'median':>8} {'99 %':>8} {'time':>10} {'2 threads':>10} {'ratio':>6}")
     rows = []
     for n in bodies:
@@ -204,23 +211,23 @@ def compare_trees(bodies: list[int], shapes: list[str], peers: list[str], rounds
             position, mass = SHAPES[shape](n), np.full(n, 1 / n)
             errors = Errors(position, mass)
             for peer in peers or [""]:
-                rows.append(_compare_tree(shape, position, mass, errors, peer, rounds))
+                rows += [_compare_tree(method, shape, position, mass, errors, peer, rounds) for method in methods]
     return rows
 
 
 def _compare_tree(
-    shape: str, position: FloatArray, mass: FloatArray, errors: Errors, peer: str, rounds: int
+    method: str, shape: str, position: FloatArray, mass: FloatArray, errors: Errors, peer: str, rounds: int
 ) -> dict[str, Any]:
     """Compare with a peer at its error; without one, take the error that is enough."""
-    row: dict[str, Any] = {"bodies": len(mass), "shape": shape}
+    row: dict[str, Any] = {"method": method, "bodies": len(mass), "shape": shape}
     contenders: dict[str, Force] = {}
     limits = np.inf, ENOUGH
     if peer:
         row["peer"], contenders["peer"] = peer_force(peer, shape, position, mass)
         row["peer_error"] = limits = errors.of(contenders["peer"]())
-    theta = opening_angle(position, mass, errors, *limits)
-    contenders["carom"] = carom_tree(position, mass, theta, 1)
-    contenders["two threads"] = carom_tree(position, mass, theta, 2)
+    theta = opening_angle(method, position, mass, errors, *limits)
+    contenders["carom"] = carom_tree(method, position, mass, theta, 1)
+    contenders["two threads"] = carom_tree(method, position, mass, theta, 2)
     row |= {
         "opening_angle": theta,
         "error": errors.of(contenders["two threads"]()),
@@ -234,7 +241,7 @@ def _compare_tree(
         )
     _print_tree(
         row,
-        f"carom, {theta:g}",
+        f"carom, {method}, {theta:g}",
         row["error"],
         f"{seconds['carom'] * 1e3:>8.1f}ms {seconds['two threads'] * 1e3:>8.1f}ms",
     )
@@ -251,13 +258,14 @@ def main() -> None:
     parser.add_argument("--bodies", type=int, nargs="+", default=[])
     parser.add_argument("--shapes", nargs="+", choices=list(SHAPES), default=list(SHAPES))
     parser.add_argument("--peers", nargs="*", choices=CHOICES, default=CHOICES)
+    parser.add_argument("--methods", nargs="+", choices=METHODS, default=METHODS)
     parser.add_argument("--rounds", type=int, default=5)
     chosen = parser.parse_args()
     parts = chosen.parts or ["direct", "tree"]
     if "direct" in parts:
         merge("gravity", {"direct": compare_direct(chosen.bodies or DIRECT_BODIES, chosen.rounds)}, *PEERS)
     if "tree" in parts:
-        rows = compare_trees(chosen.bodies or TREE_BODIES, chosen.shapes, chosen.peers, chosen.rounds)
+        rows = compare_trees(chosen.bodies or TREE_BODIES, chosen.shapes, chosen.peers, chosen.methods, chosen.rounds)
         merge("gravity", {"tree": rows}, *PEERS)
 
 

@@ -34,7 +34,11 @@ def gravity() -> None:
     axes.loglog(n, [k * k / BOUND for k in n], ":", color="black", label="bound: a root and a division a directed pair")
     styles = {"pytreegrav": ("^--", "tab:orange"), "REBOUND": ("v--", "tab:purple")}
     for peer, (style, colour) in styles.items():
-        rows = [row for row in found["tree"] if row["peer"].startswith(peer) and row["shape"] == "plummer"]
+        rows = [
+            row
+            for row in found["tree"]
+            if row["method"] == "tree" and row["peer"].startswith(peer) and row["shape"] == "plummer"
+        ]
         sizes = [row["bodies"] for row in rows]
         axes.loglog(sizes, [row["seconds"]["peer"] for row in rows], style, color=colour, label=f"{peer}, tree")
         own = [row["seconds"]["carom"] for row in rows]

@@ -321,11 +321,18 @@ def test_an_accuracy_beyond_double_precision_is_refused_with_the_best_that_there
 
 
 @pytest.mark.parametrize(
-    ("accuracy", "remedy"), [(1e-5, "gravity.opening_angle = 0.35"), (1e-9, 'gravity.method = "direct"')]
+    ("method", "accuracy", "error", "remedy"),
+    [
+        ("tree", 1e-5, "4e-05", "gravity.opening_angle = 0.35"),
+        ("tree", 1e-9, "4e-05", 'gravity.method = "direct"'),
+        ("fast-multipole", 1e-6, "4e-06", "gravity.opening_angle = 0.41"),
+    ],
 )
-def test_a_tree_that_is_too_coarse_says_what_could_reach_the_accuracy(accuracy: float, remedy: str) -> None:
-    with pytest.raises(SceneError, match=f"whose error is about 4e-05; set {remedy}"):
-        Space(scene_of(SPHERES, time={"accuracy": accuracy}, gravity={"method": "tree"}))
+def test_a_tree_that_is_too_coarse_says_what_could_reach_the_accuracy(
+    method: str, accuracy: float, error: str, remedy: str
+) -> None:
+    with pytest.raises(SceneError, match=f"whose error is about {error}; set {remedy}"):
+        Space(scene_of(SPHERES, time={"accuracy": accuracy}, gravity={"method": method}))
 
 
 def test_a_promise_without_an_accuracy_is_refused() -> None:

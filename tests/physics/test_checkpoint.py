@@ -73,6 +73,7 @@ VARIANTS: list[dict[str, Any]] = [
     {"time": {"integrator": "yoshida4"}},
     {"time": {"fixed_dt": 0.01}},
     {"gravity": {"method": "tree"}},
+    {"gravity": {"method": "fast-multipole"}},
     {"gravity": {"uniform": [0.0, 0.0, -1.0]}, "plane": [{"point": [0, 0, -4], "normal": [0, 0, 1]}]},
     {"gravity": {"constant": 0.0}, "domain": {"boundary": "periodic", "size": [7.0, 7.0, 7.0]}},
     {"gravity": {"uniform": [0.0, 0.0, -1.0]}, "domain": {"boundary": "walls", "size": [7.0, 7.0, 7.0]}},

@@ -38,7 +38,7 @@ def fingerprints(method: str, threads: list[int], **environment: str) -> list[st
 
 
 @pytest.mark.slow  # it compiles every kernel for another processor
-@pytest.mark.parametrize("method", ["direct", "tree"])
+@pytest.mark.parametrize("method", ["direct", "tree", "fast-multipole"])
 def test_200_steps_end_with_the_same_bits_on_any_processor_and_number_of_threads(method: str) -> None:
     here = fingerprints(method, [1, 2, 4])
     elsewhere = fingerprints(method, [2], NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")

@@ -174,6 +174,7 @@ RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.target"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
+FAST_MULTIPOLE = ("forces.gravity.box_walk.", "forces.gravity.expansions.")
 OPTIONAL = ("contact.continuous.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
@@ -193,7 +194,7 @@ def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections,
     contact = LATE | sections.get("contact", {})  # impacts on the way have kernels of their own
     loaded = kernels_of(WHOLE | sections | {"contact": contact})
     assert ALL - loaded == absent
-    assert not any(name.startswith(OPTIONAL) for name in loaded)
+    assert not any(name.startswith((*OPTIONAL, *FAST_MULTIPOLE)) for name in loaded)
 
 
 def test_times_of_impact_drag_and_the_tree_load_kernels_of_their_own() -> None:

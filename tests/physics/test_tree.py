@@ -2,81 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.forces.gravity.tree_build import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from gravity_shapes import SHAPES, Shape, ball, errors, masses, plummer, summed, total_pull
 
 FloatArray = NDArray[np.float64]
 
 # docs/physics.md: the median and the 99th percentile of |a - a_direct| / |a_direct| stay below these times θ^3.5
 MEDIAN, PERCENTILE_99 = 0.012, 0.1
-
-
-def directions(n: int, seed: int) -> FloatArray:
-    v = np.random.default_rng(seed).standard_normal((n, 3))
-    return np.asarray(v / np.linalg.norm(v, axis=1)[:, None])
-
-
-def plummer(n: int) -> FloatArray:
-    u = np.random.default_rng(1).uniform(0.0, 0.999, n)
-    return directions(n, 2) / np.sqrt(u ** (-2 / 3) - 1)[:, None]
-
-
-def ball(n: int) -> FloatArray:
-    return directions(n, 3) * np.random.default_rng(4).uniform(0.0, 1.0, n)[:, None] ** (1 / 3)
-
-
-def disc(n: int) -> FloatArray:
-    return plummer(n) * [1.0, 1.0, 1e-3]
-
-
-def string(n: int) -> FloatArray:
-    return np.linspace(-1.0, 1.0, n)[:, None] * [1.0, 2.0, -0.5]
-
-
-def with_one_far_away(n: int) -> FloatArray:
-    position = plummer(n)
-    position[n // 2] = [1e9, -1e9, 3e8]
-    return position
-
-
-def far_from_the_origin(n: int) -> FloatArray:
-    return np.asarray(plummer(n) + [1e6, -1e6, 1e6])  # noqa: RUF005 - a sum, not a list that grows
-
-
-def nested(n: int) -> FloatArray:
-    """A cluster of clusters, each 10⁻⁴ of the last one's size: deeper than 63 bits of keys can tell apart."""
-    return ball(n) * 1e-4 ** np.arange(n).__mod__(6)[:, None]
-
-
-def many_at_few_points(n: int) -> FloatArray:
-    return plummer(8)[np.arange(n) % 8]
-
-
-Shape = Callable[[int], FloatArray]
-SHAPES: tuple[Shape, ...] = (
-    plummer,
-    ball,
-    disc,
-    string,
-    with_one_far_away,
-    far_from_the_origin,
-    nested,
-    many_at_few_points,
-)
-
-
-def masses(n: int, decades: float = 1.0) -> FloatArray:
-    return np.asarray(10.0 ** np.random.default_rng(5).uniform(0.0, decades, n) / n)
 
 
 def pulled(
@@ -86,23 +26,6 @@ def pulled(
     gravity = TreeGravity(mass, 1.0, softening, theta, quadrupoles)
     energy = gravity.accelerate(position, acceleration, potential=True)
     return acceleration, energy
-
-
-def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tuple[FloatArray, float | None]:
-    acceleration = np.empty_like(position)
-    energy = DirectGravity(mass, 1.0, softening).accelerate(position, acceleration, potential=True)
-    return acceleration, energy
-
-
-def total_pull(position: FloatArray, mass: FloatArray, softening: float) -> FloatArray:
-    """The sum of the magnitudes of all pulls on each body: where pulls cancel, their errors need not."""
-    d2 = np.sum((position[None, :, :] - position[:, None, :]) ** 2, axis=2)
-    pull = np.divide(np.sqrt(d2), (d2 + softening**2) ** 1.5, out=np.zeros_like(d2), where=d2 > 0.0)
-    return np.asarray(np.sum(mass * pull, axis=1))
-
-
-def errors(found: FloatArray, expected: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1))
 
 
 @pytest.mark.parametrize("theta", [pytest.param(0.2, marks=pytest.mark.slow), 0.3, 0.5, 0.7, 0.8])

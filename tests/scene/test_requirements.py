@@ -9,7 +9,17 @@ import pytest
 
 from carom.physics.space import Space
 from carom.plan import pulls
-from carom.plan.auto import cfl, frame_interval, gravity_method, integrator, pull_fraction, smoothing, target_dx, timing
+from carom.plan.auto import (
+    TREES,
+    cfl,
+    frame_interval,
+    gravity_method,
+    integrator,
+    pull_fraction,
+    smoothing,
+    target_dx,
+    timing,
+)
 from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, ForceKind
@@ -91,6 +101,7 @@ def test_a_part_is_modelled_where_it_is_required(sentence: str, scene: Scene, pa
         (5000, {}, "tree", "5000 bodies, at least 5000; opening angle 0.5"),
         (5000, {"method": "direct"}, "direct", 'gravity.method = "direct": a direct sum'),
         (9, {"method": "tree", "opening_angle": 0.3}, "tree", 'gravity.method = "tree"; opening angle 0.3'),
+        (9, {"method": "fast-multipole"}, "fast-multipole", 'gravity.method = "fast-multipole"; opening angle 0.5'),
         (1, {"method": "tree"}, "none", "nothing pulls"),
         (9, {"method": "tree", "constant": 0}, "none", "nothing pulls"),
         (9, {"method": "tree", "constant": 0, "force": True}, "tree", 'gravity.method = "tree"'),
@@ -100,7 +111,7 @@ def test_many_bodies_are_summed_by_a_tree(count: int, gravity: dict[str, Any], m
     forced = {"force": "gravity"} if gravity.pop("force", False) else {}
     scene = Scene.from_dict({"group": [{"count": count}], "gravity": gravity, "model": forced})
     assert gravity_method(scene) == method
-    assert require(scene).tree.modelled == (method == "tree")
+    assert require(scene).tree.modelled == (method in TREES)
     assert why in require(scene).tree.why
 
 

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from carom.plan.auto import gravity_method
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
-TREE_ERROR = 6e-4  # position error over the size for an opening angle of 1 rad, with quadrupoles (docs/trade.md)
-TREE_ORDER = 4  # of that error in the opening angle: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
+
+class _Law(NamedTuple):
+    """The position error over the size, as a power of the opening angle."""
+
+    error: float  # at 1 rad
+    order: int
+
+
+TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
+    "tree": _Law(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
+    "fast-multipole": _Law(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+}
 MONOPOLES = 19.0  # largest factor on it without quadrupoles
 SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
 
@@ -20,18 +32,17 @@ def refuse_coarse_tree(scene: Scene) -> None:
     SceneError
         With an opening angle that is small enough.
     """
-    accuracy, gravity = scene.time.accuracy, scene.gravity
-    if accuracy is None or gravity_method(scene) != "tree":
+    accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
+    if accuracy is None or method not in TREE_ERRORS:
         return
-    worst = TREE_ERROR if gravity.quadrupoles else MONOPOLES * TREE_ERROR
-    error, angle = worst * gravity.opening_angle**TREE_ORDER, (accuracy / worst) ** (1 / TREE_ORDER)
+    law = TREE_ERRORS[method]
+    worst = law.error if gravity.quadrupoles or method != "tree" else MONOPOLES * law.error
+    error, angle = worst * gravity.opening_angle**law.order, (accuracy / worst) ** (1 / law.order)
     if error <= accuracy:
         return
+    tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
     better = f"gravity.opening_angle = {_floor(angle)}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
-    raise SceneError(
-        f"time.accuracy = {accuracy:g} with a tree of gravity.opening_angle = {gravity.opening_angle:g}, whose error "
-        f"is about {error:.0e}; set {better}"
-    )
+    raise SceneError(f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}")
 
 
 def _floor(angle: float) -> float:

@@ -33,10 +33,11 @@ FREE_CFL = 1.0  # likewise, with times of impact and without forces: shorter ste
 
 BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all anew at each impact (docs/trade.md)
 
+TREES = ("tree", "fast-multipole")  # methods that sort bodies into boxes, with an error by the opening angle
 TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
 
-def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
+def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:
     """Decide how gravity is summed.
 
     Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" changes
@@ -48,6 +49,11 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "none"]:
     if method == "auto":
         return "direct" if scene.count < TREE_FROM else "tree"
     return method
+
+
+def uses_tree(scene: Scene) -> bool:
+    """Tell whether gravity is summed over boxes, with an error that the opening angle sets."""
+    return gravity_method(scene) in TREES
 
 
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
@@ -94,14 +100,14 @@ def _accurate(scene: Scene) -> str:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.gravity(scene).modelled:
         return "leapfrog"
-    return "yoshida4" if scene.gravity.method == "tree" or scene.count >= TREE_FROM else "gauss-radau15"
+    return "yoshida4" if scene.gravity.method in TREES or scene.count >= TREE_FROM else "gauss-radau15"
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Tell whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
     bent = contacts.load(scene) != "" and not pulls.damping(scene)
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
-    return bent and open_space and scene.gravity.method != "tree" and scene.count <= BOUNCES_UP_TO
+    return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
 
 def holding(scene: Scene) -> Scene:
@@ -115,7 +121,7 @@ def _leaves_step_free(scene: Scene) -> bool:
     """Tell whether a scene gives no key that sets its steps, so that an integrator may choose them by their error."""
     rule = scene.time
     keys = (rule.target_dx, rule.cfl, rule.pull_fraction, rule.smoothing)
-    return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method != "tree"
+    return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method not in TREES
 
 
 def _is_smooth(scene: Scene) -> bool:

@@ -157,7 +157,7 @@ def _contradiction(scene: Scene, name: str) -> str:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
         case "tree":
-            return 'it takes the place of the direct sum; set gravity.method = "tree"'
+            return 'it takes the place of the direct sum; set gravity.method = "tree" or "fast-multipole"'
         case "restitution":
             return "it is a factor of every impulse, 1 + e, and e is 0; set contact.restitution"
         case "stabilisation" if scene.contact.stabilisation == "none":
@@ -181,7 +181,7 @@ def _tree(scene: Scene) -> Part:
     why = few if scene.gravity.method == "auto" else f'gravity.method = "{method}"'
     if method == "direct":
         return Part(name, False, f"{why}: a direct sum")
-    poles = "" if scene.gravity.quadrupoles else ", no quadrupoles"
+    poles = ", no quadrupoles" if method == "tree" and not scene.gravity.quadrupoles else ""
     return Part(name, True, f"{why}; opening angle {scene.gravity.opening_angle:g}{poles}")
 
 

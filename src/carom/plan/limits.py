@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from carom.plan.accuracy import refuse_coarse_tree
-from carom.plan.auto import gravity_method, integrator
+from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
@@ -16,7 +16,7 @@ from carom.scene.units.dimension import LENGTH
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: 2400 abort at 4 × 10⁵ bodies
-GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130}  # 16 slabs of sums; boxes and sorted bodies
+GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
 
 def memory_estimate(scene: Scene) -> int:
@@ -99,8 +99,10 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
         )
     if scene.domain.boundary == "periodic":
         raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"')
-    if gravity_method(scene) == "tree":
-        raise SceneError(f'{name} with gravity.method = "tree", whose error it cannot control; set "direct"')
+    if uses_tree(scene):
+        raise SceneError(
+            f'{name} with gravity.method = "{gravity_method(scene)}", whose error it cannot control; set "direct"'
+        )
     if key := _limit_of_steps(scene):
         raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
 
@@ -123,8 +125,8 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
         )
     if scene.domain.boundary == "periodic":
         raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog"')
-    if gravity_method(scene) == "tree":
-        raise SceneError(f'{name} with gravity.method = "tree": it sums all pairs; set "direct"')
+    if uses_tree(scene):
+        raise SceneError(f'{name} with gravity.method = "{gravity_method(scene)}": it sums all pairs; set "direct"')
     if why := why_no_hierarchy(scene):
         raise SceneError(f"{name} {why}")
     if key := _limit_of_steps(scene):

@@ -24,7 +24,7 @@ from carom.experiment.work_precision.error_measures import NAMES, Errors, Scale,
 from carom.experiment.work_precision.event_driven_reference import TIGHTEST, solve, why_not
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.plan.auto import cfl, gravity_method, integrator, pull_fraction, target_dx
+from carom.plan.auto import cfl, integrator, pull_fraction, target_dx, uses_tree
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
@@ -193,7 +193,7 @@ def _space(scene: Scene, factor: float, threads: int | None) -> Space:
 
 def _finer_pull(scene: Scene) -> tuple[list[str], str]:
     """Return the overrides that remove the error of a tree, and their description."""
-    if gravity_method(scene) != "tree":
+    if not uses_tree(scene):
         return [], ""
     if scene.count <= DIRECT_UP_TO:
         return ["gravity.method=direct"], ", and a direct sum"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from carom.experiment.work_precision.reference import refined
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
-from carom.plan.auto import gravity_method, integrator, smoothing, timing
+from carom.plan.auto import gravity_method, integrator, smoothing, timing, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
@@ -89,9 +89,10 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
             found["time.velocity_limit"] = ("every-body", "fastest-body")
             found["time.smoothing"] = ("1",)
     if parts.contact.modelled and parts.gravity.modelled and scene.count > FEW:
-        if gravity_method(scene) == "tree":
+        if uses_tree(scene):
             found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
-            found["gravity.quadrupoles"] = ("true", "false")
+            if gravity_method(scene) == "tree":
+                found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
     own = _in_effect(scene)

@@ -13,7 +13,7 @@ from carom.physics.forces.force import Damping, Potentials, accelerate, forces_o
 from carom.physics.forces.gravity import Gravity, gravity_of
 from carom.physics.forces.uniform_field import UniformField
 from carom.physics.parallel.thread_team import Team
-from carom.plan.auto import gravity_method
+from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
 
@@ -58,7 +58,7 @@ class TotalForce:
     def few(self) -> FewForces | None:
         """The forces for a kernel that takes many steps of few bodies; None if there are others."""
         kinds, scene = {type(force) for force in self._forces}, self._scene
-        if not kinds <= {Gravity, UniformField} or gravity_method(scene) == "tree":
+        if not kinds <= {Gravity, UniformField} or uses_tree(scene):
             return None
         law = scene.gravity.constant, scene.gravity.softening
         return FewForces(Gravity in kinds, *law, UniformField in kinds, self.uniform)

@@ -16,13 +16,16 @@ class Gravity(Section):
     constant: Annotated[NonNegative, GRAVITATIONAL_CONSTANT] = Field(
         6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 is no gravity; not negative"
     )
-    method: Literal["auto", "direct", "tree", "none"] = Field(
-        "auto", description="how gravity is summed; auto takes a tree for 5000 bodies or more"
+    method: Literal["auto", "direct", "tree", "fast-multipole", "none"] = Field(
+        "auto",
+        description="how gravity is summed; auto takes a tree for 5000 bodies or more; "
+        "fast-multipole conserves momentum and is faster at small errors",
     )
     opening_angle: Positive = Field(
         0.5,
         le=1,
-        description="tree only: boxes with a smaller angular radius in radians pull as a whole; more than 0, at most 1",
+        description="boxes of a tree with a smaller angular radius in radians pull as a whole; with "
+        "fast-multipole, boxes that see the sum of their radii so small; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
         True, description="tree only: false treats distant boxes as points, which is faster and less accurate"

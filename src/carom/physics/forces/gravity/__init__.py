@@ -1,4 +1,4 @@
-"""Gravity of the bodies on each other: by a direct sum over all pairs, or by a tree."""
+"""Gravity of the bodies on each other: by a direct sum over all pairs, a tree, or fast multipoles."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.thread_team import Team
 from carom.plan.auto import gravity_method
@@ -14,15 +15,16 @@ from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
+Pull = DirectGravity | TreeGravity | FastMultipoleGravity
 
 
 class Gravity:
-    """The gravity of all bodies on each other, by direct sum or tree."""
+    """The gravity of all bodies on each other."""
 
     kind = GRAVITY
     uniform = np.zeros(3)
 
-    def __init__(self, pull: DirectGravity | TreeGravity) -> None:
+    def __init__(self, pull: Pull) -> None:
         self._pull = pull
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
@@ -38,12 +40,14 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> Gravity:
     return Gravity(pull)
 
 
-def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> DirectGravity | TreeGravity | None:
+def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> Pull | None:
     """Return the gravity of bodies of mass (n,) kg by the method of a scene; None if there is none."""
     method, gravity = gravity_method(scene), scene.gravity
     if method == "none":
         return None
     if method == "direct":
         return DirectGravity(mass, gravity.constant, gravity.softening, team)
+    if method == "fast-multipole":
+        return FastMultipoleGravity(mass, gravity.constant, gravity.softening, gravity.opening_angle, team)
     accuracy = gravity.opening_angle, gravity.quadrupoles
     return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)

@@ -1,0 +1,300 @@
+"""Walks over pairs of boxes, which decide whether boxes pull each other as a whole or body by body.
+
+A walk begins with the pair of the whole tree with itself, and decides on each pair of boxes A, B:
+
+1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless they have so few bodies
+   that `FEW_PAIRS` are as fast.
+2. Otherwise, if they have at most `MANY_PAIRS`, or are both leaves, their bodies pull each other one by one.
+3. Otherwise the one with the larger radius is halved.
+
+These decisions do not depend on which of the two is A. The forces on both are therefore opposite, those of single pairs
+of bodies exactly and those of boxes up to rounding, and momentum is conserved.
+
+A walk goes from the whole tree down to the bodies of one branch. Each box A on the way takes those boxes B that its
+parent left undecided, and adds to the local expansion of its parent, moved to X_A. All sums for a body are thus made by
+one thread, in the order of the walk.
+
+Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large and sparse
+leaves see its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but more
+in a cluster).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.forces.gravity.taylor import (
+    AXIS,
+    LOCAL,
+    LOWER,
+    MOVE_LOCAL,
+    SHARE,
+    attract,
+    evaluate,
+    pull_of_bodies,
+)
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import long_kernel, unowned
+from carom.physics.parallel.vectors import LANES
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
+
+FEW_PAIRS = 128  # of bodies, which take as long as a pair of boxes
+MANY_PAIRS = 1024  # 512 and 2048 are as fast at equal error
+
+ENTRY = np.dtype(  # a box to be walked
+    [
+        ("box", np.int64),
+        ("begin", np.int64),  # of the boxes that its parent left undecided
+        ("end", np.int64),
+        ("depth", np.int64),
+    ]
+)
+
+
+@long_kernel
+def walk(
+    lo: int,
+    hi: int,
+    turn: IntArray,
+    count: int,
+    branches: Records,
+    boxes: Records,
+    poles: FloatArray,
+    x: FloatArray,
+    m: FloatArray,
+    body: IntArray,
+    G: float,
+    eps2: float,
+    theta2: float,
+    unit: float,
+    far_of: IntArray,
+    near_of: IntArray,
+    open_of: IntArray,
+    left_of: IntArray,
+    entries_of: Records,
+    local_of: FloatArray,
+    expansion_of: FloatArray,
+    powers_of: FloatArray,
+    lanes_of: FloatArray,
+    acceleration: FloatArray,
+    potential: FloatArray,
+    needed: IntArray,
+) -> None:
+    """Write acceleration and potential of the bodies of all branches.
+
+    Each of the threads [lo, hi) takes the next branch until none is left; ``turn``, (1,), counts the branches taken.
+
+    Parameters
+    ----------
+    theta2
+        The opening angle squared.
+    unit
+        1/m; lengths in multipoles and local expansions are multiplied by it.
+    far_of, near_of, open_of, left_of
+        For each thread, room for boxes that pull as a whole, that pull body by body, that are being opened, and that
+        are left to the halves.
+    entries_of, local_of
+        For each thread, boxes to be walked, and by depth the local expansions with their centres.
+    expansion_of, powers_of, lanes_of
+        For each thread, room for a local expansion in lanes, for v^n / n!, and for bodies in lanes.
+    needed
+        (threads,), set to 1 where ``left_of`` is too small; the results are then incomplete.
+    """
+    far, near, opened, left, entries = far_of[lo], near_of[lo], open_of[lo], left_of[lo], entries_of[lo]
+    local, expansion, powers, lanes = local_of[lo], expansion_of[lo], powers_of[lo], lanes_of[lo]
+    nothing = len(poles) - 1  # a box without mass
+    while True:
+        taken = atomic_add(turn, 0, 1)
+        if taken >= count:
+            return
+        branch = branches[taken].begin
+        for i in range(boxes[branch].first, boxes[branch].last):
+            j = body[i]
+            acceleration[j, 0] = acceleration[j, 1] = acceleration[j, 2] = potential[j] = 0.0
+        left[0] = 0
+        entries[0].box, entries[0].begin, entries[0].end, entries[0].depth = 0, 0, 1, 0
+        top = 1
+        while top > 0:
+            top -= 1
+            a, begin, end, depth = entries[top].box, entries[top].begin, entries[top].end, entries[top].depth
+            fars, nears, last = _decide(a, begin, end, theta2, boxes, opened, far, near, left)
+            if last < 0:
+                needed[lo] = 1
+                return
+            _inherit(depth, boxes, a, unit, local, powers)
+            if fars > 0:
+                while fars % LANES != 0:  # fill the lanes
+                    far[fars] = nothing
+                    fars += 1
+                _attract(fars, far, depth, boxes, a, poles, unit, eps2 * unit * unit, expansion, local)
+            half = boxes[a].half
+            if a < branch:  # on the way to the branch; boxes so large leave at least their own halves
+                entry = entries[0]
+                entry.box = half if branch >= half else a + 1
+                entry.begin, entry.end, entry.depth = end, last, depth + 1
+                top = 1
+                continue
+            is_over = last == end
+            if is_over or nears > 0:
+                found = acceleration, potential
+                _pull(nears, near, is_over, depth, boxes, a, x, m, body, G, eps2, unit, local, lanes, *found)
+            if not is_over:
+                for child in (half, a + 1):
+                    entry = entries[top]
+                    entry.box, entry.begin, entry.end, entry.depth = child, end, last, depth + 1
+                    top += 1
+
+
+@unowned
+def _decide(
+    a: int,
+    begin: int,
+    end: int,
+    theta2: float,
+    boxes: Records,
+    opened: IntArray,
+    far: IntArray,
+    near: IntArray,
+    left: IntArray,
+) -> tuple[int, int, int]:
+    """Decide on the boxes that are left to box a, from begin to end.
+
+    Returns
+    -------
+    tuple
+        How many pull as a whole and body by body, and where those end that are left to the halves of a, which begin
+        where its own end. The last is -1 if there is no room for them.
+    """
+    A = boxes[a]
+    bodies = A.last - A.first
+    padded = (bodies + LANES - 1) // LANES * LANES
+    fars = nears = 0
+    last = end
+    for c in range(begin, end):
+        opened[0] = left[c]
+        k = 1
+        while k > 0:
+            k -= 1
+            b = opened[k]
+            B = boxes[b]
+            others = B.last - B.first
+            pairs = max(bodies * ((others + LANES - 1) // LANES * LANES), padded * others)
+            if last + 2 > len(left):
+                return 0, 0, -1
+            if a == b:
+                if pairs <= MANY_PAIRS or A.half == 0:
+                    near[nears] = b
+                    nears += 1
+                else:
+                    left[last], left[last + 1] = a + 1, A.half
+                    last += 2
+                continue
+            dx, dy, dz, r = A.x - B.x, A.y - B.y, A.z - B.z, A.radius + B.radius
+            is_far = (dx * dx + dy * dy + dz * dz) * theta2 > r * r
+            if is_far and pairs > FEW_PAIRS:
+                far[fars] = b
+                fars += 1
+            elif is_far or pairs <= MANY_PAIRS or (A.half == 0 and B.half == 0):
+                near[nears] = b
+                nears += 1
+            elif B.half != 0 and (A.half == 0 or B.radius > A.radius or (B.radius == A.radius and b > a)):
+                opened[k], opened[k + 1] = B.half, b + 1
+                k += 2
+            else:
+                left[last] = b
+                last += 1
+    return fars, nears, last
+
+
+@unowned
+def _inherit(depth: int, boxes: Records, a: int, unit: float, local: FloatArray, powers: FloatArray) -> None:
+    """Begin the local expansion of box a with that of its parent, moved to the centre of a."""
+    x, y, z = boxes[a].x, boxes[a].y, boxes[a].z
+    for c in range(LOCAL):
+        local[depth, c] = 0.0
+    if depth > 0:
+        parent = depth - 1
+        dx, dy, dz = x - local[parent, LOCAL], y - local[parent, LOCAL + 1], z - local[parent, LOCAL + 2]
+        powers[0] = 1.0
+        for c in range(1, LOCAL):
+            d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
+            powers[c] = powers[LOWER[c]] * (unit * d) * SHARE[c]
+        for q in range(len(MOVE_LOCAL)):
+            term = powers[MOVE_LOCAL[q, 1]] * local[parent, MOVE_LOCAL[q, 2]]
+            local[depth, MOVE_LOCAL[q, 0]] += term
+    local[depth, LOCAL], local[depth, LOCAL + 1], local[depth, LOCAL + 2] = x, y, z
+
+
+@unowned
+def _attract(
+    fars: int,
+    far: IntArray,
+    depth: int,
+    boxes: Records,
+    a: int,
+    poles: FloatArray,
+    unit: float,
+    soft: float,
+    expansion: FloatArray,
+    local: FloatArray,
+) -> None:
+    """Add the pull of far boxes, a multiple of `LANES`, to the local expansion of box a."""
+    for c in range(LOCAL * LANES):
+        expansion[c] = 0.0
+    for k in range(0, fars, LANES):
+        attract(poles, far, k, boxes[a].x, boxes[a].y, boxes[a].z, unit, soft, expansion)
+    for c in range(LOCAL):
+        for k in range(LANES):
+            local[depth, c] += expansion[LANES * c + k]
+
+
+@unowned
+def _pull(
+    nears: int,
+    near: IntArray,
+    is_over: bool,
+    depth: int,
+    boxes: Records,
+    a: int,
+    x: FloatArray,
+    m: FloatArray,
+    body: IntArray,
+    G: float,
+    eps2: float,
+    unit: float,
+    local: FloatArray,
+    lanes: FloatArray,
+    acceleration: FloatArray,
+    potential: FloatArray,
+) -> None:
+    """Add the pull of the bodies of near boxes on those of box a, and at last that of its local expansion."""
+    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε, the potential of a body at its own position
+    A = boxes[a]
+    for i in range(A.first, A.last, LANES):
+        width = min(LANES, A.last - i)
+        for k in range(LANES):
+            s = i + min(k, width - 1)  # spare lanes repeat the last body; their results are discarded
+            j = body[s]
+            lanes[0, k], lanes[1, k], lanes[2, k] = x[0, s], x[1, s], x[2, s]
+            lanes[3, k], lanes[4, k], lanes[5, k] = acceleration[j, 0], acceleration[j, 1], acceleration[j, 2]
+            lanes[6, k] = potential[j]
+        if is_over:
+            evaluate(local, depth, A.x, A.y, A.z, unit, lanes)
+        k = 0
+        while k < nears:  # boxes side by side at once
+            j0, j1 = boxes[near[k]].first, boxes[near[k]].last
+            k += 1
+            while k < nears and boxes[near[k]].first == j1:
+                j1 = boxes[near[k]].last
+                k += 1
+            pull_of_bodies(x, m, j0, j1, eps2, lanes)
+        factor = G if is_over else 1.0
+        for k in range(width):
+            j = body[i + k]
+            acceleration[j, 0], acceleration[j, 1] = factor * lanes[3, k], factor * lanes[4, k]
+            acceleration[j, 2] = factor * lanes[5, k]
+            potential[j] = -G * (lanes[6, k] - own * m[i + k]) if is_over else lanes[6, k]

@@ -1,0 +1,166 @@
+"""The multipoles of boxes of bodies about their centres of mass, from the leaves up.
+
+    M = Σ m_i      X = Σ m_i x_i / M      r ≥ max |x_i - X|      M_m: see `taylor`
+
+The multipoles of a leaf are summed over its bodies, those of a box over its halves. A box of up to `BRANCH` bodies has
+the exact radius r, and a larger one the bound that follows from its halves.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.forces.gravity.taylor import AXIS, CENTRE, LOWER, MOVE_POLES, POLES, SHARE
+from carom.physics.parallel.atomics import atomic_add
+from carom.physics.parallel.jit import long_kernel
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
+
+BRANCH = 2048  # largest number of bodies whose boxes one thread takes; the walk to each repeats 2 % of the work
+
+BOX = np.dtype(  # a cache line
+    [
+        ("x", np.float64),  # m, X
+        ("y", np.float64),
+        ("z", np.float64),
+        ("radius", np.float64),  # m, r
+        ("first", np.int64),  # of its sorted bodies
+        ("last", np.int64),  # one beyond them
+        ("half", np.int64),  # its second half, a box; the first follows it. 0 for a leaf
+        ("skip", np.int64),  # the next box that is not in it
+    ]
+)
+
+
+@long_kernel
+def describe(
+    count: int, first: IntArray, last: IntArray, skip: IntArray, boxes: Records, branches: Records, trunk: Records
+) -> tuple[int, int]:
+    """Write where the bodies and halves of all boxes are; return the numbers of branches and of boxes above them.
+
+    Parameters
+    ----------
+    count, first, last, skip
+        See `tree_build.Boxes`.
+    boxes
+        (count,) `BOX`.
+    branches
+        Written: ranges of boxes, each the largest box of at most `BRANCH` bodies with all in it.
+    trunk
+        Written: the boxes above the branches as ranges of one, the innermost first.
+    """
+    found = above = 0
+    for b in range(count):
+        box = boxes[b]
+        box.first, box.last, box.skip = first[b], last[b], skip[b]
+        box.half = skip[b + 1] if skip[b] > b + 1 else 0
+    b = 0
+    while b < count:
+        box = boxes[b]
+        if box.last - box.first <= BRANCH or box.half == 0:
+            branches[found].begin, branches[found].end = b, box.skip
+            found += 1
+            b = box.skip
+        else:
+            trunk[above].begin, trunk[above].end = b, b + 1
+            above += 1
+            b += 1
+    for k in range(above // 2):
+        other = above - 1 - k
+        begin, end = trunk[k].begin, trunk[k].end
+        trunk[k].begin, trunk[k].end = trunk[other].begin, trunk[other].end
+        trunk[other].begin, trunk[other].end = begin, end
+    return found, above
+
+
+@long_kernel
+def expand(
+    lo: int,
+    hi: int,
+    turn: IntArray,
+    count: int,
+    ranges: Records,
+    x: FloatArray,
+    m: FloatArray,
+    unit: float,
+    boxes: Records,
+    poles: FloatArray,
+    powers_of: FloatArray,
+) -> None:
+    """Write centre, radius and multipoles of all boxes of some ranges, the last box of each first.
+
+    Parameters
+    ----------
+    lo, hi
+        Range of threads; each takes the next range of boxes until none is left.
+    turn
+        (1,), how many ranges were taken.
+    count, ranges
+        Number of ranges, and their boxes.
+    x, m
+        (3, n) m and (n,) kg, sorted.
+    unit
+        1/m; lengths are multiplied by it.
+    boxes, poles
+        (k,) `BOX` and (k, POLES).
+    powers_of
+        (threads, POLES) for v^n / n!.
+    """
+    powers = powers_of[lo]
+    powers[0] = 1.0
+    while True:
+        taken = atomic_add(turn, 0, 1)
+        if taken >= count:
+            return
+        for b in range(ranges[taken].end - 1, ranges[taken].begin - 1, -1):
+            box = boxes[b]
+            i0, i1 = box.first, box.last
+            M = X = Y = Z = r2 = 0.0
+            if box.half == 0:
+                x0, y0, z0 = x[0, i0], x[1, i0], x[2, i0]
+                for i in range(i0, i1):
+                    M += m[i]
+                    X += m[i] * (x[0, i] - x0)
+                    Y += m[i] * (x[1, i] - y0)
+                    Z += m[i] * (x[2, i] - z0)
+            else:
+                x0, y0, z0 = boxes[b + 1].x, boxes[b + 1].y, boxes[b + 1].z
+                other = boxes[box.half]
+                M, weight = poles[b + 1, 0] + poles[box.half, 0], poles[box.half, 0]
+                X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
+            X, Y, Z = x0 + X / M, y0 + Y / M, z0 + Z / M
+            box.x, box.y, box.z = X, Y, Z
+            if i1 - i0 <= BRANCH or box.half == 0:
+                for i in range(i0, i1):
+                    dx, dy, dz = x[0, i] - X, x[1, i] - Y, x[2, i] - Z
+                    r2 = max(r2, dx * dx + dy * dy + dz * dz)
+                box.radius = np.sqrt(r2)
+            else:
+                box.radius = 0.0
+                for h in range(2):
+                    half = boxes[b + 1] if h == 0 else boxes[box.half]
+                    dx, dy, dz = half.x - X, half.y - Y, half.z - Z
+                    box.radius = max(box.radius, half.radius + np.sqrt(dx * dx + dy * dy + dz * dz))
+            for c in range(POLES):
+                poles[b, c] = 0.0
+            if box.half == 0:
+                for i in range(i0, i1):
+                    dx, dy, dz = unit * (X - x[0, i]), unit * (Y - x[1, i]), unit * (Z - x[2, i])
+                    poles[b, 0] += m[i]
+                    for c in range(1, POLES):
+                        d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
+                        powers[c] = powers[LOWER[c]] * d * SHARE[c]
+                        poles[b, c] += m[i] * powers[c]
+            else:
+                for h in range(2):
+                    half = b + 1 if h == 0 else box.half
+                    dx, dy, dz = unit * (X - boxes[half].x), unit * (Y - boxes[half].y), unit * (Z - boxes[half].z)
+                    for c in range(1, POLES):
+                        d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
+                        powers[c] = powers[LOWER[c]] * d * SHARE[c]
+                    for q in range(len(MOVE_POLES)):
+                        poles[b, MOVE_POLES[q, 0]] += powers[MOVE_POLES[q, 1]] * poles[half, MOVE_POLES[q, 2]]
+            poles[b, CENTRE], poles[b, CENTRE + 1], poles[b, CENTRE + 2] = X, Y, Z
