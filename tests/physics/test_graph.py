@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
 from carom.physics.contact.broad_phase.kd_tree import KdTree
+from carom.physics.contact.broad_phase.pair_list import PairList
 from carom.physics.contact.constraint_graph import (
     OVERFLOW,
     colour_bodies,
@@ -21,6 +22,7 @@ from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
 from carom.physics.error import PhysicsError
 from examples import random_bodies, solver_of
 
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
@@ -130,6 +132,34 @@ def test_grids_find_what_trees_find_in_clusters_of_a_wide_space(box: float) -> N
         position = np.where(np.arange(len(radius))[:, None] % 10 == 0, centres, spread * centres)
         for skin in (0.0, 0.01):
             assert np.array_equal(grid.pairs(position, skin=skin), trees.pairs(position, skin=skin))
+
+
+class CountedSearch(HierarchicalGrid):
+    """Counts the searches."""
+
+    searches = 0
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        self.searches += 1
+        return super().pairs(position, scale, skin)
+
+
+def test_a_list_finds_what_a_search_finds_at_any_pace_and_saves_searches_at_a_slow_one() -> None:
+    rng = np.random.default_rng(2)
+    radius = rng.uniform(0.5, 1.5, 4 * ALL_PAIRS_UP_TO)
+    position = rng.uniform(-9.0, 9.0, (len(radius), 3))
+    searched, grid = HierarchicalGrid(radius, np.zeros(3)), CountedSearch(radius, np.zeros(3))
+    listed = PairList(grid, radius)
+    counts = []
+    for pace in (1e-3, 0.05, 1e-3):
+        before = grid.searches
+        for step in range(100):
+            position = position + rng.normal(0.0, pace, position.shape)
+            scale, skin = 1.0 + 0.01 * rng.random() * (step % 3 == 0), 0.01 * rng.random()
+            assert np.array_equal(listed.pairs(position, scale, skin), searched.pairs(position, scale, skin))
+        counts.append(grid.searches - before)
+    assert max(counts[0], counts[2]) < 30
+    assert counts[1] == 100
 
 
 def test_a_search_with_a_skin_finds_what_nearly_touches() -> None:

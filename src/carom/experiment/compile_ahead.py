@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
+from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.contact.contact_tap import ContactTap
@@ -56,7 +57,7 @@ def compile_ahead() -> None:
     _compile_second_steps(bodies)
     Timestep(scene.time, 0.5, 0.01, np.zeros(3), team=SOLO).choose(bodies, 1.0)
     count = ALL_PAIRS_UP_TO + 1
-    HierarchicalGrid(np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
+    search_by("grid", np.linspace(0.1, 0.2, count), np.zeros(3)).pairs(np.random.default_rng(0).random((count, 3)))
     Space(scene, threads=1).energy()
     frictionless, open_space = materials_of(pair_coefficients(scene)), np.zeros(3)
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)

@@ -7,8 +7,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.broad_phase.kd_tree import KdTree
+from carom.physics.contact.broad_phase.pair_list import PairList
 from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
@@ -24,5 +25,12 @@ class Search(Protocol):
 
 
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
-    """Return the search of a scene's ``contact.search``; a team searches the grids."""
-    return KdTree(radius, box) if method == "k-d-tree" else HierarchicalGrid(radius, box, team)
+    """Return the search of a scene's ``contact.search``; a team searches the grids.
+
+    Few bodies are tested pair by pair, which takes no longer than a list. In a periodic box bodies jump from side to
+    side, so there are no lists either.
+    """
+    if method == "k-d-tree":
+        return KdTree(radius, box)
+    grid = HierarchicalGrid(radius, box, team)
+    return grid if box[0] > 0.0 or len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius)
