@@ -11,13 +11,17 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
+from numpy.typing import NDArray
+from playwright.sync_api import Page
 
+import carom
 from browser import LOADED, chromium, pixels_of
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.presentation import presentation
 from carom.recording.view.web import site
 from carom.recording.view.web.server import hosted
+from carom.scene.schema import Scene
 
 
 @pytest.fixture(scope="module")
@@ -112,3 +116,41 @@ def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: st
     assert np.mean(np.ptp(first[bodies], axis=2) > 60) > 0.05, "bodies in the colours of their groups"
     assert np.array_equal(first[bodies], second[bodies]), "paused"
     assert np.mean(np.any(first[bodies] != later[bodies], axis=2)) > 0.05, "another moment"
+
+
+@pytest.mark.slow
+def test_arrow_keys_step_from_impact_to_impact(tmp_path: Path) -> None:
+    recording = carom.run(Scene.load("rack-break", ["time.duration=0.05"]), tmp_path / "run.rrd")
+    at = recording.impacts()["time"][0].as_py()
+    with hosted(recording, at, presentation(recording, at).supplement) as address, chromium() as (page, errors):
+        page.goto(address)
+        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+        moment = settled(page)
+        choose_the_timeline_of_impacts(page)
+        pictures = [settled(page)]
+        for key in ("ArrowRight", "ArrowRight", "ArrowLeft"):
+            page.keyboard.press(key)
+            pictures.append(settled(page))
+    assert not errors
+    height, width, _ = moment.shape
+    plots = (slice(int(0.57 * height), int(0.76 * height)), slice(None))
+    assert np.ptp(moment[plots], axis=2).max() > 60, "curves over time"
+    assert np.ptp(pictures[0][plots], axis=2).max() <= 60, "which have no points on the timeline of impacts"
+    first, second, third, again = (picture[int(0.15 * height) : height // 2, : width // 2] for picture in pictures)
+    assert not np.array_equal(first, second) and not np.array_equal(second, third)
+    assert np.array_equal(second, again), "back at the second impact"
+
+
+def choose_the_timeline_of_impacts(page: Page) -> None:
+    """Choose `impact` in the menu of the time panel, at the top of three entries. The viewer is one canvas."""
+    assert page.viewport_size is not None
+    bottom = page.viewport_size["height"]
+    for up in (14, 90):
+        page.mouse.click(183, bottom - up)
+        page.wait_for_timeout(2000)
+
+
+def settled(page: Page) -> NDArray[np.int64]:
+    """Take a picture of the page after it has had the time to paint."""
+    page.wait_for_timeout(3000)
+    return pixels_of(page)
