@@ -162,7 +162,8 @@ def _edges(
         colours += [int(_SHARES[rank[k]]) for k in drawn]
         widths += [-_WIDTHS[rank[k]] for k in drawn]  # negative: pixels
         each.append(len(drawn))
-    columns = rr.LineStrips3D.columns(strips=strips, colors=colours, radii=widths)
+    shades = np.array(colours, dtype=np.uint32)  # a list of three numbers may be one colour
+    columns = rr.LineStrips3D.columns(strips=strips, colors=shades, radii=widths)
     writer.send_columns(_EDGES, index, columns.partition(each))
 
 
