@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from measurement import save
+from measurement import merge
 
 FloatArray = NDArray[np.float64]
 
@@ -177,7 +177,7 @@ def main() -> None:
             rows.append(compare(n, threads, given.rounds, given.calm))
             print(rows[-1], flush=True)
     if not given.dry:
-        save("heap", {"rows": rows}, "robox3d")
+        print(merge("heap", {"rows": rows}, "robox3d"))
 
 
 if __name__ == "__main__":

@@ -23,23 +23,23 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.checkpoint import ContactCheckpoint
-from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph, colour_bodies, colour_contacts, empty_graph
+from carom.physics.contact.constraint_graph import OVERFLOW, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
-from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.physics.contact.islands import largest_coordinate, largest_square
 from carom.physics.contact.law import Materials
+from carom.physics.contact.limits import limits_of
 from carom.physics.contact.plane_guard import PlaneGuard
-from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot
+from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
 from carom.physics.contact.solver.position_correction import BAUMGARTE
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
+from carom.physics.contact.torques import Torques
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.error import PhysicsError
-from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.half_space import HalfSpaces
@@ -50,7 +50,6 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
-MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
 SWEEPS = 8  # iterations before conjugate gradients, with `contact.sweeps = "auto"`
 LARGEST_SKIN = 0.1  # of the smallest radius
 NOTHING_HELD: FloatArray = np.zeros((0, 3))
@@ -112,7 +111,7 @@ class ContactPipeline:
         self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
         self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records)
-        self._spin = np.zeros_like(bodies.torque)  # rad/s, at the beginning of the step
+        self._torques = Torques(bodies, team)
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
         self._order = self._colour()
@@ -128,7 +127,7 @@ class ContactPipeline:
         self._hold = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         if self._needs.torque.modelled:
-            self._spin[:] = self._bodies.angular_velocity
+            self._torques.remember()
         self.held = NOTHING_HELD  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
@@ -187,7 +186,7 @@ class ContactPipeline:
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         if self._needs.torque.modelled:
-            self._remember_spins()
+            self._torques.remember()
         self.held = NOTHING_HELD
         if self._guard:
             self._guard.remember()
@@ -223,7 +222,7 @@ class ContactPipeline:
     def begin_flight(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
         if self._needs.torque.modelled:
-            self._remember_spins()
+            self._torques.remember()
         self.impacts = NO_IMPACTS
 
     def strike(self, pair: tuple[int, int] | None, dt: float) -> None:
@@ -281,9 +280,7 @@ class ContactPipeline:
 
     def turn(self, dt: float) -> None:
         """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
-        bodies = self._bodies
-        turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
-        self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
+        self._torques.write(dt)
 
     def rows(self, room: Room | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
@@ -303,34 +300,17 @@ class ContactPipeline:
 
     def limits_reached(self) -> list[tuple[str, str]]:
         """Return the limits of the method that this step met for the first time: level, `WARN` or `INFO`, and text."""
-        reached = []
-        if self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW:
-            text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
-            reached.append(("INFO", text))  # this costs time only
-        if self._too_few_sweeps:
-            text = (
-                f"Contacts were still closing after the sweeps of a step (contact.sweeps = {self._contact.sweeps}); "
-                "what is left is resolved in later steps."
-            )
-            reached.append(("WARN", text))
-        if self._event_drift and self._event_drift.is_exhausted:
-            reached.append(
-                ("WARN", f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end.")
-            )
-        if self._was_crossed:
-            longer = "" if self._event_drift else ' or contact.timing = "time-of-impact"'
-            text = (
-                "A body would have passed through a plane within one step and was stopped where it touched the plane; "
-                f"try a shorter step (time.fixed_dt, time.cfl){longer}."
-            )
-            reached.append(("WARN", text))
+        reached = limits_of(
+            self._contact,
+            serial_stage=self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW,
+            too_few_sweeps=self._too_few_sweeps,
+            exhausted=self._event_drift is not None and self._event_drift.is_exhausted,
+            crossed=self._was_crossed,
+            at_impacts=self._event_drift is not None,
+        )
         fresh = [(level, text) for level, text in reached if text not in self.warned]
         self.warned.update(text for _, text in fresh)
         return fresh
-
-    def _remember_spins(self) -> None:
-        spins = self._bodies.angular_velocity
-        self._team.divide(len(self._spin), MIN_BODIES_PER_COPY, _remember, spins, self._spin)
 
     def _near(self, dt: float) -> IntArray:
         """Find the pairs that touch and, if contacts last, those that a fall from rest could close within a step.
@@ -425,15 +405,9 @@ class ContactPipeline:
 
     def _snapshot(self, dt: float) -> ContactSnapshot:
         """Copy the contacts that are seen; `_seen_place` gets the places of their records."""
-        solver, m = self._solver, len(self._pairs)
-        pairs, normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
-        overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
-        colours, place = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-        found = (self._pairs, self._colours, solver.order.place, solver.contacts, solver.states, solver.found_normals)
-        count = _show(*found, pairs, normals, overlaps, colours, approach, rest_speed, place)
-        self._seen_place = place[:count]
-        graph = CollisionGraph(pairs[:count], normals[:count], overlaps[:count], colours[:count], self._body_colours)
-        late = ContactSnapshot.of(graph, approach[:count], rest_speed[:count])
+        solver = self._solver
+        found = (solver.order.place, solver.contacts, solver.states, solver.found_normals)
+        late, self._seen_place = late_contacts(self._pairs, self._colours, self._body_colours, *found)
         return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
 
     def _compile(self) -> None:
@@ -452,63 +426,3 @@ class ContactPipeline:
         if self.tap:
             self.rows()
         self.forget()
-
-
-@kernel
-def _show(
-    pairs: IntArray,
-    colours: IntArray,
-    place: IntArray,
-    contacts: Records,
-    states: Records,
-    normals: FloatArray,
-    shown_pairs: IntArray,
-    shown_normals: FloatArray,
-    overlaps: FloatArray,
-    shown_colours: IntArray,
-    approach: FloatArray,
-    rest_speed: FloatArray,
-    shown_place: IntArray,
-) -> int:
-    """Copy the contacts that touched when they were found or carry an impulse; return how many.
-
-    Normals and overlaps are from before the position correction. A contact that it opens is resolved all the same.
-    Otherwise the body would fall and be pushed back in every step.
-    """
-    count = 0
-    for c in range(len(pairs)):
-        p = place[c]
-        state = states[p]
-        if not state.apart or contacts[p].normal_impulse > 0.0:
-            shown_pairs[count, 0], shown_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
-            for k in range(3):
-                shown_normals[count, k] = normals[p, k]
-            overlaps[count], shown_colours[count] = state.found_overlap, colours[c]
-            approach[count], rest_speed[count] = state.approach_speed, state.rest_speed
-            shown_place[count] = p
-            count += 1
-    return count
-
-
-@long_kernel
-def _remember(lo: int, hi: int, angular_velocity: FloatArray, before: FloatArray) -> None:
-    for i in range(lo, hi):
-        for k in range(3):
-            before[i, k] = angular_velocity[i, k]
-
-
-@long_kernel
-def _turn(
-    lo: int,
-    hi: int,
-    before: FloatArray,
-    angular_velocity: FloatArray,
-    inertia: FloatArray,
-    dt: float,
-    torque: FloatArray,
-    angular_acceleration: FloatArray,
-) -> None:
-    for i in range(lo, hi):
-        for k in range(3):
-            torque[i, k] = inertia[i] * (angular_velocity[i, k] - before[i, k]) / dt
-            angular_acceleration[i, k] = torque[i, k] / inertia[i]

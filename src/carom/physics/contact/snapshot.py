@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraint_graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.continuous.drift import Impacts
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,3 +88,80 @@ class ContactSnapshot:
 
 
 EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))
+
+
+def late_contacts(
+    pairs: IntArray,
+    colours: IntArray,
+    body_colours: IntArray | None,
+    place: IntArray,
+    contacts: Records,
+    states: Records,
+    normals: FloatArray,
+) -> tuple[ContactSnapshot, IntArray]:
+    """Copy the contacts found at the end of a step that touched then or carry an impulse.
+
+    Parameters
+    ----------
+    pairs, colours
+        (m, 2), sorted, and (m,), all that were found.
+    body_colours
+        As in `CollisionGraph`.
+    place
+        (m,) index of each one's record.
+    contacts, states, normals
+        (m,) `CONTACT`, (m,) `CONTACT_STATE`, and (m, 3) as found.
+
+    Returns
+    -------
+    snapshot
+        Without the impacts during the step.
+    seen
+        (k,) indices of the records of its contacts.
+    """
+    m = len(pairs)
+    shown_pairs, shown_normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
+    overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
+    shown_colours, seen = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    found = (pairs, colours, place, contacts, states, normals)
+    count = _show(*found, shown_pairs, shown_normals, overlaps, shown_colours, approach, rest_speed, seen)
+    graph = CollisionGraph(
+        shown_pairs[:count], shown_normals[:count], overlaps[:count], shown_colours[:count], body_colours
+    )
+    return ContactSnapshot.of(graph, approach[:count], rest_speed[:count]), seen[:count]
+
+
+@kernel
+def _show(
+    pairs: IntArray,
+    colours: IntArray,
+    place: IntArray,
+    contacts: Records,
+    states: Records,
+    normals: FloatArray,
+    shown_pairs: IntArray,
+    shown_normals: FloatArray,
+    overlaps: FloatArray,
+    shown_colours: IntArray,
+    approach: FloatArray,
+    rest_speed: FloatArray,
+    shown_place: IntArray,
+) -> int:
+    """Copy the contacts that touched when they were found or carry an impulse; return how many.
+
+    Normals and overlaps are from before the position correction. A contact that it opens is resolved all the same.
+    Otherwise the body would fall and be pushed back in every step.
+    """
+    count = 0
+    for c in range(len(pairs)):
+        p = place[c]
+        state = states[p]
+        if not state.apart or contacts[p].normal_impulse > 0.0:
+            shown_pairs[count, 0], shown_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
+            for k in range(3):
+                shown_normals[count, k] = normals[p, k]
+            overlaps[count], shown_colours[count] = state.found_overlap, colours[c]
+            approach[count], rest_speed[count] = state.approach_speed, state.rest_speed
+            shown_place[count] = p
+            count += 1
+    return count

@@ -1,0 +1,49 @@
+"""The limits of the method that a step may meet, as messages."""
+
+from __future__ import annotations
+
+from carom.physics.contact.constraint_graph import OVERFLOW
+from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
+from carom.scene.schema import Contact
+
+
+def limits_of(
+    contact: Contact, *, serial_stage: bool, too_few_sweeps: bool, exhausted: bool, crossed: bool, at_impacts: bool
+) -> list[tuple[str, str]]:
+    """Return the limits that a step met: level, `WARN` or `INFO`, and text.
+
+    Parameters
+    ----------
+    contact
+        The scene's section.
+    serial_stage
+        Whether contacts need more colours than there are parallel stages.
+    too_few_sweeps
+        Whether contacts still closed after the sweeps.
+    exhausted
+        Whether a body had as many impacts as a step resolves.
+    crossed
+        Whether a body would have passed through a plane.
+    at_impacts
+        Whether impacts are resolved at their own times.
+    """
+    reached = []
+    if serial_stage:  # this costs time only
+        text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
+        reached.append(("INFO", text))
+    if too_few_sweeps:
+        text = (
+            f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
+            "what is left is resolved in later steps."
+        )
+        reached.append(("WARN", text))
+    if exhausted:
+        reached.append(("WARN", f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end."))
+    if crossed:
+        longer = "" if at_impacts else ' or contact.timing = "time-of-impact"'
+        text = (
+            "A body would have passed through a plane within one step and was stopped where it touched the plane; "
+            f"try a shorter step (time.fixed_dt, time.cfl){longer}."
+        )
+        reached.append(("WARN", text))
+    return reached
