@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.recording.view import camera
 from carom.recording.view.camera import CameraFit, View, corners_of
 from merry import Merry
 
@@ -103,3 +104,17 @@ def test_a_run_that_ended_in_nan_can_still_be_framed(merry: Merry) -> None:
     extent.see([replace(frame, position=nowhere)], np.zeros(3))
     assert np.isfinite(extent.view().distance)
     assert np.isfinite(CameraFit(merry.header.radius, nowhere).view().distance)
+
+
+def test_a_part_of_very_many_bodies_frames_them_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    position = np.random.default_rng(5).normal(size=(20_000, 3))
+    radius = np.full(20_000, 1e-3)
+    position[7777], radius[7777] = [9.0, 0.0, 0.0], 1.0  # a planet that no equal sample would meet
+    whole = CameraFit(radius, position).view()
+    monkeypatch.setattr(camera, "_MOST", 1000)
+    monkeypatch.setattr(camera, "_LARGEST", 10)
+    part = CameraFit(radius, position).view()
+    # the borders of a twentieth of the bodies are off by a few per cent of those of all
+    assert part.distance == pytest.approx(whole.distance, rel=0.1)
+    assert np.linalg.norm(part.target - whole.target) <= 0.1 * whole.distance
+    assert np.all(np.abs(on_screen(part, position[[7777]], 1.25)) <= 1.0)

@@ -29,6 +29,7 @@ _FAR = 20.0  # times the median distance from the middle; bodies that are farthe
 _FEW = 5  # bodies; of so few or fewer all are inside the view
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
 _LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
+_MOST, _LARGEST = 100_000, 1000  # bodies that are looked at; of more, every k-th and so many of the largest
 _SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's field of view is 55° from top to bottom
 _FLAT = 0.2  # thickness over width; flatter sets of bodies are seen from higher above
 _LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up
@@ -75,6 +76,8 @@ class CameraFit:
         corners: FloatArray | None = None,
         to_eye: FloatArray | None = None,
     ) -> None:
+        self._shown = _shown(radius)
+        first, radius = first[self._shown], radius[self._shown]
         near = _near(first)
         self._radius = radius
         self._first, self._first_radius = first[near], radius[near]
@@ -93,6 +96,7 @@ class CameraFit:
 
     def look(self, position: FloatArray) -> None:
         """Take positions (n, 3) into account."""
+        position = position[self._shown]
         centre = _middle(position, self._radius)
         self._drift = max(self._drift, float(np.linalg.norm(centre - self._centre)))
         box = self._box(position)
@@ -208,6 +212,16 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
     order = np.argsort(-values)
     beyond = np.cumsum(weight[order])
     return float(values[order[np.searchsorted(beyond, _ESCAPING)]])
+
+
+def _shown(radius: FloatArray) -> slice | NDArray[np.int64]:
+    """Return which of many bodies stand for all."""
+    if len(radius) <= _MOST:
+        return slice(None)
+    chosen = np.zeros(len(radius), dtype=bool)
+    chosen[:: -(-len(radius) // _MOST)] = True
+    chosen[np.argpartition(radius, -_LARGEST)[-_LARGEST:]] = True
+    return np.flatnonzero(chosen)
 
 
 def _near(position: FloatArray) -> NDArray[np.bool_]:

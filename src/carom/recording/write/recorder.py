@@ -66,7 +66,7 @@ class Recorder:
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else Clock.fitting(header.duration, header.shortest_dt_hint)
-        room = queue_size or max(2, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
+        room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
@@ -117,7 +117,7 @@ class Recorder:
 
     def put(self, frame: Frame) -> None:
         """Hand over a frame; wait while the queue is full. Raises the error that stopped the recorder, if any."""
-        if self._start is None:
+        if not self._start_known.is_set():
             self.begin(frame.position)
         self._queue.put(frame)
 
@@ -169,9 +169,11 @@ class Recorder:
 
     def _record(self) -> None:
         self._start_known.wait()
-        if self._start is None:
+        start, self._start = self._start, None
+        if start is None:
             return
-        encoder = self._begin(self._start)
+        encoder = self._begin(start)
+        del start
         self._begun.set()
         while batch := self._queue.take():
             self._write(batch, encoder)
