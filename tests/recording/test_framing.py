@@ -13,7 +13,10 @@ STREAM_FOOTER = b"RRF2FOOT".rjust(32, b".")
 def fed(splitter: MessageSplitter, piece: bytes) -> list[bytes]:
     """Add a piece; return every message that it completes."""
     splitter.add(piece)
-    return list(iter(splitter.take, None))
+    found = list[bytes]()
+    while splitter.pass_on(lambda message: found.append(bytes(message))):
+        pass
+    return found
 
 
 @pytest.mark.parametrize("size", [1, 7, 16, 100_000])

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -130,14 +130,15 @@ class MessageSplitter:
         """Add a piece; after a MemoryError it may be added again."""
         self._pending += piece
 
-    def take(self) -> bytes | None:
-        """Return the next message, None if it is not complete; after a MemoryError it may be taken again."""
+    def pass_on(self, write: Callable[[memoryview], None]) -> bool:
+        """Give the next message to a function, as memory that it must not keep; tell whether there was a whole one."""
         length = self._next_length()
         if length is None or length > len(self._pending):
-            return None
-        message = bytes(memoryview(self._pending)[:length])
+            return False
+        with memoryview(self._pending) as pending, pending[:length] as message:
+            write(message)
         del self._pending[:length]
-        return message
+        return True
 
     def _next_length(self) -> int | None:
         """Size of the next message in bytes; None if too little of it has arrived."""

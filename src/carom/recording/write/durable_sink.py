@@ -17,15 +17,11 @@ import select
 import termios
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 from carom.recording.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 from carom.recording.write.disk_reserve import DiskReserve
-
-Result = TypeVar("Result")
 
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
 _PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
@@ -118,27 +114,28 @@ class DurableSink:
                     self._write_whole(self._piece[:size])
 
     def _write_whole(self, piece: memoryview) -> None:
-        """Write the messages that a piece completes; without memory for them, once more with that kept for it."""
+        """Write the messages that a piece completes."""
         try:
-            self._retried(lambda: self._splitter.add(piece))
-            while (message := self._retried(self._splitter.take)) is not None:
-                self._write(message)
+            self._add(piece)
+            while self._splitter.pass_on(self._write):
+                pass
         except MemoryError:
             self.error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
 
-    def _retried(self, work: Callable[[], Result]) -> Result:
+    def _add(self, piece: memoryview) -> None:
+        """Add a piece to those that wait; without memory for it, once more with that kept for it."""
         try:
-            return work()
+            self._splitter.add(piece)
         except MemoryError:
             self._spare.close()
-            return work()
+            self._splitter.add(piece)
 
-    def _write(self, message: bytes) -> None:
+    def _write(self, message: memoryview) -> None:
         if self.error is not None:  # of a message before
             return
         if self._limit is not None and self.written + len(message) > self._limit - self._reserve.size:
             self._use_reserve()  # treat a file size limit like a full disk, before it is reached
-        rest = memoryview(message)
+        rest = message
         while rest:
             try:
                 rest = rest[os.write(self._file, rest) :]
