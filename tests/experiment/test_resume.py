@@ -77,7 +77,7 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
     whole = carom.run(scene, tmp_path / "whole.rrd")
     part = stopped(scene, tmp_path / "part.rrd", 0.6 * scene.time.duration)
     run = resumable_run(part)
-    assert run.checkpoint.step > 0
+    assert run.step > 0
     outcome = resume(run, run.space(threads=1))
     assert outcome.status == carom_outcome(whole) and outcome.path == tmp_path / "part.rrd"
     assert_same_recording(whole, Recording.open(outcome.path))
@@ -88,7 +88,7 @@ def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Pa
     short = carom.run(cloud(time={"duration": 1.503}, record={"every": 0.02}), tmp_path / "short.rrd")
     long = carom.run(cloud(time={"duration": 3.0}, record={"every": 0.02}), tmp_path / "long.rrd")
     run = resumable_run(short, until=3.0)
-    assert run.checkpoint.time < 1.503
+    assert run.time < 1.503
     outcome = resume(run, run.space(threads=1), tmp_path / "resumed.rrd")
     assert_same_recording(long, Recording.open(outcome.path))
     assert Recording.open(tmp_path / "short.rrd").frames == short.frames, "the first recording is as it was"
@@ -99,7 +99,7 @@ def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Pa
     run = resumable_run(short, until=1.5)
     resumed = Recording.open(resume(run, run.space()).path)
     assert resumed.versions["carom"] == short.versions["carom"]
-    assert resumed.properties["resumed.step"] == run.checkpoint.step
+    assert resumed.properties["resumed.step"] == run.step
     assert resumed.properties["resumed.version.carom"]
     assert "duration = 1.5" in resumed.scene_toml
 

@@ -57,7 +57,7 @@ def resume(
     with claimed_target(file, output, force) as claim:
         recording = Recording.open(file)
         run = resumable_run(recording, simulated_or_none(until, recording.units))
-        began = recording.units.text(run.checkpoint.time, TIME)
+        began = recording.units.text(run.time, TIME)
         progress = Progress(run.scene, quiet=as_json, heading=f"From t = {began} on: ")
         announce_compilation(progress.say)
         space = run.space(threads)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from carom.experiment.environment import environment
@@ -28,16 +28,19 @@ UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
 
 @dataclass(frozen=True)
 class ResumableRun:
-    """A recording that can be resumed: its scene, and the checkpoint to start from."""
+    """A recording that can be resumed: its scene, and where the checkpoint is that it starts from."""
 
     recording: Recording
     scene: Scene
-    checkpoint: Checkpoint
+    step: int  # of the checkpoint
+    time: float  # s, likewise
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # until a space has its state
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if need be."""
         records = self.recording.records_contacts  # so that the whole file has the same entities
-        return space_of(self.recording, self.scene, self.checkpoint, threads, record_contacts=records)
+        checkpoint = self._read.pop() if self._read else self.recording.checkpoint(self.step)
+        return space_of(self.recording, self.scene, checkpoint, threads, record_contacts=records)
 
 
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
@@ -74,7 +77,8 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to resume from")
-    return ResumableRun(recording, scene, recording.checkpoint(steps[-1]))
+    checkpoint = recording.checkpoint(steps[-1])
+    return ResumableRun(recording, scene, checkpoint.step, checkpoint.time, [checkpoint])
 
 
 @contextlib.contextmanager
@@ -154,7 +158,7 @@ def _resume(
         force=force,
         live=live,
         watch=watch,
-        continued=Continuation(run.recording, run.checkpoint.step),
+        continued=Continuation(run.recording, run.step),
         properties=_properties(run, space.threads),
     )
     if outcome.frames <= run.recording.frames:
@@ -175,4 +179,4 @@ def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
     """Return properties that say where both parts of the run were computed."""
     first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
     now = {f"resumed.{key}": value for key, value in environment(threads).items()}
-    return first | now | {"resumed.step": run.checkpoint.step, "resumed.time": run.checkpoint.time}
+    return first | now | {"resumed.step": run.step, "resumed.time": run.time}

@@ -32,7 +32,7 @@ class FrameAlignment:
     def __init__(self, a: Recording, b: Recording) -> None:
         for recording in (a, b):
             recording.require_frames()
-        if a.shown != b.shown:
+        if list(a.shown) != list(b.shown):
             raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
         self._a, self._b = _Frames(a), _Frames(b)
         box = a.info.get("box")

@@ -97,7 +97,7 @@ def clip(
     with reading(recording.path):
         cut = _cut(recording, start, end)
         exact = exact and not recording.is_partial
-        shown = recording.shown if bodies is None else sorted(set(bodies))
+        shown = list(recording.shown) if bodies is None else sorted(set(bodies))
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:

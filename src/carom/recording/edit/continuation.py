@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.physics.checkpoint import Checkpoint
 from carom.recording.read import tables
 from carom.recording.read.impacts import impacts_until
 from carom.recording.read.recording import Recording
@@ -35,7 +37,6 @@ class Continuation:
     def __init__(self, recording: Recording, step: int) -> None:
         self.recording = recording
         self.step = step
-        self.checkpoint = recording.checkpoint(step)
         steps = recording.fingerprints()[STEP].to_numpy()
         self.frames = int(np.count_nonzero(steps <= step))
         self.origin = recording.origin  # (3,) m
@@ -48,6 +49,13 @@ class Continuation:
     def impacts(self) -> RecordedImpacts:
         """The impacts up to the checkpoint."""
         return impacts_until(self.recording, self.step)
+
+    def last(self) -> Checkpoint:
+        """Read what the rows of the next frame depend on; what they do not is left out, 50 bytes a body."""
+        found = self.recording.checkpoint(self.step)
+        return replace(
+            found, acceleration=found.acceleration[:0].copy(), angular_velocity=None, contacts=None, integrator=None
+        )
 
     def first_position(self) -> NDArray[np.float64]:
         """Where the bodies were at the first checkpoint, (n, 3) m."""

@@ -9,6 +9,7 @@ import numpy as np
 from carom.physics.checkpoint import Checkpoint
 from carom.recording.errors import RecordingError
 from carom.recording.read.entities import Entities, Values, values_of
+from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import paths
 from carom.recording.schema.checkpoint import decode
 from carom.recording.schema.timelines import STEP
@@ -25,7 +26,9 @@ def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Val
     start
         The state in which a clip begins; empty if it is a whole run.
     """
-    found = decode(step, _row(recording, entities, start, step), len(recording.bodies.mass))
+    row = _row(recording, entities, start, step)
+    release_memory()
+    found = decode(step, row, len(recording.bodies.mass))
     frames = recording.fingerprints()
     own = np.flatnonzero(frames[STEP].to_numpy() == step)
     if len(own) and frames["fingerprint"][int(own[0])].as_py() != found.fingerprint:
@@ -42,5 +45,5 @@ def _row(recording: Recording, entities: Entities, start: dict[str, Values], ste
         if len(rows):
             return {name: values_of(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
     if start and int(start[STEP][0]) == step:
-        return start
+        return {name: values.copy() for name, values in start.items()}
     raise RecordingError(f"{recording.path} has no checkpoint at step {step}")

@@ -13,6 +13,7 @@ from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.damage import reading
 from carom.recording.read.tables import Column
+from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, Chunk, Entry, Store
 from carom.recording.schema.properties import checked
@@ -75,6 +76,8 @@ class Entities:
             if chunk.batch.num_rows != 1:
                 raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which holds for all times")
             found |= {name: values_of(chunk.batch[name][0]) for name in chunk.components}
+            del chunk
+        release_memory()
         if not found and required:
             raise RecordingError(f"{self._container.path} has no /{path}: it ended before the first frame was written")
         return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
@@ -133,10 +133,11 @@ class Recording:
 
     @cached_property
     @_named
-    def shown(self) -> list[int]:
+    def shown(self) -> Sequence[int]:
         """Numbers of the bodies that it shows: all, unless it is a clip of some."""
-        few = self.clip.get("bodies", range(int(self.info["bodies"])))
-        found = [int(body) for body in np.atleast_1d(few)]
+        if "bodies" not in self.clip:
+            return range(int(self.info["bodies"]))
+        found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
         if not all(0 <= body < int(self.info["bodies"]) for body in found):
             raise DamageError("it shows bodies that it does not have")
         return found

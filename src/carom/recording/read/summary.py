@@ -71,7 +71,7 @@ def _clip(recording: Recording) -> dict[str, Any]:
     if not recording.clip:
         return {}
     first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
-    shown = recording.shown
+    shown = list(recording.shown)
     called = [body_called(body, recording.bodies.name[body]) for body in shown]
     return dict(recording.clip) | {"bodies": shown, "names": called, "first_step": first}
 

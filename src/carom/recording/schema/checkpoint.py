@@ -286,7 +286,7 @@ class _Row:
         return pairs
 
     def _finite(self, name: str, count: int | None = None) -> NDArray[np.float64]:
-        values = np.array(self._stored[name], dtype=np.float64)
+        values = np.asarray(self._stored[name], dtype=np.float64)
         if count is not None and values.size != count:
             raise ValueError(f"{name} has {values.size} values instead of {count}")
         if not np.isfinite(values).all():

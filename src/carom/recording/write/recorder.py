@@ -202,7 +202,7 @@ class Recorder:
         if continued is not None:
             position, origin = continued.first_position(), continued.origin
             self._encoder = BatchEncoder(
-                *(self.header, origin, continued.arrow_references, continued.last_state, continued.checkpoint),
+                *(self.header, origin, continued.arrow_references, continued.last_state, continued.last()),
                 impacts_before=continued.impacts,
             )
             self._encoder.curves |= recorded_curves(continued.recording, continued.step)

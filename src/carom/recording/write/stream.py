@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from carom.physics.event import Event
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
+from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import checkpoint, paths
 from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
@@ -28,6 +29,7 @@ from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
 _FLUSH = 60.0  # s; a disk that takes longer counts as failed
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
+_CONTINUED_BYTES = 16_000_000  # that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
 
 
@@ -73,9 +75,11 @@ class Stream:
             size = chunk.batch.nbytes
             self.payload_bytes += size
             sent += size
-            if sent > self._batch_bytes:
+            del chunk
+            if sent > _CONTINUED_BYTES:
                 sent = 0
                 self.flush()
+                release_memory()
 
     def send_event(self, event: Event, clock: Clock) -> None:
         """Send one line of the log."""
