@@ -14,7 +14,7 @@ import pyarrow as pa
 from carom.recording.errors import DamageError
 from carom.recording.rrd.flatbuffer import Claims, claims
 
-LARGEST = 1 << 29  # bytes of a chunk; carom writes some 4 MB, and 50 MB for a frame of a million bodies
+LARGEST = 1 << 31  # bytes of a chunk; carom writes some 4 MB, and 1.3 GB for the state of 10⁷ bodies that spin
 
 _LARGE = 50_000_000  # bytes that Arrow has had at once, from which on memory is given back
 
