@@ -33,6 +33,26 @@ def test_a_scene_runs_by_its_name_and_says_where_it_stands(tmp_path: Path) -> No
         carom.run("two-sphers", tmp_path / "other.rrd")
 
 
+def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    recording = carom.run("two-spheres", progress=True)
+    assert recording.path == Path("recordings/two-spheres.rrd")
+    printed = capsys.readouterr().out
+    assert "100%" in printed and "t = 4 s, step 800" in printed
+    with pytest.raises(carom.errors.RecordingError, match=r"exists; give force=True to replace it$"):
+        carom.run("two-spheres")
+    with pytest.raises(carom.errors.SceneError, match=r"^the override time\.duratio=3: unknown key"):
+        carom.Scene.load("two-spheres", ["time.duratio=3"])
+
+
+def test_tables_of_a_recording_convert_to_pandas(tmp_path: Path) -> None:
+    pytest.importorskip("pandas")
+    frame = carom.run("two-spheres", tmp_path / "run.rrd").trajectory("left").to_pandas()
+    assert len(frame) == 801 and frame["x"].iloc[0] == -2.0
+
+
 def test_a_notebook_shows_the_summary_of_a_recording(tmp_path: Path) -> None:
     recording = carom.run("two-spheres", tmp_path / "<b>.rrd")
     table = recording._repr_html_()

@@ -117,7 +117,7 @@ def test_a_run_that_takes_longer_than_the_limit_is_stopped_and_says_so(checked: 
     assert done.returncode == 0, done.stderr
     runs = [run for run in json.loads(done.stdout)["runs"] if run["engine"]]
     assert {run["status"] for run in runs} == {"failed"}
-    assert all("it took more than 1e-09 s (--limit)" in run["reason"] for run in runs)
+    assert all("it took more than 1e-09 s of CPU time (--limit)" in run["reason"] for run in runs)
 
 
 def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it(

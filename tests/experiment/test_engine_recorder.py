@@ -17,7 +17,8 @@ from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.snapshot import Snapshot
 from command import carom as command
 
-FAULT = 100  # the step in which each fault is planted
+FAULT = 100  # the step from which each fault is planted
+MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then
 STEPS = 130
 DT = 0.002  # s; bodies overlap by 2 % of a radius before they bounce
 G = np.array([0.0, 0.0, -9.81])
@@ -106,24 +107,28 @@ def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("fault", "law", "bodies"),
+    ("fault", "law", "bodies", "happens", "named"),
     [
-        (energy_from_nothing, "energy", (0, 1)),
-        (missed_impact, "missed-impact", (0, 1)),
-        (force_off_centre, "angular-momentum", (0, 1)),
-        (lost_momentum, "momentum", (0, 1)),
-        (not_a_number, "not-finite", (2,)),
+        (energy_from_nothing, "energy", (0, 1), MET, MET),
+        # an engine may find a contact at the end of a step and push in the next, so one step is no fault yet
+        (missed_impact, "missed-impact", (0, 1), MET, MET + 1),
+        (force_off_centre, "angular-momentum", (0, 1), FAULT, FAULT),
+        (lost_momentum, "momentum", (0, 1), MET, MET),
+        (not_a_number, "not-finite", (2,), FAULT, FAULT),
     ],
 )
 @pytest.mark.filterwarnings("ignore:carom")
 def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
-    fault: Callable[[Toy], None], law: str, bodies: tuple[int, ...], tmp_path: Path
+    fault: Callable[[Toy], None], law: str, bodies: tuple[int, ...], happens: int, named: int, tmp_path: Path
 ) -> None:
+    toy = Toy()
+    while toy.velocity[0, 0] > 0.0:
+        toy.step()
+    assert toy.steps == MET
     faults = recorded(Toy(fault), tmp_path / "run.rrd")
     first = next(found for found in faults if found.law == law)
-    assert FAULT <= first.step <= FAULT + 2 and first.bodies == bodies
-    # the first law that is broken is the one that the fault breaks, or breaks in the same frame
-    assert first.step - min(found.step for found in faults) <= 1
+    assert first.step == named <= happens + 1 and first.bodies == bodies
+    assert first.step == min(found.step for found in faults), "another law is named earlier"
     recording = Recording.open(tmp_path / "run.rrd")
     assert (first.step, f"law-{law}") in [(event.step, event.kind) for event in recording.warnings()]
     assert recording.summary()["laws"][law]["step"] == first.step
@@ -141,6 +146,12 @@ def test_faults_of_an_engine_in_other_units_are_told_in_them(tmp_path: Path) -> 
         assert Recording.open(path).units.named == "cm, ms, g"
     with pytest.raises(RecordingError, match="a mass is missing"):
         carom.record.Recorder(Toy(), tmp_path / "no.rrd", units="cm, ms")
+
+
+def test_a_run_in_which_nothing_touches_has_no_hardest_impact_and_no_deepest_overlap(tmp_path: Path) -> None:
+    recorded(Toy(), tmp_path / "run.rrd", steps=10)
+    moments = Recording.open(tmp_path / "run.rrd").summary()["moments"]
+    assert not {"impact", "overlap", "contacts"} & set(moments)
 
 
 def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:

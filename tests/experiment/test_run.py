@@ -39,7 +39,7 @@ def test_the_public_run_returns_the_recording(tmp_path: Path) -> None:
 def test_a_file_that_exists_is_replaced_only_when_asked(tmp_path: Path) -> None:
     path = tmp_path / "pair.rrd"
     path.write_bytes(b"precious")
-    with pytest.raises(RecordingError, match="exists; give --force"):
+    with pytest.raises(RecordingError, match="exists; give force=True"):
         carom.run(pair(), path)
     assert path.read_bytes() == b"precious"
     assert carom.run(pair(), path, force=True).outcome == "completed"

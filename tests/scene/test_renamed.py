@@ -40,7 +40,7 @@ def test_an_override_by_either_name_replaces_what_the_file_says_by_either(name: 
 
 
 def test_an_override_by_the_old_name_is_warned_of(tmp_path: Path) -> None:
-    with pytest.warns(OldNameWarning, match=r"--set record\.log_freq=7: record\.log_freq is now called"):
+    with pytest.warns(OldNameWarning, match=r"the override record\.log_freq=7: record\.log_freq is now called"):
         Scene.load(write(tmp_path, BODY), ["record.log_freq=7"])
 
 
@@ -49,7 +49,9 @@ def test_both_names_are_one_error(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as raised:
         Scene.load(path)
     assert str(raised.value) == f"{path}:3: record: log_freq is the old name of check_every: give one of the two"
-    with pytest.raises(SceneError, match=r"--set record\.check_every=1 and --set record\.log_freq=2: two names"):
+    with pytest.raises(
+        SceneError, match=r"the override record\.check_every=1 and the override record\.log_freq=2: two names"
+    ):
         Scene.load(write(tmp_path, BODY), ["record.check_every=1", "record.log_freq=2"])
 
 

@@ -46,8 +46,8 @@ def crosscheck(
         typer.Option(
             "--limit",
             metavar="SECONDS",
-            help="Stop following a run after so long, and making a reference. Default: none for one scene, "
-            f"{SEVERAL_LIMIT:g} for several.",
+            help="Stop following a run after so much CPU time, and making a reference after so long. "
+            f"Default: none for one scene, {SEVERAL_LIMIT:g} for several.",
             min=0.0,
         ),
     ] = None,

@@ -41,6 +41,7 @@ from carom.cli import (
 )
 from carom.cli.flags import Command, Group
 from carom.experiment.memory import keep_freed_memory
+from carom.scene.wording import at_a_shell
 
 app = typer.Typer(
     name="carom",
@@ -136,7 +137,8 @@ def main() -> None:
     keep_freed_memory()
     _say_old_names_once()
     try:
-        app()
+        with at_a_shell():
+            app()
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         typer.echo(f"carom: {where}{error.strerror or error}", err=True)

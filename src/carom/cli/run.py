@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from carom.experiment.run import Outcome
     from carom.scene.schema import Scene
 
-RECORDINGS = Path("recordings")
-
 
 def run(
     scene: SceneArgument,
@@ -53,10 +51,11 @@ def run(
     if check_every is not None:
         changes.append(f"record.check_every={check_every}")
     loaded = Scene.load(scene, changes)
-    path = output or _default_path(scene)
 
     from carom.cli.compiling import announce_compilation
-    from carom.experiment.output import claimed_output
+    from carom.experiment.output import claimed_output, default_output
+
+    path = output or default_output(Path(scene).stem)
 
     with claimed_output(path, force) as claim:
         from carom.cli.progress import Progress
@@ -104,13 +103,6 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     if not outcome.ok:
         say(f"carom: {in_words(outcome.status)}: {outcome.reason}", err=True)
         raise typer.Exit(1)
-
-
-def _default_path(scene: str) -> Path:
-    from carom.experiment.output import output_folder
-
-    output_folder(RECORDINGS)
-    return RECORDINGS / f"{Path(scene).stem}.rrd"
 
 
 def live_viewer() -> str | None:

@@ -8,6 +8,21 @@ from pathlib import Path
 
 from carom.recording.errors import RecordingError
 from carom.recording.write.claim import Claim
+from carom.scene.wording import worded
+
+RECORDINGS = Path("recordings")
+
+
+def default_output(name: str) -> Path:
+    """Return the path of the recording of a scene, and make its folder.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be made.
+    """
+    output_folder(RECORDINGS)
+    return RECORDINGS / f"{name}.rrd"
 
 
 def refuse_output(path: Path, force: bool) -> None:
@@ -24,7 +39,8 @@ def refuse_output(path: Path, force: bool) -> None:
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: a device or a pipe; name a file, since a recording is read back")
         if path.exists() and not force:
-            raise RecordingError(f"{path}: exists; give --force to replace it, or another name with -o")
+            way = worded("give --force to replace it, or another name with -o", "give force=True to replace it")
+            raise RecordingError(f"{path}: exists; {way}")
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
     except OSError as error:

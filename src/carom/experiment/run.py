@@ -17,7 +17,8 @@ from carom.experiment.contact_counts import EACH, ONCE_A_STEP
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
-from carom.experiment.output import claimed_output
+from carom.experiment.output import claimed_output, default_output
+from carom.experiment.progress_bar import progress_bar
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
@@ -68,11 +69,12 @@ class Outcome:
 
 def run(
     scene: Scene | str | Path,
-    path: str | Path,
+    path: str | Path | None = None,
     *,
     force: bool = False,
     threads: int | None = None,
     watch: Watcher | None = None,
+    progress: bool = False,
 ) -> Recording:
     """Simulate a scene and record it.
 
@@ -81,13 +83,15 @@ def run(
     scene
         What to simulate: a scene, a file or the name of a bundled scene.
     path
-        The ``.rrd`` to write.
+        The ``.rrd`` to write; by default one in the folder ``recordings`` with the name of the scene's file.
     force
         Whether to replace a file that exists.
     threads
         Threads for the kernels; the bits do not depend on it.
     watch
         Called several times a second, and at the end, with a `StepStatus`: step, time in s, dt, contacts, energy error.
+    progress
+        Whether to show a progress bar, in a terminal or a notebook.
 
     Returns
     -------
@@ -100,16 +104,27 @@ def run(
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     """
     loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
-    with claimed_output(Path(path), force) as claim:
+    if path is None:
+        path = default_output("scene" if isinstance(scene, Scene) else Path(scene).stem)
+    watchers = [watch] if watch else []
+    with (
+        claimed_output(Path(path), force) as claim,
+        progress_bar(loaded) if progress else contextlib.nullcontext() as bar,
+    ):
+        watchers += [bar] if bar else []
         space = recording_space(loaded, threads)
-        outcome = simulate(space, path, claim=claim, watch=watch)
-    if watch:
-        watch(space.status)
+        outcome = simulate(space, path, claim=claim, watch=lambda status: _tell(watchers, status))
+        _tell(watchers, space.status)
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
     return Recording.open(outcome.path)
+
+
+def _tell(watchers: list[Watcher], status: StepStatus) -> None:
+    for watcher in watchers:
+        watcher(status)
 
 
 def recording_space(scene: Scene, threads: int | None = None) -> Space:

@@ -27,6 +27,7 @@ from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import override_called
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
@@ -65,7 +66,7 @@ def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
             warnings.warn(f"{places.of(old)}{advice(old)}", OldNameWarning, stacklevel=4)
     for override in overrides:
         if (key := key_path(override)) in RENAMED:
-            warnings.warn(f"--set {override}: {advice(key)}", OldNameWarning, stacklevel=4)
+            warnings.warn(f"{override_called(override)}: {advice(key)}", OldNameWarning, stacklevel=4)
 
 
 def scene_from_text(
@@ -100,7 +101,8 @@ def scene_from_text(
         path = apply_override(document, override)
         other = other_name(path)
         if other in overridden:
-            raise SceneError(f"--set {overridden[other]} and --set {override}: two names of one key; give one of them")
+            both = f"{override_called(overridden[other])} and {override_called(override)}"
+            raise SceneError(f"{both}: two names of one key; give one of them")
         overridden[path] = override
         forget_digest(document, path)
     keep_promised_duration(document, data, overridden)

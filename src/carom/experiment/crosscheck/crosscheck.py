@@ -57,7 +57,7 @@ class Crosscheck:
     force
         Whether to start over.
     limit
-        s, for the reference, and for following each run of an engine; what takes longer is stopped.
+        s of CPU time for following each run of an engine, and s for the reference; what takes longer is stopped.
 
     Raises
     ------

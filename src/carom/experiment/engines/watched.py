@@ -7,7 +7,7 @@ import uuid
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter as clock
+from time import process_time as clock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,7 +65,7 @@ def watch(
     path
         The ``.rrd`` to write, in place of an earlier one, if any.
     limit
-        s of the clock, after which the run is stopped.
+        s of CPU time, after which the run is stopped.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def watch(
         while frame.time < end * (1.0 - ROUNDING):
             if clock() - began > limit:
                 reached = scene.unit_system.text(frame.time, TIME)
-                outcome = f"failed: stopped at t = {reached}: it took more than {limit:g} s (--limit)"
+                outcome = f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
                 break
             left = math.ceil((end - frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
             for _ in range(min(stride, left)):

@@ -455,6 +455,28 @@ class Recording:
         """Return the summary as a table, for notebooks."""
         return html_of(self)
 
+    def view(self, at: float | None = None, *, event: str | None = None, bodies: str | None = None) -> None:
+        """Open Rerun's viewer in a window, paused at a moment; return when the window is closed.
+
+        Parameters
+        ----------
+        at
+            s; without it, the event, else the most interesting moment.
+        event
+            Its name; the close-up view shows its bodies.
+        bodies
+            The bodies of the close-up view, by numbers or names with a comma between them.
+
+        Raises
+        ------
+        RecordingError
+            If there is no such moment, event or body, or no screen.
+        """
+        from carom.recording.view.request import Request  # noqa: PLC0415 - readers need no viewer
+        from carom.recording.view.window import open_window  # noqa: PLC0415
+
+        open_window(self.path, Request(at, event, bodies))
+
     def show(
         self, at: float | None = None, *, height: int = 600, event: str | None = None, bodies: str | None = None
     ) -> None:

@@ -85,7 +85,10 @@ class Observer:
         faults = faults if drift is None else [*faults, drift]
         statistics = self._statistics(contacts, seen)
         events = [*self._first_contact(step, now.time, contacts), *(fault.event for fault in faults)]
-        self.extremes.see_contacts(step, now.time, statistics)
+        if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
+            self.extremes.see_contacts(step, now.time, statistics)
+            if self.extremes.impact and self.extremes.impact.value == 0.0:
+                self.extremes.impact = None
         self._see_energy(step, now.time, energy)
         self.extremes.see_momentum(step, now.time, momentum)
         if before is not None:

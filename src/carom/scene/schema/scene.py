@@ -23,6 +23,7 @@ from carom.scene.schema.promise import Promise
 from carom.scene.schema.record import Record
 from carom.scene.schema.sweep import Sweep
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import worded
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -205,9 +206,10 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _an_accuracy_needs_times_of_impact(self) -> Self:
         if self.time.accuracy is not None and self.contact.timing == "end-of-step":
+            way = worded("--set contact.timing=", "the override contact.timing=")
             raise ValueError(
                 f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late by '
-                "up to a step; remove one of them (--set contact.timing= removes it)"
+                f"up to a step; remove one of them ({way} removes it)"
             )
         return self
 
