@@ -227,12 +227,46 @@ def chaotic(accuracy: float) -> Scene:
     return scene_of(bodies, time={"duration": 20.0, "accuracy": accuracy}, domain=box, gravity=NO_PULL, contact=ELASTIC)
 
 
+def planets(accuracy: float, **time: Any) -> Scene:
+    """Return two planets of 10⁻⁵ on nearly circular orbits, for forty periods of the inner one."""
+    bodies = [
+        {"mass": 1.0, "radius": 1e-4, "position": [0, 0, 0]},
+        {"mass": 1e-5, "radius": 1e-4, "position": [1.0, 0, 0], "velocity": [0, 1.02, 0]},
+        {"mass": 1e-5, "radius": 1e-4, "position": [0, 1.6, 0], "velocity": [-0.79, 0, 0.01]},
+    ]
+    return scene_of(
+        bodies,
+        time={"duration": 80.0 * math.pi, "accuracy": accuracy, "max_dt": 1e3, **time},
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+    )
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "chosen"), [(1e-2, "wisdom-holman"), (1e-6, "wisdom-holman"), (1e-9, "gauss-radau15")]
+)
+def test_planets_keep_an_accuracy_by_the_integrator_that_costs_less(accuracy: float, chosen: str) -> None:
+    space = run_to_the_end(planets(accuracy))
+    assert require(space.scene).integrator.why.startswith(chosen)
+    exact = run_to_the_end(planets(1e-12, integrator="gauss-radau15"))
+    promise, size = space.scene.promise, math.sqrt((1.0 + 1.6**2) / 3.0)
+    error = math.sqrt(float(np.mean(np.sum((space.state.position - exact.state.position) ** 2, axis=1)))) / size
+    assert promise is not None and promise.horizon is None
+    assert error <= promise.error[-1] <= accuracy
+
+
+def test_planets_of_a_given_wisdom_holman_get_the_step_that_keeps_an_accuracy() -> None:
+    promise = settled(planets(1e-10, integrator="wisdom-holman")).promise
+    assert promise is not None
+    assert promise.integrator is None and promise.refinement > 1.0
+
+
 def test_twins_part_as_two_runs_of_their_own_do() -> None:
     scene = settled(kepler(0.5, 1e-6))
     start = place(scene)
     moved = start.position + np.array([[0.0, 0.0, 0.0], [1e-8, 0.0, 0.0]])
     times = np.linspace(0.0, scene.time.duration, 9)[1:]
-    apart = part(scene, start, moved, 0.25, times, enough=1.0)
+    apart = part(scene, start, moved, 0.25, times, enough=1.0, iterations=1)
     one, other = Space(scene, 1), Space(scene, 1, replace(start, position=moved))
     for time, found in zip(times, apart, strict=True):
         one.reach(float(time))

@@ -19,17 +19,20 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.error import PhysicsError
 from carom.physics.integrators.radau_twin import part
+from carom.physics.orbits_ahead import look_at_orbits
 from carom.physics.periodic_box import minimum_images
 from carom.plan.auto import integrator
 from carom.plan.features import require
+from carom.plan.hierarchy import orbits_often
 from carom.scene.error import SceneError
-from carom.scene.integrators import INTEGRATORS
+from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.placement import Start, place
 from carom.scene.schema import Expect, Promise, Scene
 
@@ -41,6 +44,10 @@ LONGEST = 1.0  # refinement of the longest useful steps
 EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter ones cost more
 EXACT_OF_MANY = 0.125  # likewise; in longer steps each body has more others within reach
 FEW = 200  # bodies
+FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
+FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
+HILL_RADII = 3.0  # between orbits, so that encounters are rare
+SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
 SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
 MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
 FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
@@ -61,6 +68,7 @@ EPS = float(np.finfo(np.float64).eps)
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
+RADAU_CHAOTIC = 0.5  # likewise, where the promise ends: its own error may not reach the accuracy before
 RADAU_LEVELS = (  # refinement, and how many times the error exceeds the distance of twins: the most of 8 scenes
     (2.0**-2.5, 1e6),
     (0.25, 5e4),
@@ -153,8 +161,8 @@ class _LookAhead:
         self._box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
         self._times = _samples(scene, SAMPLES)
         self._size = _size(start, self._box)
-        last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._size)
-        least = LOWEST * ROUNDING * last_bit
+        self._last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._size)
+        least = LOWEST * ROUNDING * self._last_bit
         if accuracy < least:
             raise SceneError(
                 f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
@@ -165,32 +173,58 @@ class _LookAhead:
         else:
             self._twin, self._rounding = (
                 _displaced(start, DISPLACEMENT * self._size),
-                ROUNDING * last_bit / DISPLACEMENT,
+                ROUNDING * self._last_bit / DISPLACEMENT,
             )
 
     def settle(self) -> Scene:
+        if integrator(self._scene).hierarchical:
+            return self._settle_orbits(persists=True) or self._scene
+        if self._is_rough and orbits_often(self._scene, HILL_RADII) >= FEWEST_ORBITS:
+            promised = self._settle_orbits(persists=False)
+            if promised is not None:
+                return promised
         if integrator(self._scene).controls_error:
             return self._settle_radau()
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
             twins, _ = self._part_at_impacts(EXACT if self._scene.count <= FEW else EXACT_OF_MANY)
-            return self._promise(LONGEST, self._rounding * twins.apart, twins)
+            return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
         return self._settle_steps(integrator(self._scene).order)
+
+    @property
+    def _is_rough(self) -> bool:
+        """Whether Wisdom–Holman integration may keep the accuracy for less than Gauss–Radau integration."""
+        return self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
 
     def _settle_radau(self) -> Scene:
         rests_from = math.inf
         if require(self._scene).contact.modelled:
             twins, rests_from = self._part_at_impacts(RADAU_AHEAD)
         else:
-            apart = part(
-                self._scene, self._start, self._twin.position, RADAU_AHEAD, self._times, enough=APART * self._size
-            )
-            twins = self._grown(np.maximum.accumulate(apart) / self._size)
+            twins = self._part_of_orbits(RADAU_AHEAD, 1)
+            if SPREAD * twins.apart[-1] > self._accuracy:  # the run ahead has to be as true as the promise lasts
+                twins = self._part_of_orbits(RADAU_CHAOTIC, 3)
         errors = {refinement: level * twins.apart for refinement, level in RADAU_LEVELS}
         enough = (refinement for refinement, error in errors.items() if SAFETY * error[-1] <= self._accuracy)
         chosen = next(enough, RADAU_LEVELS[-1][0])
         if rests_from < _kept(self._times, errors[chosen], self._accuracy):
             return self._settle_steps(INTEGRATORS["leapfrog"].order)
-        return self._promise(chosen, errors[chosen], twins)
+        return self._promise(chosen, errors[chosen], twins.exponent)
+
+    def _part_of_orbits(self, refinement: float, iterations: int) -> Twins:
+        """Return how bodies without contacts and their twins part."""
+        enough, twin = APART * self._size, self._twin.position
+        apart = part(self._scene, self._start, twin, refinement, self._times, enough, iterations)
+        return _grown(self._times, np.maximum.accumulate(apart) / self._size, self._began)
+
+    def _settle_orbits(self, persists: bool) -> Scene | None:
+        """Return the scene with a promise of Wisdom–Holman integration; None if that is not worth it."""
+        times, most = _samples(self._scene, SAMPLES_OF_ORBITS), self._accuracy * self._size / SAFETY
+        found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists)
+        if not (found.keeps or persists):
+            return None
+        error = np.interp(self._times, _with_start(times, 0.0), _with_start(found.error / self._size, 0.0))
+        chosen: Literal["wisdom-holman"] | None = "wisdom-holman" if self._scene.time.integrator == AUTO else None
+        return self._promise(found.refinement, MARGIN * error, found.exponent, chosen)
 
     def _settle_steps(self, order: int) -> Scene:
         refinement = LONGEST
@@ -206,7 +240,7 @@ class _LookAhead:
             coarse = fine
         run = fine if chosen >= 0 else coarse
         twins = self._part(run, self._run(run.refinement, self._twin))
-        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins)
+        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins.exponent)
 
     def _stays(self, apart: list[FloatArray], kept: float) -> bool:
         """Tell whether the last halving hardly changed the distance where the accuracy is not kept any more."""
@@ -243,25 +277,21 @@ class _LookAhead:
             if self._rounding * twins.apart[-1] <= self._accuracy:
                 break
         self._times = _samples(self._scene, SAMPLES)
-        began = self._distance(self._start.position, self._twin.position)
-        grown = np.log(np.concatenate(([max(began, EPS**2)], twins.apart)))
-        apart = np.exp(np.interp(self._times, np.concatenate(([0.0], times)), grown))
-        return Twins(apart, twins.exponent), run.rests_from
+        return self._between(times, twins, self._began), run.rests_from
+
+    def _between(self, times: FloatArray, twins: Twins, began: float) -> Twins:
+        """Return what is known of twins at some times at all times; the distance grows exponentially between them."""
+        grown = np.log(np.maximum(_with_start(twins.apart, began), EPS**2))
+        return Twins(np.exp(np.interp(self._times, _with_start(times, 0.0), grown)), twins.exponent)
 
     def _part(self, run: _Run, twin: _Run) -> Twins:
         """Return how a run and its twin part."""
-        return self._grown(self._apart(run, twin, APART))
+        return _grown(self._times, self._apart(run, twin, APART), self._began)
 
-    def _grown(self, apart: FloatArray) -> Twins:
-        """Continue the distance of twins, (K,) over the size, beyond where it is no longer small."""
-        began = max(self._distance(self._start.position, self._twin.position), EPS**2)
-        apart = np.maximum(apart, began)
-        over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they go on to part as up to here
-        apart[last] = min(apart[last], 1.0)
-        exponent = math.log(apart[last] / began) / float(self._times[last])
-        apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (self._times[last + 1 :] - self._times[last]))
-        return Twins(apart, exponent)
+    @property
+    def _began(self) -> float:
+        """The distance of the twins at the start, over the size."""
+        return max(self._distance(self._start.position, self._twin.position), EPS**2)
 
     def _distance(self, a: FloatArray, b: FloatArray) -> float:
         """Return the rms distance between positions, (n, 3) m, over the size."""
@@ -284,7 +314,9 @@ class _LookAhead:
     def _run(self, refinement: float, start: Start | None = None) -> _Run:
         return _Run(self._scene, refinement, self._threads, start or self._start, self._times)
 
-    def _promise(self, refinement: float, error: FloatArray, twins: Twins) -> Scene:
+    def _promise(
+        self, refinement: float, error: FloatArray, exponent: float, chosen: Literal["wisdom-holman"] | None = None
+    ) -> Scene:
         until = self._scene.time.duration
         kept = _kept(self._times, error, self._accuracy)
         horizon = kept if kept < until else None
@@ -293,10 +325,27 @@ class _LookAhead:
                 refinement=refinement,
                 until=until,
                 horizon=horizon,
-                lyapunov=float(f"{twins.exponent:.6g}"),
+                integrator=chosen,
+                lyapunov=float(f"{exponent:.6g}"),
                 error=tuple(float(f"{min(each, LARGEST_ERROR):.3g}") for each in error.tolist()),
             )
         )
+
+
+def _grown(times: FloatArray, apart: FloatArray, began: float) -> Twins:
+    """Continue the distance of twins, (K,) over the size, beyond where it is no longer small."""
+    apart = np.maximum(apart, began)
+    over = np.flatnonzero(~(apart < APART))
+    last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they go on to part as up to here
+    apart[last] = min(apart[last], 1.0)
+    exponent = math.log(apart[last] / began) / float(times[last])
+    apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (times[last + 1 :] - times[last]))
+    return Twins(apart, exponent)
+
+
+def _with_start(values: FloatArray, start: float) -> FloatArray:
+    """Return values at times, with that at 0 before them."""
+    return np.concatenate(([start], values))
 
 
 def _samples(scene: Scene, count: int) -> FloatArray:

@@ -86,7 +86,8 @@ def integrator(scene: Scene) -> Integrator:
     if scene.time.integrator != AUTO:
         return INTEGRATORS[scene.time.integrator]
     if scene.time.accuracy is not None:
-        return INTEGRATORS[_accurate(scene)]
+        promised = scene.promise.integrator if scene.promise else None
+        return INTEGRATORS[promised or _accurate(scene)]
     if not _is_smooth(scene):
         return INTEGRATORS["leapfrog"]
     if _leaves_step_free(scene) and orbits_often(scene) >= FEWEST_ORBITS:
@@ -95,7 +96,7 @@ def integrator(scene: Scene) -> Integrator:
 
 
 def _accurate(scene: Scene) -> str:
-    """Name the integrator that reaches an accuracy at the lowest cost."""
+    """Name the integrator that reaches an accuracy at the lowest cost, if no run ahead finds a cheaper one."""
     if contacts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.gravity(scene).modelled:

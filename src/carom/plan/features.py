@@ -261,6 +261,8 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
     """Say why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
         return "the accuracy, and a tree, whose error gauss-radau15 cannot control"
+    if chosen == "wisdom-holman":
+        return "the bodies orbit a dominant one, and its steps keep the accuracy for less than those of gauss-radau15"
     if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
         return "its steps end at impacts and err by rounding; contacts that come to rest are left to leapfrog"
     if chosen == "gauss-radau15":

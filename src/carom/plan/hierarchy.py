@@ -86,15 +86,15 @@ def why_no_hierarchy(scene: Scene) -> str:
     return ""
 
 
-def orbits_often(scene: Scene) -> float:
-    """Return how often the innermost body goes around a dominant one, if all others stay on orbits apart; 0 if not."""
+def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
+    """Return how often the innermost body goes around a dominant one, if all stay on orbits so far apart; 0 if not."""
     if scene.group or not 3 <= scene.count <= MOST_BODIES:
         return 0.0
     if contacts.contact(scene).modelled or pulls.damping(scene) or why_no_hierarchy(scene):
         return 0.0
     orbits = _orbits(scene)
     if orbits is None or not all(
-        outer.pericentre - inner.apocentre > HILL_RADII_APART * max(inner.hill, outer.hill)
+        outer.pericentre - inner.apocentre > hill_radii * max(inner.hill, outer.hill)
         for inner, outer in itertools.pairwise(orbits)
     ):
         return 0.0

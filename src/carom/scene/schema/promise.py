@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -14,11 +14,15 @@ class Promise(Section):
     """[promise]: what a run needs to keep time.accuracy; carom finds it and writes it into the recorded scene."""
 
     refinement: Positive = Field(
-        description="longest useful steps over those of the run; for gauss-radau15, its usual ones; more than 0"
+        description="longest useful steps over those of the run, or the usual ones of gauss-radau15 and wisdom-holman; "
+        "more than 0"
     )
     until: Annotated[Positive, TIME] = Field(description="s, the part of the run that was looked ahead; more than 0")
     horizon: Annotated[NonNegative, TIME] | None = Field(
         None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
+    )
+    integrator: Literal["wisdom-holman"] | None = Field(
+        None, description="the integrator, where the run ahead chose another one than the scene"
     )
     lyapunov: Annotated[Real, RATE] = Field(
         description="1/s, largest Lyapunov exponent, over the time that was looked ahead"

@@ -25,7 +25,7 @@ _STEP_KEYS = {
     "smoothing": "auto",
     "velocity_limit": "every-body",
 }  # keys of [time] that set the step, with the values that leave it free
-_UNCONTROLLED = ("euler", "leapfrog-dkd", "wisdom-holman")  # integrators that no look ahead is made for
+_UNCONTROLLED = ("euler", "leapfrog-dkd")  # integrators that no look ahead is made for
 
 
 class Time(Section):
@@ -92,6 +92,6 @@ class Time(Section):
         if self.integrator in _UNCONTROLLED:
             raise ValueError(
                 f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
-                '"leapfrog", "yoshida4", "gauss-radau15" or "auto"'
+                '"leapfrog", "yoshida4", "gauss-radau15", "wisdom-holman" or "auto"'
             )
         return self
