@@ -15,6 +15,7 @@ import pytest
 from carom.experiment.report import worst_moment
 from carom.recording.read.recording import Recording
 from carom.scene.parts import unknown
+from carom.scene.schema import Scene
 from command import carom, carom_process
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
@@ -319,3 +320,11 @@ def test_a_plot_of_nothing_is_one_message(arguments: list[str], said: str, run_f
     assert done.returncode == 2
     assert said in done.stderr and "Traceback" not in done.stderr
     assert not run_file.with_suffix(".png").exists()
+
+
+def test_a_bundled_scene_with_a_data_file_is_copied_with_it(tmp_path: Path) -> None:
+    done = carom("new", "belt", "--from", "asteroid-belt", cwd=tmp_path)
+    assert done.returncode == 0 and "belt.toml and asteroid-belt.csv written" in done.stdout
+    assert Scene.load(tmp_path / "belt.toml").count == Scene.load("asteroid-belt").count == 595
+    assert "asteroid-belt.csv: exists" in carom("new", "more", "--from", "asteroid-belt", cwd=tmp_path).stderr
+    assert not (tmp_path / "more.toml").exists()

@@ -30,6 +30,7 @@ from examples import cloud
 
 # parts of their durations
 SHORT = {
+    "asteroid-belt": 0.05,
     "cloud-collapse": 0.55,
     "kepler-orbits": 0.1,
     "marbles-in-a-box": 0.1,

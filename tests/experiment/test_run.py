@@ -247,7 +247,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
     return run
 
 
-LONG = ("marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # three to six seconds each
+LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # three to six seconds each
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,9 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes, extreme_scenes
+from carom.scene.data.sources import DataFiles
 from carom.scene.error import SceneError
+from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 
 HERE = Path(__file__).parent
@@ -49,6 +51,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "rack-break": 450,
     "marbles-in-a-box": 110,
     "cloud-collapse": 35,
+    "asteroid-belt": 10,
     "elastic-gas": 8,
     "five-materials": 235,
     "planet-with-gravel": 10,
@@ -94,12 +97,13 @@ def golden_scenes() -> dict[str, Path]:
 
 def load(name: str, overrides: str) -> Scene:
     """Load a scene with overrides as a case has them: `section.key=value` with blanks between, or "as written"."""
-    document = tomllib.loads(golden_scenes()[name].read_text(encoding="utf-8"))
+    path = golden_scenes()[name]
+    document = tomllib.loads(path.read_text(encoding="utf-8"))
     if name in FEWER_BODIES:
         document["group"][0]["count"] = FEWER_BODIES[name]
     for section, key, value in _overrides(overrides):
         document.setdefault(section, {})[key] = value
-    return Scene.from_dict(document)
+    return scene_from_dict(document, DataFiles(path.parent))
 
 
 def admitted(name: str) -> Iterator[str]:

@@ -57,7 +57,7 @@ def new(
     force: ForceOption = False,
 ) -> None:
     """Write a scene file with comments on every key, to start from."""
-    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes, starter
+    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
     from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
 
@@ -68,8 +68,15 @@ def new(
     if path.exists() and not force:
         raise SceneError(f"{path}: exists; give --force to replace it, or another name")
     text = without_schema_line(bundled[source].read_text(encoding="utf-8")) if source else starter()
+    data = data_files(bundled[source]) if source else []
+    for there in (path.with_name(file.name) for file in data):
+        if there.exists() and not force:
+            raise SceneError(f"{there}: exists; give --force to replace it")
     try:
         path.write_text(text, encoding="utf-8")
+        for file in data:
+            path.with_name(file.name).write_bytes(file.read_bytes())
     except OSError as error:
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
-    typer.echo(f"{path} written. Next: {command('explain', path)}, then {command('run', path)}")
+    written = " and ".join(str(each) for each in (path, *(path.with_name(file.name) for file in data)))
+    typer.echo(f"{written} written. Next: {command('explain', path)}, then {command('run', path)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
@@ -36,6 +37,12 @@ def _scenes(folder: Path) -> dict[str, Path]:
 def _folder() -> Path:
     installed = PACKAGE / "configs"
     return installed if installed.is_dir() else PACKAGE.parents[1] / "configs"
+
+
+def data_files(scene: Path) -> list[Path]:
+    """Return the data files of a bundled scene, which are beside it."""
+    sections = tomllib.loads(scene.read_text(encoding="utf-8")).get("bodies", [])
+    return [scene.with_name(section["file"]) for section in sections]
 
 
 def starter() -> str:
