@@ -40,7 +40,7 @@ def test_the_error_falls_with_the_sixth_power_of_the_opening_angle(shape: Shape,
 @pytest.mark.parametrize("theta", [0.5, 1.0])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_forces_add_up_to_nothing_but_rounding(shape: Shape, theta: float) -> None:
-    position, mass = shape(2000), masses(2000, decades=3.0)
+    position, mass = shape(1000), masses(1000, decades=3.0)
     force = mass[:, None] * pulled(position, mass, theta)[0]
     # About 10³ terms for each body, each rounded by 2⁻⁵³ of the pulls that it stands for; those of opposite sides may
     # cancel. Far from the origin, a centre of mass is rounded by 2⁻⁵³ of its distance, which moves both forces.
@@ -51,7 +51,7 @@ def test_forces_add_up_to_nothing_but_rounding(shape: Shape, theta: float) -> No
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("softening", [0.0, 0.1])
 def test_any_shape_is_summed_within_the_opening_error(shape: Shape, softening: float) -> None:
-    position, mass = shape(2000), masses(2000)
+    position, mass = shape(1000), masses(1000)
     found, energy = pulled(position, mass, 0.5, softening)
     expected, expected_energy = summed(position, mass, softening)
     error = np.linalg.norm(found - expected, axis=1) / total_pull(position, mass, softening)
