@@ -18,6 +18,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from carom.scene.wording import at_a_shell
 from examples import cloud, pair
 
 
@@ -159,7 +160,7 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
     ],
 )
 def test_a_choice_that_is_none_is_one_message(choice: str, message: str) -> None:
-    with pytest.raises(SceneError, match=message):
+    with at_a_shell(), pytest.raises(SceneError, match=message):
         vary(eight(), [choice])
 
 

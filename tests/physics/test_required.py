@@ -164,7 +164,7 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"forces.gravity.direct.pull_few"}
-TURNING = {"rotation.turn", "contact.pipeline._turn"}
+TURNING = {"rotation.turn", "contact.torques._turn"}
 MEETING = {
     "contact.geometry.update_geometry",
     "contact.constraint_graph._colour_contacts",
