@@ -6,6 +6,8 @@ import copy
 import itertools
 import tomllib
 import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -161,17 +163,17 @@ def _written(data: dict[str, Any]) -> str:
 
 def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySource | None) -> Scene:
     numbers, units, wrong = converted(data)
-    messages = {each.path: not_a_quantity(each, places) for each in wrong}
+    messages: dict[KeyPath, Callable[[], str]] = {each.path: partial(not_a_quantity, each, places) for each in wrong}
     try:
         scene = Scene.model_validate(numbers)
     except ValidationError as error:
         for detail in error.errors():
             path = written_path(detail, data)
             if not is_known(path, messages):
-                messages[path] = explain(detail, path, places, data, units)
+                messages[path] = partial(explain, detail, path, places, data, units)
     if messages:
         more = len(messages) - MOST_MESSAGES
-        shown = itertools.islice(messages.values(), MOST_MESSAGES)
+        shown = [message() for message in itertools.islice(messages.values(), MOST_MESSAGES)]
         raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
     if scene.bodies:
         scene, text = _with_bodies(scene, units, data, text, places, bodies or DataFiles(Path()))
