@@ -445,3 +445,19 @@ def test_bodies_from_a_file_take_the_density_of_their_material_unless_the_file_h
     assert [found.of(0, 1).restitution, found.of(1, 4).restitution] == [0.5, 0.9]
     heavier = scene.changed(["material.0.density=4000.0"])
     assert place(heavier).mass[1] == pytest.approx(4000 * volume)
+
+
+def test_arrays_of_bodies_are_of_a_material_each() -> None:
+    materials = [
+        {"name": "steel", "density": 7800.0, "restitution": 0.9},
+        {"name": "shell", "density": "1 g/cm^3", "inertia_factor": 0.5},
+    ]
+    steel = Scene.from_arrays(position=POSITION, radius=RADIUS, made_of="steel", material=materials)
+    both = steel.with_bodies(keep=True, position=POSITION + 10.0, radius=RADIUS, mass=MASS, made_of="shell")
+    start = place(both)
+    volume = 4.0 / 3.0 * np.pi * RADIUS**3
+    np.testing.assert_allclose(start.mass, [*(7800.0 * volume), *MASS], rtol=1e-14)  # products of a few factors
+    np.testing.assert_allclose(start.inertia[3:], 0.5 * MASS * RADIUS**2, rtol=1e-14)
+    assert [section.material for section in both.bodies] == ["steel", "shell"]
+    with pytest.raises(SceneError, match=r'"stele".*"steel"'):
+        Scene.from_arrays(position=POSITION, radius=RADIUS, mass=MASS, made_of="stele", material=materials)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from carom.scene.conversion import unit_system
+from carom.scene.conversion import converted, unit_system
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 from carom.scene.data.read import read_columns
@@ -18,6 +18,7 @@ from carom.scene.data.table import Arrays
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema.bodies import BodyData
+from carom.scene.schema.material import Material
 from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
@@ -25,23 +26,26 @@ if TYPE_CHECKING:
 
 
 def scene_from_arrays(
-    arrays: Mapping[str, ArrayLike | None], name: str | ArrayLike | None, sections: Mapping[str, Any]
+    arrays: Mapping[str, ArrayLike | None],
+    name: str | ArrayLike | None,
+    made_of: str | None,
+    sections: Mapping[str, Any],
 ) -> Scene:
     """Build a scene; see `Scene.from_arrays`."""
     if "bodies" in sections:
         raise SceneError("bodies: the arrays are its bodies; give the other sections only, or use with_bodies")
-    return _scene(sections, [], [], arrays, name)
+    return _scene(sections, [], [], arrays, name, made_of)
 
 
 def scene_with_arrays(scene: Scene, keep: bool, arrays: Mapping[str, Any]) -> Scene:
     """Return a scene with other bodies; see `Scene.with_bodies`."""
     wanted = dict(arrays)
-    name = wanted.pop("name", None)
+    name, made_of = wanted.pop("name", None), wanted.pop("made_of", None)
     data = tomllib.loads(scene.toml)
     others = {key: value for key, value in data.items() if keep or key not in ("body", "group")}
     held = scene.held if keep else None
     sections, found = ([], []) if held is None else (list(held.sections), list(held.found))
-    return _scene(others, sections, found, wanted, name)
+    return _scene(others, sections, found, wanted, name, made_of)
 
 
 def _scene(
@@ -50,22 +54,39 @@ def _scene(
     found: list[Found],
     arrays: Mapping[str, Any],
     name: str | ArrayLike | None,
+    made_of: str | None,
 ) -> Scene:
     """Build a scene of sections, of bodies that it has, and of arrays."""
     units = unit_system(data.get("units"), [])  # what is wrong with them, the scene itself says
-    columns = _columns(arrays, name, units)
+    material = _material(data, made_of)
+    columns = _columns(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}
-    section = {**prefix, "count": len(columns), "sha256": columns.sha256}
+    own = {} if made_of is None else {"material": made_of}
+    section = {**prefix, **own, "count": len(columns), "sha256": columns.sha256}
     kept = data.get("bodies", [])[: len(sections)]
-    held = HeldBodies((*sections, BodyData.model_validate(section)), (*found, Found(columns, columns.sha256)), units)
+    held = HeldBodies(
+        (*sections, BodyData.model_validate(section)), (*found, Found(columns, columns.sha256, material)), units
+    )
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)
 
 
-def _columns(arrays: Mapping[str, Any], name: str | ArrayLike | None, units: UnitSystem) -> BodyColumns:
+def _material(data: Mapping[str, Any], made_of: str | None) -> Material | None:
+    """Return the material of a name; None without one, or if it is wrong or unknown, which the scene itself says."""
+    numbers, _, _ = converted({key: data[key] for key in ("units", "material") if key in data})
+    try:
+        return next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _columns(
+    arrays: Mapping[str, Any], name: str | ArrayLike | None, material: Material | None, units: UnitSystem
+) -> BodyColumns:
     given = {quantity: value for quantity, value in arrays.items() if value is not None}
     if "position" not in given or "radius" not in given:
         raise SceneError("arrays of bodies need a position and a radius")
-    if ("mass" in given) == ("density" in given):
+    is_dense = "density" in given or (material is not None and material.density is not None and "mass" not in given)
+    if ("mass" in given) == is_dense:
         raise SceneError("arrays of bodies need a mass or a density, and not both")
     try:
         bodies = len(given["position"])
@@ -74,7 +95,7 @@ def _columns(arrays: Mapping[str, Any], name: str | ArrayLike | None, units: Uni
     table = {quantity: _array(quantity, value, bodies) for quantity, value in given.items()}
     if name is not None and not isinstance(name, str):
         table["name"] = _array("name", name, bodies)
-    return read_columns(BodyData(), Arrays(table), units)
+    return read_columns(BodyData(), Arrays(table), units, material)
 
 
 def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:

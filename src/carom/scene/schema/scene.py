@@ -127,6 +127,7 @@ class Scene(Forces, Heading):
         inertia: ArrayLike | None = None,
         fixed: ArrayLike | None = None,
         name: str | ArrayLike | None = None,
+        made_of: str | None = None,
         **sections: Any,
     ) -> Scene:
         """Build a scene of bodies that are given as arrays.
@@ -137,11 +138,14 @@ class Scene(Forces, Heading):
             (n, 3) m.
         radius, mass, density, inertia, fixed
             m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor turns; (n,), or one value
-            for all. A mass or a density is needed. Without ``inertia`` the bodies are solid spheres.
+            for all. A mass or a density is needed, or a material that has one. Without ``inertia`` the bodies are solid
+            spheres, unless their material has another factor.
         velocity, angular_velocity
             m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
         name
             n names, or one that each body has with its number.
+        made_of
+            The name of a [[material]], of all these bodies. `with_bodies` adds bodies of another one.
         sections
             The other keys of a scene, such as ``time={"duration": 1.0}``.
 
@@ -160,7 +164,7 @@ class Scene(Forces, Heading):
 
         arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
         arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
-        return scene_from_arrays(arrays, name, sections)
+        return scene_from_arrays(arrays, name, made_of, sections)
 
     def with_bodies(self, *, keep: bool = False, **arrays: Any) -> Scene:
         """Return this scene with other bodies, given as for `from_arrays`.
