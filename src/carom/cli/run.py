@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +14,7 @@ from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
+    from carom.cli.live_line import Patience
     from carom.cli.progress import Progress
     from carom.experiment.run import Outcome
     from carom.scene.schema import Scene
@@ -63,7 +64,7 @@ def run(
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
-        with _looking_ahead(loaded, progress):
+        with _preparing(loaded, progress):
             space = recording_space(loaded, threads)
         address = live_viewer() if live else None
         with progress, telling_of(path):
@@ -71,12 +72,12 @@ def run(
     report(outcome, progress, as_json)
 
 
-def _looking_ahead(scene: Scene, progress: Progress) -> AbstractContextManager[object]:
-    """Say that carom looks for the step that keeps an accuracy, if that takes long."""
+def _preparing(scene: Scene, progress: Progress) -> Patience:
+    """Say what carom does before the first step, if that takes long: place bodies, or look ahead for an accuracy."""
     from carom.cli.live_line import Patience
 
     if scene.time.accuracy is None or scene.promise is not None:
-        return nullcontext()
+        return Patience(f"preparing {scene.count} bodies …", progress)
     return Patience(f"looking ahead for the step that keeps {scene.time.accuracy:g} …", progress)
 
 
