@@ -32,6 +32,7 @@ def test_the_same_seed_draws_the_same_scene() -> None:
     assert drawn(3, 4) == drawn(3, 4) != drawn(3, 5)
 
 
+@pytest.mark.slow
 def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.experiment.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))
     book = Audit.book

@@ -19,6 +19,8 @@ from carom.scene.schema import Scene
 from examples import cloud
 
 SLOW = (
+    "coincident",
+    "dense-gas",
     "stack-20",
     "balls-at-rest",
     "hub-4000",

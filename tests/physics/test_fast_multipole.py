@@ -28,7 +28,7 @@ def pulled(
     return acceleration, energy
 
 
-@pytest.mark.parametrize("theta", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("theta", [pytest.param(0.3, marks=pytest.mark.slow), 0.5, 0.8])
 @pytest.mark.parametrize("shape", [plummer, ball])
 def test_the_error_falls_with_the_sixth_power_of_the_opening_angle(shape: Shape, theta: float) -> None:
     position, mass = shape(4000), masses(4000)
