@@ -95,7 +95,6 @@ def test_an_engine_that_is_not_installed_or_unknown_is_refused_with_the_remedy(
 
 @pytest.mark.slow  # Warp starts in two seconds
 def test_newton_hands_velocity_from_sphere_to_equal_sphere_and_bounces_on_a_plane_by_its_own_coefficient() -> None:
-    pytest.importorskip("newton")
     scene = Scene.from_dict(
         {
             "time": {"duration": 1.0, "fixed_dt": 0.005},

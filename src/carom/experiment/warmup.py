@@ -41,6 +41,12 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"enabled": False},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },
+    "points that keep an accuracy": {
+        "body": _PAIR,
+        "gravity": {"constant": 1.0},
+        "contact": {"enabled": False},
+        "time": {"duration": 0.1, "accuracy": 1e-6},
+    },
     "points that kick and drift": {
         "body": _PAIR,
         "gravity": {"constant": 1.0},
@@ -56,6 +62,12 @@ SCENES: dict[str, dict[str, Any]] = {
     "a cloud, by the tree": {
         "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],
         "gravity": {"constant": 1.0, "method": "tree"},
+        "time": {"duration": 0.1, "max_dt": 0.02},
+    },
+    "a cloud, by fast multipoles": {
+        "group": [_CROWD[0] | {"count": 2 * ALL_PAIRS_UP_TO}],
+        "gravity": {"constant": 1.0, "method": "fast-multipole"},
+        "contact": {"enabled": False},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },
     "a periodic box, bodies coloured": {
