@@ -20,6 +20,7 @@ from examples import cloud
 
 SLOW = (
     "coincident",
+    "collapse-10",
     "dense-gas",
     "stack-20",
     "balls-at-rest",

@@ -51,7 +51,8 @@ def explained(seed: int, answer: dict[str, Any]) -> str:
     return f"{answer}\n{again}\n{json.dumps(hostile_scenes.drawn(seed, answer['index']))}"
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1000])
 def test_hostile_scenes_run_or_are_refused_with_a_reason(count: int, seed: int) -> None:
     answers = judged(seed, count)
     wrong = [answer for answer in answers if answer["faults"]]
