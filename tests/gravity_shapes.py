@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import DirectGravity
+from carom.physics.forces.gravity.pull import Pull
 
 FloatArray = NDArray[np.float64]
 
@@ -70,10 +71,15 @@ def masses(n: int, decades: float = 1.0) -> FloatArray:
     return np.asarray(10.0 ** np.random.default_rng(5).uniform(0.0, decades, n) / n)
 
 
-def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tuple[FloatArray, float | None]:
+def pulled_by(gravity: Pull, position: FloatArray) -> tuple[FloatArray, float | None]:
+    """Accelerations and the potential energy by a method."""
     acceleration = np.empty_like(position)
-    energy = DirectGravity(mass, 1.0, softening).accelerate(position, acceleration, potential=True)
-    return acceleration, energy
+    return acceleration, gravity.accelerate(position, acceleration, potential=True)
+
+
+def summed(position: FloatArray, mass: FloatArray, softening: float = 0.0) -> tuple[FloatArray, float | None]:
+    """The direct sum."""
+    return pulled_by(DirectGravity(mass, 1.0, softening), position)
 
 
 def total_pull(position: FloatArray, mass: FloatArray, softening: float) -> FloatArray:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
+from carom.physics.forces.gravity.pull import Pull
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.parallel.thread_team import Team
 from carom.plan.auto import gravity_method
@@ -15,7 +16,6 @@ from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]
-Pull = DirectGravity | TreeGravity | FastMultipoleGravity
 
 
 class Gravity:

@@ -62,17 +62,7 @@ class DirectGravity:
         self._team = team if n >= PARALLEL_FROM else SOLO
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if requested.
-
-        Parameters
-        ----------
-        position
-            (n, 3) m.
-        acceleration
-            (n, 3) m/s², overwritten.
-        potential
-            Costs about a fifth more.
-        """
+        """Write the accelerations; see `Pull`. The energy costs about a fifth more."""
         if self._is_few:
             law = self._constant, self._softening_squared
             pull_few(position, self._mass, *law, acceleration, self._potential)

@@ -57,17 +57,7 @@ class FastMultipoleGravity:
         self._lanes = np.empty((size, LOCAL * LANES)), self._powers, np.empty((size, 7, LANES))
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if requested.
-
-        Parameters
-        ----------
-        position
-            (n, 3) m.
-        acceleration
-            (n, 3) m/s², overwritten.
-        potential
-            Costs next to nothing.
-        """
+        """Write the accelerations; see `Pull`. The energy costs next to nothing."""
         nested = self._nested
         nested.sort(position)
         boxes, poles = self._boxes.take(nested.count), self._poles.take(nested.count + 1)

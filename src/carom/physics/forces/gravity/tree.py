@@ -52,17 +52,7 @@ class TreeGravity:
         self._lists = np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the acceleration of every body; return the potential energy in joules if requested.
-
-        Parameters
-        ----------
-        position
-            (n, 3) m.
-        acceleration
-            (n, 3) m/s², overwritten.
-        potential
-            Costs about a tenth more.
-        """
+        """Write the accelerations; see `Pull`. The energy costs about a tenth more."""
         boxes, team = self._boxes, self._team
         boxes.sort(position)
         nested = boxes.count, boxes.first, boxes.last
