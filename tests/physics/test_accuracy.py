@@ -16,7 +16,8 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.integrators.radau_twin import part
-from carom.physics.look_ahead import settled
+from carom.physics.look_ahead.settle import settled
+from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.plan.features import require
@@ -410,3 +411,18 @@ def test_balls_that_pull_and_bounce_keep_to_the_event_driven_solution(index: int
         error = math.sqrt(float(np.mean(np.sum((space.state.position - position) ** 2, axis=1)))) / size
         assert error <= 1e-4, time
     assert len(exact.time) > 2
+
+
+def test_a_look_ahead_notices_contacts_that_come_to_rest_after_its_last_but_one_time() -> None:
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.6, "accuracy": 1e-4},
+            "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+            "contact": {"restitution": 0.5},
+            "plane": [{"point": [0.0, 0.0, 0.0]}],
+            "body": [{"radius": 0.1, "mass": 1.0, "position": [0.0, 0.0, 1.1]}],
+        }
+    )
+    run = TrialRun(scene, 1.0, 1, place(scene), np.array([0.4, 0.8, 1.2, 1.6]))  # at rest from 3 √(2 / 10) = 1.34 s
+    assert run.at(2) is not None and run.rests_from == np.inf
+    assert run.at(3) is not None and run.rests_from == 1.2

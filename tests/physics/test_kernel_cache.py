@@ -123,6 +123,7 @@ def test_damaged_and_exchanged_files_are_compiled_anew(package: Path, seed: int)
     assert call(package)[:2] == (expected, 0)
 
 
+@pytest.mark.slow
 def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another_file(package: Path) -> None:
     assert call(package)[1] == COUNT + 1
     (package / "part.py").write_text(PART.format(part="part", factor=3.0), encoding="utf-8")

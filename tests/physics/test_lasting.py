@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -10,13 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
 from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import cloud, pair, scene_of
+from examples import cloud, pair, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 
@@ -44,6 +45,24 @@ def prints(scene: Scene) -> list[int]:
 
 def separation(position: FloatArray) -> float:
     return float(np.linalg.norm(position[1] - position[0]))
+
+
+@pytest.mark.parametrize(
+    ("sweeps", "speed", "least", "most"), [("as-needed", 1e-7, 1, 1), ("as-needed", 1e-4, 2, 8), ("auto", 1e-7, 2, 8)]
+)
+def test_sweeps_as_needed_end_when_no_contact_changes_by_more_than_counts(
+    sweeps: Literal["auto", "as-needed"], speed: float, least: int, most: int
+) -> None:
+    # Changes below 3 × 10⁻⁶ of a radius a step do not count; relative to the speeds, all cases converge alike.
+    bodies = random_bodies(64, 3)
+    bodies.radius[:] = 1.0
+    bodies.position[:] = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3) * 1.95
+    bodies.velocity[:] *= speed
+    bodies.angular_velocity[:] = 0.0
+    pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+    solver = solver_of(bodies, pairs, [0.0, 0.6, 0.6], sweeps=sweeps)
+    solver.rest_speed[:] = 1.0
+    assert least <= solver.hold(1.0, 1.0, 0.0, 0.0, 8) <= most
 
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])

@@ -80,7 +80,7 @@ class Auditor:
         """Add up what may have been rounded since the frame before, and how large it was."""
         scene, state = self.space.scene, self.space.state
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
-        most = SWEEPS if scene.contact.sweeps == "auto" else scene.contact.sweeps
+        most = SWEEPS if isinstance(scene.contact.sweeps, str) else scene.contact.sweeps
         passes = frame.sweeps + (most if scene.contact.stabilisation == "split" else 0)
         struck = self.space.extremes.impacts - self.impacts
         self.impacts += struck

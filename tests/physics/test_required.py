@@ -170,7 +170,7 @@ MEETING = {
     "contact.constraint_graph._colour_contacts",
     "contact.solver.phases.work",
 }
-RESTING = {"contact.islands._write_speeds", "contact.islands.largest_square"}
+RESTING = {"contact.islands._write_speeds", "contact.islands.look_for_largest"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.target"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.solver.contact_solver import SHARED_FROM
+from carom.physics.contact.constraints import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
-from carom.physics.parallel.thread_team import END, Team, claim, dismiss, finish, is_over, post, sharing_all, wait
+from carom.physics.parallel.thread_team import Team, sharing_all
 from carom.physics.space import Space
 from carom.scene.half_space import HalfSpaces
 from examples import random_bodies, scene_of, solver_of
@@ -37,7 +37,7 @@ def resolved(threads: int, hub: bool) -> tuple[FloatArray, ...]:
     sweeps = solver.resolve_impacts(0.0, 3, impacts_only=False)
     bodies.velocity[:, 2] -= bodies.position[:, 2]  # presses all of it together
     solver.rest_speed[:] = 1e-3
-    held = solver.hold(1.0, 1.0, 0.0, 0.0, 5, refines=True)
+    held = solver.hold(1.0, 1.0, 0.0, 0.0, 5)
     assert sweeps == 3 and held > 5, "conjugate gradients follow the sweeps"
     return bodies.velocity, bodies.angular_velocity, solver.ledger, solver.approach, solver.impulses
 
@@ -179,40 +179,13 @@ def test_a_second_thread_that_leads_a_team_is_refused_while_the_first_one_does()
     try:
         with pytest.raises(RuntimeError, match="two threads use one team at once"):
             team.divide(len(visits), 10, visit, visits, 1.0)
-        with pytest.raises(RuntimeError, match="two threads use one team at once"), team.gathered(share, False, 0):
+        with pytest.raises(RuntimeError, match="two threads use one team at once"), team.leading():
             pass
     finally:
         flags[1] = 1
         first.join()
     team.divide(len(visits), 10, visit, visits, 1.0)
     assert np.all(visits == 1.0)
-
-
-@numba.njit(nogil=True)
-def share(board: NDArray[Any], leads: bool, fault: int) -> int:
-    """Lead a phase of two pieces, which the helpers do, or be a helper; the leader fails at -1, a helper at 1."""
-    if leads:
-        post(board, 2)
-        if fault < 0:
-            raise ValueError("of the leader")
-        wait(board, 2)
-        dismiss(board)
-    else:
-        while not is_over(board):
-            if claim(board):
-                if fault > 0:
-                    raise ValueError("of a helper")
-                finish(board)
-    return END
-
-
-def test_an_exception_of_a_helper_that_was_called_reaches_the_leader_who_waits_for_it() -> None:
-    team = Team(2)
-    for fault, who in ((1, "of a helper"), (-1, "of the leader")):
-        with pytest.raises(ValueError, match=who), team.gathered(share, False, fault) as board:
-            share(board, True, fault)
-        with team.gathered(share, False, 0) as board:  # its helper has been dismissed, and helps again
-            share(board, True, 0)
 
 
 def test_work_is_shared_where_it_would_not_be_worth_it_if_all_is_to_be() -> None:

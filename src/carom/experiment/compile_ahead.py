@@ -20,13 +20,14 @@ from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.contact.contact_tap import ContactTap
-from carom.physics.contact.islands import Islands, largest_coordinate, largest_square
+from carom.physics.contact.islands import Islands, largest_values
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.forces.gravity.direct import FEW
+from carom.physics.frame import FrameStore
 from carom.physics.parallel.thread_team import SOLO, load_helpers
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
@@ -65,8 +66,10 @@ def compile_ahead() -> None:
     tap = ContactTap(bodies, frictionless, open_space, friction=True)
     tap.see_impacts(solver.order.pairs, solver)
     tap.rows(solver.order.pairs, solver)
+    solver.rest_speeds_by_pair()
     solver.statistics()
     solver.compile_phases()
+    FrameStore(1, bodies).keep()
 
 
 def _compile_encoding() -> None:
@@ -83,7 +86,7 @@ def _compile_encoding() -> None:
     encoding.pick_strongest(at, encoding.ROWS, each, each, values, each)
     encoding.gather(at, encoding.ROWS, each, each, rows)
     encoding.draw_edges(
-        *(at, each, points, values, box, numbers, palette.SERIAL_STAGE, white, strips, numbers, np.empty((0, 2)))
+        *(at, each, points, values, box, numbers, palette.SERIAL_STAGE, white, strips, numbers, np.empty((0, 3)))
     )
     ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each)
     encoding.draw_arrows(position, each, numbers, values, points, values, values, 1.0, single, single)
@@ -96,11 +99,12 @@ def _compile_second_steps(bodies: Bodies) -> None:
     """Compile what a run with contacts needs from its second step on, for two bodies in contact."""
     pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
     contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
-    ImpulseCache(pairs, place, contacts, 1.0).carry_to(pairs, place, 1.0, contacts, SOLO)
+    cache = ImpulseCache(pairs, place, contacts, 1.0)
+    cache.carry_to(pairs, place, 1.0, contacts, SOLO)
+    assert len(cache.impulse) == 1
     unequal = np.arange(3.0 * ends).reshape(ends, 3)
     Islands(ends, SOLO).write_rest_speeds(pairs, pairs[0], unequal, np.ones(ends), none, 1.0, states)
-    largest_square(unequal, none)
-    largest_coordinate(bodies.position)
+    largest_values(unequal, none, bodies.position)
     Ledger().plus(np.zeros((1, 3)))
     load_helpers()
     refuse_infinities(bodies, ["", ""], 0, 0.0, SI)

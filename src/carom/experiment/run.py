@@ -17,6 +17,7 @@ from carom.experiment.contact_counts import EACH, ONCE_A_STEP
 from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
+from carom.experiment.memory import garbage_sought_seldom
 from carom.experiment.output import claimed_output, default_output
 from carom.experiment.progress_bar import progress_bar
 from carom.physics.diagnostics.extremes import Extremes
@@ -182,7 +183,8 @@ def simulate(
         If the file exists and ``force`` is not given, another run writes it, or it cannot be written at all.
     """
     path = Path(path)
-    with Interrupts() as interrupts, contextlib.nullcontext(claim) if claim else claimed_output(path, force):
+    claimed = contextlib.nullcontext(claim) if claim else claimed_output(path, force)
+    with Interrupts() as interrupts, claimed, garbage_sought_seldom():
         return _simulate(space, path, live, watch, continued, properties, member, interrupts)
 
 

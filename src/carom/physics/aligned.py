@@ -36,6 +36,11 @@ class Room:
             self._rows = aligned_empty(count + count // 4, self._dtype, self._columns)
         return self._rows[:count]
 
+    @property
+    def whole(self) -> NDArray[Any]:
+        """All rows that there is memory for."""
+        return self._rows
+
     def holds(self, taken: NDArray[Any]) -> bool:
         """Tell whether rows were taken from this memory."""
         return np.may_share_memory(self._rows, taken)

@@ -66,5 +66,4 @@ class Checkpoint:
     @property
     def fingerprint(self) -> int:
         """The fingerprint of the state, as the frame of the same step has it."""
-        parts = (self.position, self.velocity, self.orientation, self.angular_velocity)
-        return fingerprint_of(self.time, [np.ascontiguousarray(part) for part in parts if part is not None])
+        return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))

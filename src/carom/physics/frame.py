@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
 from carom.physics.aligned import Room
@@ -14,11 +16,18 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.diagnostics.energy import Energy
+from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.event import Event
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.physics.parallel.intrinsics import pointer_to
+from carom.physics.parallel.jit import kernel
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Rows = NDArray[np.void]
+
+_SOURCE, _ROOM, _COUNT = range(3)  # columns of the table of a `FrameStore`
+_reals = pointer_to(types.float64)
 
 
 class FrameStore:
@@ -31,12 +40,15 @@ class FrameStore:
     slots
         Number of frames. A caller that keeps more must be done with the oldest, which are overwritten.
     bodies
-        The bodies whose state is copied.
+        The bodies whose state is copied; their arrays are updated in place.
+    until_free
+        Returns once the next slot may be overwritten.
     """
 
-    def __init__(self, slots: int, bodies: Bodies) -> None:
+    def __init__(self, slots: int, bodies: Bodies, until_free: Callable[[], None] = lambda: None) -> None:
         n = len(bodies)
         self.slots = slots
+        self._until_free = until_free
         self.position = np.zeros((slots, n, 3))
         self.velocity = np.zeros((slots, n, 3))
         self.acceleration = np.zeros((slots, n, 3))
@@ -45,18 +57,25 @@ class FrameStore:
         self.torque = np.zeros((slots, *bodies.torque.shape))
         self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
         self.contact_rows = [Room(CONTACT_ROW) for _ in range(slots)]
+        self._bodies = bodies  # kept as long as the addresses of its arrays
+        pairs = zip(_arrays(bodies), self._rooms(), strict=True)
+        self._table = np.array([(array.ctypes.data, room.ctypes.data, array.size) for array, room in pairs])
+        self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
         self._next = 0
 
-    def keep(self, bodies: Bodies) -> int:
-        """Copy the arrays into the next slot; return its number."""
+    def keep(self) -> int:
+        """Copy the arrays of the bodies into the next slot once it is free; return its number."""
+        self._until_free()
         slot, self._next = self._next, (self._next + 1) % self.slots
-        for room, array in zip(self._rooms(), _arrays(bodies), strict=True):
-            room[slot] = array
+        _copy(self._table, slot)
         return slot
 
     def kept(self, slot: int) -> tuple[FloatArray, ...]:
         """Return the arrays of a slot, in the order of the attributes."""
-        return tuple(room[slot] for room in self._rooms())
+        views = self._views[slot]
+        if views is None:
+            views = self._views[slot] = tuple(room[slot] for room in self._rooms())
+        return views
 
     def _rooms(self) -> tuple[FloatArray, ...]:
         return (
@@ -80,6 +99,17 @@ def _arrays(bodies: Bodies) -> tuple[FloatArray, ...]:
         bodies.torque,
         bodies.angular_acceleration,
     )
+
+
+@kernel
+def _copy(table: IntArray, slot: int) -> None:
+    """Copy arrays into a slot, given the address of each, that of its room, and its count of numbers."""
+    for k in range(len(table)):
+        count = table[k, _COUNT]
+        source = carray(_reals(table[k, _SOURCE]), count)
+        room = carray(_reals(table[k, _ROOM] + 8 * count * slot), count)
+        for i in range(count):
+            room[i] = source[i]
 
 
 def copies(bodies: Bodies) -> tuple[FloatArray, ...]:
@@ -113,7 +143,6 @@ class Frame:
     sweeps: int  # passes over the colours in this step
     phase: str  # "warm-up", "free", "colliding" or "settled"
     events: tuple[Event, ...]  # since the frame before, in order of time
-    fingerprint: int  # 64 bits of the exact state
     previous_dt: float  # s, the smoothed step, without the cut at the end of a run
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
@@ -125,6 +154,11 @@ class Frame:
     impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
     contact_rows: Rows | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
     expected_error: float = 0.0  # of positions over the size of the system; 0 where no accuracy is asked for
+
+    @property
+    def fingerprint(self) -> int:
+        """64 bits of the exact state, computed at each access: on the thread that asks, not on the physics thread."""
+        return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))
 
     @property
     def checkpoint(self) -> Checkpoint:

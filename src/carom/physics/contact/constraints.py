@@ -21,6 +21,9 @@ Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
+SHARED_FROM = 4096  # contacts; with fewer, sharing them takes as long as it saves
+# contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
+MIN_PER_TASK = SHARED_FROM // 2
 LEDGER_TERMS = " ".join(TERMS)
 
 CONTACT = record(
@@ -78,8 +81,6 @@ ISLAND = record("slope curvature scale")  # J, along the impulses of an island; 
 
 SETTINGS = np.dtype(
     [
-        ("phase", "i8"),
-        ("first_piece", "i8"),  # of the phase
         ("independent", "i8"),  # number of colours, from the first on, whose contacts share no moving body
         ("iteration", "i8"),  # number of those before
         ("dt", "f8"),  # s, the step
@@ -93,6 +94,8 @@ SETTINGS = np.dtype(
         ("spins", "?"),  # whether impulses turn bodies
         ("impacts_only", "?"),  # whether resting contacts are skipped
         ("refines", "?"),  # whether conjugate gradients follow the iterations
+        ("as_needed", "?"),  # whether small changes and small overlaps end the iterations
+        ("settles", "?"),  # whether more iterations follow conjugate gradients that did not converge
         ("keeps_sliding", "?"),  # whether contacts that slid may not stick again
     ],
     align=True,
@@ -123,6 +126,7 @@ class ConstraintSystem(NamedTuple):
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: Records  # (m,) CONTACT
     held: Flags  # (m,) whether each contact is held; impacts and open gaps are not
+    small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
     recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded

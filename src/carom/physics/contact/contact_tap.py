@@ -75,6 +75,7 @@ class _Found(NamedTuple):
     recorded: Records  # (m,) RECORDED
 
 
+_NO_ROWS = np.empty(0, CONTACT_ROW)
 _NOT_HELD = _Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0, CONTACT), np.empty((0, 3)))
 
 
@@ -141,14 +142,18 @@ class ContactTap:
 
         These are the contacts of the graph, and those that gave an impulse and are open by now.
         """
-        struck = self._rows_of_drift()
-        if len(struck):
+        struck = _NO_ROWS
+        if len(self._drift):
+            struck = self._rows_of_drift()
             struck = picked(struck, np.lexsort((-struck["approach_speed"], struck["j"], struck["i"])))
-        rows = self._room.take(len(self._held.pairs) + len(struck) + len(pairs))
-        count = _merge(self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended, rows)
-        kept = np.empty(count, CONTACT_ROW) if room is None else room.take(count)
-        raw(kept)[:] = raw(rows[:count])
-        return kept
+        merged = self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended
+        room = Room(CONTACT_ROW) if room is None else room
+        rows = room.whole if len(room.whole) else room.take(len(pairs) + 1)
+        count = _merge(*merged, rows)
+        if count >= len(rows):  # more contacts than ever before in this room
+            rows = room.take(count + 1)
+            _merge(*merged, rows)
+        return rows[:count]
 
     def impulses(self, solver: ContactSolver) -> Iterator[Impulses]:
         """Yield all impulses of the step, in the order in which they were given."""
@@ -250,7 +255,8 @@ def _pick_impacts(found: _Found, ends: _Ends, step: int, ended: float, rows: Rec
 def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
     """Write one row for each pair that was held, was struck on the way, touches or gave anything; return how many.
 
-    ``struck`` are rows of impacts on the way by pair, of each pair the hardest first.
+    ``struck`` are rows of impacts on the way by pair, of each pair the hardest first. What does not fit into ``rows``
+    is only counted, and the last row is overwritten.
     """
     held_pairs, held_place, held_contacts, terms = held.pairs, held.place, held.contacts, held.terms
     pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
@@ -265,7 +271,7 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
             i, j = struck[b].i, struck[b].j
         if c < len(pairs) and (pairs[c, 0] < i or (pairs[c, 0] == i and pairs[c, 1] < j)):
             i, j = pairs[c, 0], pairs[c, 1]
-        row, seen = rows[count], False
+        row, seen = rows[min(count, len(rows) - 1)], False
         _begin(row, step, ended, i, j)
         touches = c < len(pairs) and pairs[c, 0] == i and pairs[c, 1] == j
         if a < len(held_pairs) and held_pairs[a, 0] == i and held_pairs[a, 1] == j:

@@ -12,17 +12,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import MIN_PER_TASK
 from carom.physics.contact.union_find import join, join_shared, root_of
 from carom.physics.parallel.atomics import atomic_load, atomic_max
 from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-MIN_PER_TASK = 1000  # bodies or contacts, about 10 µs of work
+MIN_PER_LOOK = 4000  # bodies, about 10 µs of work
+SQUARE, COORDINATE = range(2)  # of the largest values
 UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed
 
 
@@ -133,23 +135,28 @@ def island_rest_speeds(
         speeds[i] = speeds[root_of(parent, i)]
 
 
-@kernel
-def largest_square(acceleration: FloatArray, field: FloatArray) -> float:
-    """Return the largest |a - field|² of a body, in m²/s⁴."""
-    largest = 0.0
-    for i in range(len(acceleration)):
-        largest = max(largest, _square(acceleration, field, i))
-    return largest
+def largest_values(
+    acceleration: FloatArray, field: FloatArray, position: FloatArray, team: Team = SOLO
+) -> tuple[float, float]:
+    """Return the largest |a - field|² of a body, in m²/s⁴, and the largest coordinate by magnitude, in m."""
+    found = np.zeros(2)
+    team.divide(len(position), MIN_PER_LOOK, look_for_largest, acceleration, field, position, found.view(np.int64))
+    return float(found[SQUARE]), float(found[COORDINATE])
 
 
-@kernel
-def largest_coordinate(position: FloatArray) -> float:
-    """Return the largest coordinate of a body by magnitude, in m."""
-    largest = 0.0
-    for i in range(len(position)):
+@long_kernel
+def look_for_largest(
+    lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, found: IntArray
+) -> None:
+    """Update the bits of the largest values by the bodies [lo, hi)."""
+    largest = np.zeros(2)
+    for i in range(lo, hi):
+        largest[SQUARE] = max(largest[SQUARE], _square(acceleration, field, i))
         for k in range(3):
-            largest = max(largest, abs(position[i, k]))
-    return largest
+            largest[COORDINATE] = max(largest[COORDINATE], abs(position[i, k]))
+    bits = largest.view(np.int64)  # for non-negative numbers, bits sort like values
+    atomic_max(found, SQUARE, bits[SQUARE])
+    atomic_max(found, COORDINATE, bits[COORDINATE])
 
 
 @long_kernel

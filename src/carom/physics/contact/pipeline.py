@@ -26,7 +26,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import OVERFLOW, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
-from carom.physics.contact.islands import largest_coordinate, largest_square
+from carom.physics.contact.islands import largest_values
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of
 from carom.physics.contact.plane_guard import PlaneGuard
@@ -50,7 +50,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
-SWEEPS = 8  # iterations before conjugate gradients, with `contact.sweeps = "auto"`
+SWEEPS = 8  # iterations before conjugate gradients, unless `contact.sweeps` is a number
 LARGEST_SKIN = 0.1  # of the smallest radius
 NOTHING_HELD: FloatArray = np.zeros((0, 3))
 
@@ -99,7 +99,7 @@ class ContactPipeline:
         self._search = search_by(contact.search, bodies.radius, box, team)
         fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
         self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
-        self._most_sweeps = SWEEPS if contact.sweeps == "auto" else contact.sweeps
+        self._most_sweeps = SWEEPS if isinstance(contact.sweeps, str) else contact.sweeps
         self._pushes = contact.stabilisation == "split"
         self._smallest = float(bodies.radius.min())
         self._rounding = 0.0  # m, of the coordinates
@@ -110,7 +110,7 @@ class ContactPipeline:
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
-        self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records)
+        self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
         self._torques = Torques(bodies, team)
         self._pairs = empty_graph().pairs  # the contacts of the step, sorted
         self._body_colours: IntArray | None = None
@@ -131,6 +131,7 @@ class ContactPipeline:
         self.held = NOTHING_HELD  # J, the ledger of the first kick, in sums over pieces
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
+        self.counts_impacts = True  # whether they include impacts during the drift; a look ahead needs no statistics
         self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # made at the first access to `seen`
         self._seen_place = np.empty(0, dtype=np.int64)  # (m,) places of the records of the contacts in `seen`
         if self.tap:
@@ -141,15 +142,9 @@ class ContactPipeline:
         """A copy of the state that the next step needs; None if no contact can last."""
         if not self._lasts:
             return None
-        hold, solver = self._hold, self._solver
-        return ContactCheckpoint(
-            pairs=self._pairs,
-            rest_speed=solver.rest_speed[solver.order.place],
-            dt=self._dt,
-            held_pairs=hold.pairs,
-            impulse=hold.impulse,
-            kick=hold.kick,
-        )
+        hold = self._hold
+        rest_speed, impulse = self._solver.rest_speeds_by_pair(), hold.impulse
+        return ContactCheckpoint(self._pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
 
     @property
     def borne(self) -> FloatArray:
@@ -274,7 +269,7 @@ class ContactPipeline:
             self._hold = ImpulseCache.empty()
         self._seen = None
         self.statistics = self._solver.statistics() if len(self._pairs) else NO_CONTACTS
-        if len(self.impacts):
+        if len(self.impacts) and self.counts_impacts:
             self._seen = self._snapshot(dt)
             self.statistics = self.statistics.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
 
@@ -328,11 +323,13 @@ class ContactPipeline:
         """Return scale and skin (in m): a pair is near if its distance is at most ``(r_i + r_j) scale + skin``."""
         if not self._lasts:
             return 1.0, 0.0
-        fall = np.sqrt(largest_square(self._bodies.acceleration, self._field)) * dt * dt
+        bodies = self._bodies
+        square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
+        fall = np.sqrt(square) * dt * dt
         if fall == 0.0:  # all contacts are impacts, for which near pairs do not count
             self._rounding = 0.0
             return 1.0, 0.0
-        self._rounding = ROUNDING * float(np.spacing(largest_coordinate(self._bodies.position)))
+        self._rounding = ROUNDING * float(np.spacing(coordinate))
         return 1.0 + TOUCHING, self._rounding + min(fall, LARGEST_SKIN * self._smallest)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
@@ -389,7 +386,7 @@ class ContactPipeline:
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
             self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
-        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, self._contact.sweeps == "auto", against)
+        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, against)
 
     @property
     def seen(self) -> ContactSnapshot:

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-MIN_BLOCKS_PER_TASK = 1
+MIN_BLOCKS_PER_TASK = 2
 
 BLOCK_COUNTS = record(  # statistics of a block of contacts
     f"{LEDGER_TERMS}"  # J
@@ -53,18 +53,18 @@ class ContactStatistics(NamedTuple):
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
         totals = np.empty(1, BLOCK_COUNTS)
         _add_up(blocks, totals)
-        total = totals[0]
-        if total["contacts"] == 0:
+        _, _, _, count, impacts, struck, hardest, hard_i, hard_j, deepest, deep_i, deep_j = totals[0].item()
+        if count == 0.0:
             return NO_CONTACTS._replace(work=terms_of(blocks))
         return cls(
             work=terms_of(blocks),
-            contacts=int(total["contacts"]),
-            impacts=int(total["impacts"]),
-            struck=float(total["struck"]),
-            hardest=float(total["hardest"]),
-            hardest_pair=(int(total["hardest_i"]), int(total["hardest_j"])),
-            deepest=float(total["deepest"]),
-            deepest_pair=(int(total["deepest_i"]), int(total["deepest_j"])),
+            contacts=int(count),
+            impacts=int(impacts),
+            struck=struck,
+            hardest=hardest,
+            hardest_pair=(int(hard_i), int(hard_j)),
+            deepest=deepest,
+            deepest_pair=(int(deep_i), int(deep_j)),
         )
 
     def with_impacts(self, snapshot: ContactSnapshot, ledger: FloatArray, ends: Ends) -> ContactStatistics:

@@ -65,6 +65,7 @@ class Audit:
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names, scene.unit_system)
         self._suspects: list[Suspects] = []
         self._last_suspects: Suspects | None = None
+        self._old_suspects: Suspects | None = None  # those before; their arrays are used again
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
@@ -100,9 +101,12 @@ class Audit:
 
     def suspect(self, step: int, contact: ContactPipeline) -> None:
         """Keep the contacts of the last step for a possible warning."""
-        if self._last_suspects is None or self._last_suspects.step != step:
-            self._last_suspects = Suspects.of(step, contact.seen.graph, contact.keep_contributions(), self._bodies)
-        self._suspects.append(self._last_suspects)
+        last = self._last_suspects
+        if last is None or last.step != step:
+            seen = contact.seen.graph, contact.keep_contributions()
+            self._old_suspects, last = last, Suspects.of(step, *seen, self._bodies, self._old_suspects)
+            self._last_suspects = last
+        self._suspects.append(last)
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
         """Return the energy of the present state, given the potential energies of the forces in joules."""

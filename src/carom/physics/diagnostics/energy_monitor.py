@@ -41,10 +41,23 @@ class Suspects:
     angular_velocity: FloatArray | None  # (n + p, 3) rad/s
 
     @classmethod
-    def of(cls, step: int, graph: CollisionGraph, contributions: Callable[[], FloatArray], bodies: Bodies) -> Suspects:
-        """Copy the velocities that a warning shows."""
+    def of(
+        cls,
+        step: int,
+        graph: CollisionGraph,
+        contributions: Callable[[], FloatArray],
+        bodies: Bodies,
+        spent: Suspects | None = None,
+    ) -> Suspects:
+        """Copy the velocities that a warning shows, into the arrays of ``spent``, which nobody needs any more."""
         ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
-        return cls(step, graph, contributions, ends.velocity.copy(), ends.angular_velocity.copy() if spins else None)
+        velocity = np.empty_like(ends.velocity) if spent is None else spent.velocity
+        turning = None if spent is None else spent.angular_velocity
+        velocity[:] = ends.velocity
+        if spins:
+            turning = np.empty_like(ends.angular_velocity) if turning is None else turning
+            turning[:] = ends.angular_velocity
+        return cls(step, graph, contributions, velocity, turning)
 
     def describe(self, names: Names, units: UnitSystem) -> str:
         """List the contacts that added most energy, with the states of their bodies."""
@@ -106,7 +119,8 @@ class EnergyMonitor:
         """
         tally = self.tally
         lowest = tally.lowest or energy
-        rose = energy.undamped - lowest.undamped > self._tolerance * energy.scale
+        now, least = energy.undamped, lowest.undamped
+        rose = now - least > self._tolerance * energy.scale
         events = []
         if rose and tally.warnings < MOST_WARNINGS:
             text = _rise(energy, lowest, tally.since, self._units)
@@ -126,7 +140,7 @@ class EnergyMonitor:
         lost = energy.relative_error > LOST
         if lost and not tally.lost:
             events.append(Event(step, time, "WARN", _loss(energy, lowest, self._units), "energy-lost"))
-        if rose or tally.lowest is None or energy.undamped < lowest.undamped:
+        if rose or tally.lowest is None or now < least:
             lowest, since = energy, time
         else:
             since = tally.since

@@ -103,17 +103,18 @@ class Extremes:
 
     def see_energy(self, step: int, time: float, energy: Energy) -> None:
         """Update with the energy of a step."""
+        undamped, ledger = energy.undamped, energy.ledger
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
-        self.lowest_energy = min(self.lowest_energy, energy.undamped)
-        gain = energy.relative(energy.undamped - self.lowest_energy)
+        self.lowest_energy = min(self.lowest_energy, undamped)
+        gain = energy.relative(undamped - self.lowest_energy)
         if gain > self.energy_gain.value:
             self.energy_gain = Extreme(gain, step, time)
-        taken = energy.ledger.restitution + energy.ledger.friction
+        taken = ledger.restitution + ledger.friction
         self.most_taken = max(self.most_taken, taken)
-        given = max(self.most_taken - taken, -energy.ledger.restitution, -energy.ledger.friction)
-        if energy.relative(given) > self.contact_gain.value:
-            self.contact_gain = Extreme(energy.relative(given), step, time)
+        given = energy.relative(max(self.most_taken - taken, -ledger.restitution, -ledger.friction))
+        if given > self.contact_gain.value:
+            self.contact_gain = Extreme(given, step, time)
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
 
     def see_impulse_audit(self, step: int, time: float, found: tuple[float, tuple[int, ...]]) -> None:

@@ -16,9 +16,10 @@ def fingerprint(bodies: Bodies, time: float) -> int:
     return fingerprint_of(time, (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity))
 
 
-def fingerprint_of(time: float, arrays: Iterable[NDArray[np.float64]]) -> int:
-    """Return the fingerprint of a time in s and of contiguous arrays."""
+def fingerprint_of(time: float, arrays: Iterable[NDArray[np.float64] | None]) -> int:
+    """Return the fingerprint of a time in s and of arrays; None counts as no array."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
     for array in arrays:
-        digest.update(array.data)
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).data)
     return digest.intdigest()

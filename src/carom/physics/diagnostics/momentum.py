@@ -13,6 +13,7 @@ up both momenta; nothing is compared then.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.parallel.jit import kernel
+from carom.physics.vector import square, vector
 
 FloatArray = NDArray[np.float64]
 
@@ -103,7 +105,7 @@ class MomentumAccount:
 
 
 def _relative(difference: FloatArray, scale: float) -> float:
-    return float(np.sqrt(difference @ difference)) / scale if scale > 0.0 else 0.0
+    return math.sqrt(difference @ difference) / scale if scale > 0.0 else 0.0
 
 
 def _sums(bodies: Bodies) -> tuple[FloatArray, FloatArray, float, float]:
@@ -118,9 +120,8 @@ def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, floa
     M, px, py, pz = 0.0, 0.0, 0.0, 0.0
     for i in range(len(mass)):
         M += mass[i]
-        px += mass[i] * velocity[i, 0]
-        py += mass[i] * velocity[i, 1]
-        pz += mass[i] * velocity[i, 2]
+        vx, vy, vz = vector(velocity, i)
+        px, py, pz = px + mass[i] * vx, py + mass[i] * vy, pz + mass[i] * vz
     return px / M, py / M, pz / M
 
 
@@ -138,19 +139,20 @@ def _add_momentum(
     linear_scale, angular_scale = 0.0, 0.0
     for i in range(len(mass)):
         m = mass[i]
-        linear[0] += m * v[i, 0]
-        linear[1] += m * v[i, 1]
-        linear[2] += m * v[i, 2]
-        angular[0] += m * (x[i, 1] * v[i, 2] - x[i, 2] * v[i, 1])
-        angular[1] += m * (x[i, 2] * v[i, 0] - x[i, 0] * v[i, 2])
-        angular[2] += m * (x[i, 0] * v[i, 1] - x[i, 1] * v[i, 0])
-        speed = np.sqrt(v[i, 0] * v[i, 0] + v[i, 1] * v[i, 1] + v[i, 2] * v[i, 2])
+        px, py, pz = vector(x, i)
+        vx, vy, vz = vector(v, i)
+        linear[0] += m * vx
+        linear[1] += m * vy
+        linear[2] += m * vz
+        angular[0] += m * (py * vz - pz * vy)
+        angular[1] += m * (pz * vx - px * vz)
+        angular[2] += m * (px * vy - py * vx)
+        speed = np.sqrt(vx * vx + vy * vy + vz * vz)
         linear_scale += m * speed
-        angular_scale += m * speed * np.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
+        angular_scale += m * speed * np.sqrt(px * px + py * py + pz * pz)
     for i in range(len(omega)):
         I = inertia[i]  # noqa: E741 - the symbol of the equation
-        angular[0] += I * omega[i, 0]
-        angular[1] += I * omega[i, 1]
-        angular[2] += I * omega[i, 2]
-        angular_scale += I * np.sqrt(omega[i, 0] * omega[i, 0] + omega[i, 1] * omega[i, 1] + omega[i, 2] * omega[i, 2])
+        for k in range(3):
+            angular[k] += I * omega[i, k]
+        angular_scale += I * np.sqrt(square(omega, i))
     return linear_scale, angular_scale

@@ -37,7 +37,7 @@ from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first
 from carom.physics.integrators.radau_nodes import TERMS, WIDTH
 from carom.physics.integrators.radau_step import Motion, accelerate, attempt, motion_of, move, shorten
 from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.features import Requirements
 from carom.scene.half_space import half_spaces
@@ -218,7 +218,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     )
 
 
-@long_kernel
+@borrowing
 def advance(
     motion: Motion,
     solids: Solids | None,
@@ -241,7 +241,7 @@ def advance(
             dt, limit = max_dt, CAP if adapts else FIXED
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt, limit = end - run.time, END
-        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start)
+        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start, motion.lanes)
         wanted = attempt(motion, eps2, run, dt)
         while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.struck else LARGEST_CHANGE) < dt:
             share = wanted / dt
@@ -271,7 +271,7 @@ def advance(
             break  # or the step is too short to change the clock, or NaN
 
 
-@inner
+@unowned
 def _end_at_impact(motion: Motion, solids: Solids, eps2: float, run: Any, part: float, dt: float) -> float:
     """Take the step anew so that it ends where the pair of ``run`` touches; return its length in s.
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import unowned
+from carom.physics.vector import vector, write
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +68,9 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
 def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     """Move row i of positions and velocities, (n, 3) m and m/s, by a time h in s about a centre of G M = μ at 0."""
     way = 1.0 if h >= 0.0 else -1.0  # back in time is forward with the opposite velocity
-    x0, x1, x2, v0, v1, v2 = x[i, 0], x[i, 1], x[i, 2], way * v[i, 0], way * v[i, 1], way * v[i, 2]
+    x0, x1, x2 = vector(x, i)
+    v0, v1, v2 = vector(v, i)
+    v0, v1, v2 = way * v0, way * v1, way * v2
     r = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
     over_r = 1.0 / r
     beta = 2.0 * mu * over_r - (v0 * v0 + v1 * v1 + v2 * v2)
@@ -120,10 +123,9 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     g = t - mu * g3
     rate = over * g1 / moved
     slow = mu * g2 / moved
-    x[i, 0], x[i, 1], x[i, 2] = x0 + (f * x0 + g * v0), x1 + (f * x1 + g * v1), x2 + (f * x2 + g * v2)
-    v[i, 0] = way * (v0 - (rate * x0 + slow * v0))
-    v[i, 1] = way * (v1 - (rate * x1 + slow * v1))
-    v[i, 2] = way * (v2 - (rate * x2 + slow * v2))
+    write(x, i, x0 + (f * x0 + g * v0), x1 + (f * x1 + g * v1), x2 + (f * x2 + g * v2))
+    v0, v1, v2 = v0 - (rate * x0 + slow * v0), v1 - (rate * x1 + slow * v1), v2 - (rate * x2 + slow * v2)
+    write(v, i, way * v0, way * v1, way * v2)
 
 
 @unowned
@@ -138,10 +140,9 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
         count = min(LANES, n - first)
         for k in range(count):
             i = first + k
-            lanes[k], lanes[LANES + k], lanes[2 * LANES + k] = x[i, 0], x[i, 1], x[i, 2]
-            lanes[3 * LANES + k] = way * v[i, 0]
-            lanes[4 * LANES + k] = way * v[i, 1]
-            lanes[5 * LANES + k] = way * v[i, 2]
+            for axis in range(3):
+                lanes[axis * LANES + k] = x[i, axis]
+                lanes[(3 + axis) * LANES + k] = way * v[i, axis]
             lanes[6 * LANES + k] = mu[i]
         padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a rest would be done one by one
         for k in range(count, padded):
@@ -151,10 +152,9 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
         for k in range(count):
             i = first + k
             if lanes[13 * LANES + k] > 0.0:
-                x[i, 0], x[i, 1], x[i, 2] = lanes[7 * LANES + k], lanes[8 * LANES + k], lanes[9 * LANES + k]
-                v[i, 0] = way * lanes[10 * LANES + k]
-                v[i, 1] = way * lanes[11 * LANES + k]
-                v[i, 2] = way * lanes[12 * LANES + k]
+                for axis in range(3):
+                    x[i, axis] = lanes[(7 + axis) * LANES + k]
+                    v[i, axis] = way * lanes[(10 + axis) * LANES + k]
             else:
                 revolve(x, v, i, mu[i], h)
 

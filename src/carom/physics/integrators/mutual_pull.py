@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from carom.physics.integrators.kepler import LANES
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.parallel.jit import unowned
+from carom.physics.vector import add, between, vector, write
 
 FloatArray = NDArray[np.float64]
 
@@ -29,18 +30,20 @@ def _mutual(place: FloatArray, pull: FloatArray, a: FloatArray) -> None:
     """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
     for i in range(min(n, 2)):
-        a[i, 0] = a[i, 1] = a[i, 2] = 0.0
+        write(a, i, 0.0, 0.0, 0.0)
     for i in range(2, n):
-        px, py, pz, own = place[i, 0], place[i, 1], place[i, 2], pull[i]
+        own = pull[i]
+        px, py, pz = vector(place, i)
         ax, ay, az = 0.0, 0.0, 0.0
         for j in range(i):
-            dx, dy, dz = place[j, 0] - px, place[j, 1] - py, place[j, 2] - pz
+            dx, dy, dz = vector(place, j)
+            dx, dy, dz = dx - px, dy - py, dz - pz
             d2 = dx * dx + dy * dy + dz * dz
             d3 = 1.0 / (d2 * np.sqrt(d2))
             f, g = pull[j] * d3, own * d3
             ax, ay, az = ax + f * dx, ay + f * dy, az + f * dz
-            a[j, 0], a[j, 1], a[j, 2] = a[j, 0] - g * dx, a[j, 1] - g * dy, a[j, 2] - g * dz
-        a[i, 0], a[i, 1], a[i, 2] = ax, ay, az
+            add(a, j, -g, dx, dy, dz)
+        write(a, i, ax, ay, az)
 
 
 @unowned
@@ -49,13 +52,13 @@ def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: 
     n = len(place)
     sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
     for i in range(1, n):
-        dx, dy, dz = place[0, 0] - place[i, 0], place[0, 1] - place[i, 1], place[0, 2] - place[i, 2]
+        dx, dy, dz = between(place, i, 0)
         d2 = dx * dx + dy * dy + dz * dz
         d3 = 1.0 / (d2 * np.sqrt(d2)) if i > 1 else 0.0
         f, g = pull[0] * d3, pull[i] * d3
-        a[i, 0], a[i, 1], a[i, 2] = f * dx, f * dy, f * dz
+        write(a, i, f * dx, f * dy, f * dz)
         sx, sy, sz = sx - g * dx, sy - g * dy, sz - g * dz
-    a[0, 0], a[0, 1], a[0, 2] = sx, sy, sz
+    write(a, 0, sx, sy, sz)
     for first in range(1, n, LANES):
         count = min(LANES, n - first)
         for k in range(count):
@@ -63,7 +66,8 @@ def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: 
                 lanes[row * LANES + k] = place[first + k, row]
                 lanes[(row + 3) * LANES + k] = 0.0
         for j in range(1, n):
-            xj, yj, zj, mj = place[j, 0], place[j, 1], place[j, 2], pull[j]
+            mj = pull[j]
+            xj, yj, zj = vector(place, j)
             for k in range(count):
                 dx, dy, dz = xj - lanes[k], yj - lanes[LANES + k], zj - lanes[2 * LANES + k]
                 d2 = dx * dx + dy * dy + dz * dz
@@ -79,12 +83,14 @@ def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: 
 @unowned
 def _turn(x: FloatArray, v: FloatArray, a: FloatArray, share: FloatArray, mu: FloatArray, h: float) -> None:
     """Change the rates of Jacobi coordinates by Cartesian accelerations, less those of the Kepler orbits."""
-    rx, ry, rz = a[0, 0], a[0, 1], a[0, 2]  # acceleration of the centre of mass of those before i
+    rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of those before i
     for i in range(1, len(x)):
-        ax, ay, az = a[i, 0] - rx, a[i, 1] - ry, a[i, 2] - rz
+        ax, ay, az = vector(a, i)
+        ax, ay, az = ax - rx, ay - ry, az - rz
         rx, ry, rz = rx + share[i] * ax, ry + share[i] * ay, rz + share[i] * az
         if i > 1:
-            r2 = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2]
+            px, py, pz = vector(x, i)
+            r2 = px * px + py * py + pz * pz
             back = mu[i] / (r2 * np.sqrt(r2))
-            ax, ay, az = ax + back * x[i, 0], ay + back * x[i, 1], az + back * x[i, 2]
-        v[i, 0], v[i, 1], v[i, 2] = v[i, 0] + h * ax, v[i, 1] + h * ay, v[i, 2] + h * az
+            ax, ay, az = ax + back * px, ay + back * py, az + back * pz
+        add(v, i, h, ax, ay, az)

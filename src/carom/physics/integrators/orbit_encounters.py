@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.parallel.jit import unowned
+from carom.physics.vector import between, square
 
 FloatArray = NDArray[np.float64]
 
@@ -25,17 +26,16 @@ def meets(o: Orbits, x: FloatArray, after: float, until: float, apart: float) ->
     n, widest = len(place), 0.0
     for i in range(1, n):
         widest = max(widest, near[i])
-        r2 = x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2]
+        r2 = square(x, i)
         if r2 * np.sqrt(r2) < shortest * shortest * o.mu[i]:
             return True
-        v2 = speed[i, 0] * speed[i, 0] + speed[i, 1] * speed[i, 1] + speed[i, 2] * speed[i, 2]
-        reach[i] = longest * np.sqrt(v2)
+        reach[i] = longest * np.sqrt(square(speed, i))
     if not widest > 0.0:
         return False
     for i in range(2, n):
-        px, py, pz, own, far = place[i, 0], place[i, 1], place[i, 2], near[i], reach[i]
+        own, far = near[i], reach[i]
         for j in range(1, i):
-            dx, dy, dz = place[j, 0] - px, place[j, 1] - py, place[j, 2] - pz
+            dx, dy, dz = between(place, i, j)
             d2 = dx * dx + dy * dy + dz * dz
             close = apart * max(own, near[j])
             wide = close + far + reach[j]
@@ -49,7 +49,7 @@ def _passes(
     speed: FloatArray, i: int, j: int, dx: float, dy: float, dz: float, close: float, after: float, until: float
 ) -> bool:
     """Tell whether the distance of two bodies falls below a length ``close`` in m."""
-    ux, uy, uz = speed[j, 0] - speed[i, 0], speed[j, 1] - speed[i, 1], speed[j, 2] - speed[i, 2]
+    ux, uy, uz = between(speed, i, j)
     u2 = ux * ux + uy * uy + uz * uz
     t = -(dx * ux + dy * uy + dz * uz) / u2 if u2 > 0.0 else after
     t = min(max(t, after), until)

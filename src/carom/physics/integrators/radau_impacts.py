@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.integrators.radau_nodes import TERMS
 from carom.physics.integrators.radau_step import Motion
-from carom.physics.parallel.jit import inline, inner
+from carom.physics.parallel.jit import inline, unowned
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Solids(NamedTuple):
         return cls(np.ascontiguousarray(radius), *planes, np.zeros((COEFFICIENTS, 3)))
 
 
-@inner
+@unowned
 def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: float) -> float:
     """Return the part of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
 
@@ -88,7 +88,7 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: flo
     return first
 
 
-@inner
+@unowned
 def _sooner(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, dt: float, first: float) -> float:
     """Return the sooner of the first impact so far and that of a pair, and note the pair."""
     negligible = ROUNDING * _pace(motion, i, j, R, dt)
@@ -99,7 +99,7 @@ def _sooner(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, 
     return first
 
 
-@inner
+@unowned
 def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
     """Return the distance in m that two bodies go in a step, and R."""
     v, way = motion.velocity, R
@@ -108,7 +108,7 @@ def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
     return way
 
 
-@inner
+@unowned
 def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
     """Return the gap in m between body i and body or plane j that is rounding."""
     largest = R
@@ -143,7 +143,7 @@ def reach_of(
     return float(SLACK * dt * farthest)
 
 
-@inner
+@unowned
 def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> None:
     """Write the coefficients of the way from body i to body j."""
     for k in range(3):
@@ -151,7 +151,7 @@ def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> No
             path[m, k] = coefficient(motion, j, k, m, dt) - coefficient(motion, i, k, m, dt)
 
 
-@inner
+@unowned
 def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> None:
     """Write the coefficients of the way from body i to plane p, along its normal."""
     N = solids.surface[p]
@@ -163,7 +163,7 @@ def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> No
             solids.path[m, k] = -height * N[k]
 
 
-@inner
+@unowned
 def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     """Return the coefficient of h^m in a coordinate of body i, in m."""
     if m == 0:
@@ -175,7 +175,7 @@ def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     return float(dt * dt * motion.b[3 * i + k, m - 3] / ((m - 1) * m))
 
 
-@inner
+@unowned
 def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
     """Return |d|², g, g' and |d'|² at h."""
     d2, g, speed2, bend = 0.0, 0.0, 0.0, 0.0
@@ -189,7 +189,7 @@ def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
     return d2, g, speed2 + bend, speed2
 
 
-@inner
+@unowned
 def _chord(path: FloatArray, a: float, b: float) -> float:
     """Return the least |d|² on the chord of d from a to b."""
     far, along, length = 0.0, 0.0, 0.0
@@ -205,7 +205,7 @@ def _chord(path: FloatArray, a: float, b: float) -> float:
     return far - along * along / length
 
 
-@inner
+@unowned
 def _bounds(path: FloatArray) -> tuple[float, float, float]:
     """Return bounds on |d'|, |d''| and |d'''| in [0, 1]."""
     first, second, third = 0.0, 0.0, 0.0
@@ -217,7 +217,7 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
     return first, second, third
 
 
-@inner
+@unowned
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
     """Return the first h at which bodies touch and close, `NONE` or `AT_REST`.
 
@@ -266,7 +266,7 @@ def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> fl
     return AT_REST
 
 
-@inner
+@unowned
 def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
     """Return the root of d² - R² in [a, b], where it falls, by Newton's method and bisection."""
     h = 0.5 * (a + b)
@@ -286,7 +286,7 @@ def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
     return h
 
 
-@inner
+@unowned
 def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
     """Return by how much in s the step would have to be longer for a closing pair to touch at its end."""
     n = len(motion.position)

@@ -27,7 +27,7 @@ from carom.physics.integrators.radau_step import (
     stops,
 )
 from carom.physics.integrators.radau_tolerance import tolerance
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.scene.placement import Start
 from carom.scene.schema import Scene
@@ -68,7 +68,7 @@ def part(
     return apart
 
 
-@long_kernel
+@borrowing
 def follow(
     motion: Motion,
     twin: Motion,
@@ -86,8 +86,8 @@ def follow(
         dt = min(run.next_dt, max_dt)
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt = end - run.time
-        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start)
-        accelerate(twin.position, twin.pull_of, twin.moves, eps2, twin.start)
+        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start, motion.lanes)
+        accelerate(twin.position, twin.pull_of, twin.moves, eps2, twin.start, twin.lanes)
         wanted = _attempt(motion, twin, eps2, run, dt)
         while wanted * LARGEST_CHANGE < dt:
             share = wanted / dt
@@ -110,7 +110,7 @@ def follow(
         run.time, run.last_dt, run.next_dt = after, dt, min(wanted, LARGEST_CHANGE * dt)
 
 
-@inner
+@unowned
 def _attempt(motion: Motion, twin: Motion, eps2: float, run: Any, dt: float) -> float:
     """Find the polynomial of a step; return the longest next one, in s. The twin gets it before the last iteration."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
@@ -126,7 +126,7 @@ def _attempt(motion: Motion, twin: Motion, eps2: float, run: Any, dt: float) -> 
     return next_step(motion, dt, run.fraction)
 
 
-@inner
+@unowned
 def _distance(motion: Motion, twin: Motion, dt: float, h: float) -> float:
     """Return the rms distance in m at a part h of the step."""
     n, square, t = len(motion.position), 0.0, h * dt

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -37,17 +36,14 @@ from carom.physics.parallel.task import address_of, c_function, call, do, kind_o
 
 IntArray = NDArray[np.int64]
 
-LEFT, BACK, DONE, OVER, CALLS, DOER = 0, 8, 16, 24, 32, 40  # words of the board, each in a cache line of its own
-FAILED = OVER + 1  # not 0 if a helper raised an exception
-JOB = DOER + 1  # written by the leader only, like DOER
-WORDS = 48
+LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
+JOB, FIRST = DOER + 1, DOER + 2  # written by the leader only, like DOER
+WORDS = 32
 PATIENCE = 5000  # looks at the board, about 20 µs, before an idle helper yields its core
 LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; with a fifth, two threads gain 1.38, not 1.53
 SHIFT = 32  # pieces, about half a millisecond, before a busy helper yields its core
-END, YIELD, REST = range(3)  # what a helper does next
 SHARED = 0  # returned by `_lead` when the job is done; otherwise the kind of arguments that it needs code for
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
-NAP = 50e-6  # s, between two looks of a helper that rests
 
 
 class Team:
@@ -67,34 +63,19 @@ class Team:
         self._board = np.zeros(WORDS, dtype=np.int64)
         self._falling_asleep = threading.Lock()
         self._awake = [True] + [False] * (threads - 1)
-        self._answered = [0] * threads  # the last call that each has answered
         self._code: dict[Callable[..., None], tuple[int, int]] = {}  # of kernels: address, and kind of arguments
-        self._call: _Call | None = None
         self._leading = threading.Lock()
 
     @contextmanager
-    def gathered(self, help_out: Callable[..., int], *work: Any) -> Iterator[IntArray]:
-        """Call the helpers to a new board, which is yielded; it is empty if there are no helpers.
-
-        The end of the block dismisses them, if the leader has not done so. An exception in a helper is raised here.
-
-        Parameters
-        ----------
-        help_out
-            Kernel that helpers call with the board and ``work`` until it returns `END`; after `REST` they pause first.
-        """
+    def leading(self) -> Iterator[IntArray]:
+        """Let the caller lead phases by `lead_phase`, on the board that is yielded; it is empty without helpers."""
         if self._pool is None:
             yield ALONE
             return
         self._lead_alone()
         try:
-            call = self._call = _Call(help_out, work)
-            self._board[CALLS] += 1
             self._rouse()
-            try:
-                yield call.board
-            finally:
-                call.end()
+            yield self._board
         finally:
             self._leading.release()
 
@@ -145,54 +126,15 @@ class Team:
                     self._pool.submit(self._look_out, who)
 
     def _look_out(self, who: int) -> None:
-        """Help with jobs and calls; return after a while without any."""
+        """Help with jobs; return after a while without any."""
         while self._awake[who]:
-            if _look(self._board, self._answered[who], OFFER):
-                self._answered[who] = int(self._board[CALLS])
-                if self._call:
-                    self._call.help()
-            else:
-                with self._falling_asleep:
-                    self._awake[who] = self._is_wanted(who)
-
-    def _is_wanted(self, who: int) -> bool:
-        return bool(self._board[LEFT] > 0 or self._board[CALLS] != self._answered[who])
+            _look(self._board, OFFER, LOOKOUT)
+            with self._falling_asleep:
+                self._awake[who] = bool(self._board[LEFT] > 0)
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers
 SOLO = Team(1)
-
-
-class _Call:
-    """Work for helpers, with a board of its own."""
-
-    def __init__(self, help_out: Callable[..., int], work: tuple[Any, ...]) -> None:
-        self.board: IntArray = np.zeros(WORDS, dtype=np.int64)
-        self._help_out, self._work = help_out, work
-        self._fault: BaseException | None = None
-
-    def help(self) -> None:
-        """Help until dismissed. Stores an exception for the leader, and tells it not to wait for the piece."""
-        try:
-            while (then := self._help_out(self.board, *self._work)) != END:
-                if then == REST:
-                    time.sleep(NAP)
-                else:
-                    _offer_core()
-        except BaseException as fault:
-            self._fault = fault
-            self.board[FAILED] = 1
-
-    def end(self) -> None:
-        """Dismiss the helpers, and raise the exception of one of them, if any."""
-        dismiss(self.board)
-        if self._fault is not None:
-            raise self._fault from None
-
-
-def _offer_core() -> None:
-    if hasattr(os, "sched_yield"):
-        os.sched_yield()
 
 
 OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
@@ -231,10 +173,9 @@ def finish(board: IntArray) -> None:
 
 @kernel
 def wait(board: IntArray, pieces: int) -> None:
-    """Wait until all pieces of the phase are done. Raises RuntimeError if a helper failed."""
+    """Wait until all pieces of the phase are done."""
     while atomic_load(board, DONE) < pieces:
-        if atomic_load(board, FAILED) != 0:
-            raise RuntimeError("a helper failed")
+        pass
 
 
 @long_kernel
@@ -243,47 +184,47 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
     needed: int = kind_of(arguments)
     if kind != needed:
         return needed
-    board[DOER], board[JOB] = lay_out(code, count, pieces, arguments)
-    _take_part(board, pieces)
-    raise_fault(board[JOB])
+    doer, job = lay_out(code, count, pieces, arguments)
+    lead_phase(board, doer, job, 0, pieces)
+    raise_fault(job)
     return SHARED
 
 
 @kernel
-def _take_part(board: IntArray, pieces: int) -> None:
-    """Post the pieces of the job and do them with the helpers; compiled once for all arguments, unlike `_lead`."""
+def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) -> None:
+    """Post ``pieces`` pieces of a job, from ``first`` on, and do them with the helpers.
+
+    The caller must raise the fault of the job afterwards, not before: helpers need the job until all pieces are done.
+    """
+    board[DOER], board[JOB], board[FIRST] = doer, job, first
     post(board, pieces)
-    k = 0
+    k = first
     while claim(board):
-        do(board[DOER], board[JOB], k)
+        do(doer, job, k)
         finish(board)
         k += 1
     wait(board, pieces)
 
 
 @long_kernel
-def _look(board: IntArray, calls: int, offer: int) -> bool:
-    """Help with jobs; return True at a call, and False after some time without work.
+def _look(board: IntArray, offer: int, looks: int) -> None:
+    """Help with jobs; return after so many looks without work.
 
     Parameters
     ----------
-    calls
-        Number of calls that this helper has answered.
     offer
         Address of the C function that yields the core, or 0.
     """
-    idle = 0
-    while idle < LOOKOUT:
+    idle, done = 0, 0
+    while idle < looks:
         idle += 1
         if claim(board):
-            do(board[DOER], board[JOB], last_piece(board))
+            do(board[DOER], board[JOB], board[FIRST] + last_piece(board))
             finish(board)
             idle = 0
-        if atomic_load(board, CALLS) != calls:
-            return True
-        if offer != 0 and idle % PATIENCE == 0:
+            done += 1
+        if offer != 0 and (idle % PATIENCE == 0 if idle > 0 else done % SHIFT == 0):
             call(offer)
-    return False
 
 
 @contextmanager
@@ -298,19 +239,4 @@ def sharing_all() -> Iterator[None]:
 
 def load_helpers() -> None:
     """Load the kernel in which helpers wait, as a run does when it first shares work."""
-    board = np.zeros(WORDS, dtype=np.int64)
-    _look(board, int(board[CALLS]) - 1, OFFER)  # returns at once, since there seems to be a call
-
-
-@kernel
-def dismiss(board: IntArray) -> None:
-    """Dismiss the helpers."""
-    if len(board) > 0:
-        atomic_store(board, OVER, 1)
-
-
-@kernel
-def is_over(board: IntArray) -> bool:
-    """Tell whether the helpers have been dismissed."""
-    over: bool = atomic_load(board, OVER) != 0
-    return over
+    _look(np.zeros(WORDS, dtype=np.int64), OFFER, 0)

@@ -132,13 +132,13 @@ class BatchEncoder:
         yield self._bodies(index, batch, store, points)
         if self.header.has_torque:
             yield from self._arrows(index, batch, store, points)
-        deepest = np.zeros((len(batch), 2))
+        extremes = np.zeros((len(batch), 3))
         if self.header.collides:
-            yield self._collisions(index, batch, position, points, deepest)
+            yield self._collisions(index, batch, position, points, extremes)
         if self._contacts:
             yield from self._contacts.rows(index)
             yield from self._at_impacts(batch)
-        yield from self._series(index, batch, deepest)
+        yield from self._series(index, batch, extremes)
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
         yield from _events(batch)
@@ -287,9 +287,9 @@ class BatchEncoder:
         batch: Sequence[Frame],
         position: FloatArray,
         points: NDArray[np.float32],
-        deepest: FloatArray,
+        extremes: FloatArray,
     ) -> Rows:
-        """Draw the edges of the collision graphs, and find each frame's deepest overlaps (m, and relative)."""
+        """Draw the edges of the collision graphs, and find each frame's `encoding_kernels.draw_edges` extremes."""
         contacts = BatchContacts(batch)
         count = int(contacts.edges.sum())
         strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
@@ -304,7 +304,7 @@ class BatchEncoder:
             np.uint32(palette.WHITE),
             strips,
             shown,
-            deepest,
+            extremes,
         )
         columns: list[ComponentColumn] = [
             line_column(strips, contacts.edges),
@@ -316,9 +316,10 @@ class BatchEncoder:
             columns, size = [*columns, *did], size + more
         return frame_rows(CONTACTS, index, columns, size)
 
-    def _series(self, index: Index, batch: Sequence[Frame], deepest: FloatArray) -> Iterable[Rows]:
+    def _series(self, index: Index, batch: Sequence[Frame], extremes: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
-        samples = [Sample(*row) for row in zip(batch, before, *deepest.T.tolist(), strict=True)]
+        energies = [frame.energy for frame in batch]
+        samples = [Sample(*row) for row in zip(batch, before, *extremes.T.tolist(), energies, strict=True)]
         for series in self._recorded:
             values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
             self.curves[series.path].see(index.times, values)

@@ -135,7 +135,7 @@ def draw_edges(
     serial_colour: np.uint32,
     strips: SingleArray,
     drawn: ColourArray,
-    deepest: FloatArray,
+    extremes: FloatArray,
 ) -> None:
     """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
 
@@ -145,12 +145,13 @@ def draw_edges(
     ----------
     addresses, each
         (frames, 6) where the contacts of each frame lie, and (frames,) how many it has.
-    deepest
-        (frames, 2), overwritten: the deepest overlap in m, and the deepest over the smaller radius.
+    extremes
+        (frames, 3), overwritten: the deepest overlap in m, the deepest over the smaller radius, and the number of
+        colours.
     """
     c = 0
     for f in range(len(each)):
-        deepest[f, 0] = deepest[f, 1] = 0.0
+        deepest, deepest_share, most = 0.0, 0.0, -1
         at, m = addresses[f], each[f]
         pairs, normals = carray(_integers(at[PAIRS]), (m, 2)), carray(_reals(at[NORMALS]), (m, 3))
         overlaps, colours = carray(_reals(at[OVERLAPS]), m), carray(_integers(at[COLOURS]), m)
@@ -159,8 +160,9 @@ def draw_edges(
             smaller = radius[i]
             if j < len(radius):
                 smaller = min(smaller, radius[j])
-            deepest[f, 0] = max(deepest[f, 0], overlaps[e])
-            deepest[f, 1] = max(deepest[f, 1], overlaps[e] / smaller)
+            deepest = max(deepest, overlaps[e])
+            deepest_share = max(deepest_share, overlaps[e] / smaller)
+            most = max(most, colours[e])
             for k in range(3):
                 start = points[f, i, k]
                 if j < len(radius):
@@ -173,6 +175,7 @@ def draw_edges(
                 strips[c, 3 + k] = end
             drawn[c] = serial_colour if colours[e] >= serial else cycle[colours[e] % len(cycle)]
             c += 1
+        extremes[f, 0], extremes[f, 1], extremes[f, 2] = deepest, deepest_share, most + 1
 
 
 @long_kernel

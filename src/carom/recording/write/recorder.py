@@ -70,8 +70,9 @@ class Recorder:
         batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
-        # a slot is reused once its frame has left the queue, the batch being written, and `_last`
-        self._slots = max(room, batch) + batch + 2
+        # a slot is reused once its frame has left the queue, the batch being written, and `_last`; the frame that is
+        # being copied has a place in the queue already
+        self._slots = max(room, batch) + batch + 1
         self._plan = CheckpointPlan(every_frame=header.exact)
         self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
@@ -112,7 +113,7 @@ class Recorder:
     def store_for(self, bodies: Bodies) -> FrameStore:
         """Begin, and return memory for frames; a frame's arrays are reused once this recorder is done with it."""
         self.begin(bodies.position)
-        self._store = FrameStore(self._slots, bodies)
+        self._store = FrameStore(self._slots, bodies, self._queue.wait_for_room)
         return self._store
 
     def put(self, frame: Frame) -> None:

@@ -23,7 +23,6 @@ from carom.scene.schema.promise import Promise
 from carom.scene.schema.record import Record
 from carom.scene.schema.sweep import Sweep
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.wording import worded
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -210,10 +209,9 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _an_accuracy_needs_times_of_impact(self) -> Self:
         if self.time.accuracy is not None and self.contact.timing == "end-of-step":
-            way = worded("--set contact.timing=", "the override contact.timing=")
             raise ValueError(
                 f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late by '
-                f"up to a step; remove one of them ({way} removes it)"
+                f"up to a step; remove one of them (the override contact.timing= removes it)"
             )
         return self
 

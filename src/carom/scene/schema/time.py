@@ -9,7 +9,6 @@ from pydantic import Field, model_validator
 from carom.scene.integrators import AUTO, INTEGRATORS, described
 from carom.scene.schema.quantity import Positive, Section
 from carom.scene.units.dimension import LENGTH, TIME
-from carom.scene.wording import worded
 
 if TYPE_CHECKING:
     IntegratorName = str
@@ -87,7 +86,7 @@ class Time(Section):
             if getattr(self, key) != default:
                 raise ValueError(
                     f"{key} = {getattr(self, key)} with accuracy = {self.accuracy:g}, which sets the step; remove one "
-                    f"of them ({worded(f'--set time.{key}=', f'the override time.{key}=')} removes it)"
+                    f"of them (the override time.{key}= removes it)"
                 )
         if self.integrator in _UNCONTROLLED:
             raise ValueError(

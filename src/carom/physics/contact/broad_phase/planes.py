@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
@@ -16,8 +17,6 @@ Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 MIN_BLOCKS_PER_TASK = 1
-
-BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block of bodies begin; how many
 
 
 class PlaneSearch:
@@ -48,10 +47,7 @@ class PlaneSearch:
         merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
         spheres, planes = (position, self._radius, self._inverse_mass), (self._planes.normal, self._planes.offset)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _merge, pairs, *spheres, *planes, scale, skin, merged, blocks)
-        ends = np.cumsum(blocks["count"])
-        together = np.empty((ends[-1], 2), dtype=np.int64)
-        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _close_up, merged, blocks, ends, together)
-        return together
+        return close_up(merged, blocks, team)
 
 
 @long_kernel
@@ -90,13 +86,3 @@ def _merge(
                     merged[m, 0], merged[m, 1] = i, len(radius) + k
                     m += 1
         blocks[block].begin, blocks[block].count = begin, m - begin
-
-
-@long_kernel
-def _close_up(lo: int, hi: int, merged: IntArray, blocks: Records, ends: IntArray, together: IntArray) -> None:
-    """Copy the pairs of the blocks [lo, hi) to their final places, without the gaps."""
-    for block in range(lo, hi):
-        begin, count = blocks[block].begin, blocks[block].count
-        for k in range(count):
-            m = ends[block] - count + k
-            together[m, 0], together[m, 1] = merged[begin + k, 0], merged[begin + k, 1]

@@ -27,10 +27,9 @@ class Search(Protocol):
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
     """Return the search of a scene's ``contact.search``; a team searches the grids.
 
-    Few bodies are tested pair by pair, which takes no longer than a list. In a periodic box bodies jump from side to
-    side, so there are no lists either.
+    Few bodies are tested pair by pair, which takes no longer than a list.
     """
     if method == "k-d-tree":
         return KdTree(radius, box)
     grid = HierarchicalGrid(radius, box, team)
-    return grid if box[0] > 0.0 or len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius)
+    return grid if len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius, box, team)

@@ -25,6 +25,7 @@ from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn
+from carom.physics.vector import add, along, between, vector
 
 Records = NDArray[np.void]
 
@@ -122,8 +123,9 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     """
     if T.inverse_mass[i] == 0.0:
         return
-    body, drift, v = T.body[i], T.drift[0], T.v
-    body.negligible_speed = max(body.negligible_speed, ROUNDING * (abs(v[i, 0]) + abs(v[i, 1]) + abs(v[i, 2])))
+    body, drift = T.body[i], T.drift[0]
+    vx, vy, vz = vector(T.v, i)
+    body.negligible_speed = max(body.negligible_speed, ROUNDING * (abs(vx) + abs(vy) + abs(vz)))
     body.impacts += 1
     if lossy and body.impacts > COLLAPSE_FROM and T.rest_speed[i] == 0.0:
         body.negligible_speed *= 2.0
@@ -155,7 +157,6 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 @inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the next impact of each body in [lo, hi) with its neighbours, if it comes before the stored one."""
-    x, v, a = T.x, T.v, T.a
     Lx, Ly, Lz = T.box[0], T.box[1], T.box[2]
     drift = T.drift[0]
     clock = drift.clock
@@ -168,11 +169,11 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             if j == i or other.impacts >= MAX_IMPACTS or T.inverse_mass[i] + T.inverse_mass[j] == 0.0:
                 continue
             s, t = clock - one.now, clock - other.now
-            dx = (x[j, 0] + v[j, 0] * t) - (x[i, 0] + v[i, 0] * s)
-            dy = (x[j, 1] + v[j, 1] * t) - (x[i, 1] + v[i, 1] * s)
-            dz = (x[j, 2] + v[j, 2] * t) - (x[i, 2] + v[i, 2] * s)
-            vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
-            ax, ay, az = a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
+            xi, yi, zi = along(T.x, T.v, i, s)
+            xj, yj, zj = along(T.x, T.v, j, t)
+            dx, dy, dz = xj - xi, yj - yi, zj - zi
+            vx, vy, vz = between(T.v, i, j)
+            ax, ay, az = between(T.a, i, j)
             R = T.radius[i] + T.radius[j]
             slow = SLOW * max(T.rest_speed[i], T.rest_speed[j]) + one.negligible_speed + other.negligible_speed
             if Lx > 0.0:
@@ -216,9 +217,9 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
     nx, ny, nz, ri, rj = _contact_geometry(i, j, T)
     s = clock - T.drift[0].kick
-    vx = v[j, 0] - v[i, 0] + (a[j, 0] - a[i, 0]) * s
-    vy = v[j, 1] - v[i, 1] + (a[j, 1] - a[i, 1]) * s
-    vz = v[j, 2] - v[i, 2] + (a[j, 2] - a[i, 2]) * s
+    vx, vy, vz = between(v, i, j)
+    ax, ay, az = between(a, i, j)
+    vx, vy, vz = vx + ax * s, vy + ay * s, vz + az * s
     vn = vx * nx + vy * ny + vz * nz
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
@@ -233,11 +234,12 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     entry.friction_loss = entry.stabilisation_gain = 0.0
     entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
     entry.friction_x = entry.friction_y = entry.friction_z = 0.0
-    entry.x, entry.y, entry.z = T.x[i, 0] + ri * nx, T.x[i, 1] + ri * ny, T.x[i, 2] + ri * nz
+    x, y, z = vector(T.x, i)
+    entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
     if len(omega) > 0:
-        wx = ri * omega[i, 0] + rj * omega[j, 0]
-        wy = ri * omega[i, 1] + rj * omega[j, 1]
-        wz = ri * omega[i, 2] + rj * omega[j, 2]
+        wix, wiy, wiz = vector(omega, i)
+        wjx, wjy, wjz = vector(omega, j)
+        wx, wy, wz = ri * wix + rj * wjx, ri * wiy + rj * wjy, ri * wiz + rj * wjz
         ux, uy, uz = slip_velocity(vx - vn * nx, vy - vn * ny, vz - vn * nz, nx, ny, nz, wx, wy, wz)
         slip = np.sqrt(ux * ux + uy * uy + uz * uz)
         if slip > 0.0:
@@ -256,11 +258,11 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:
                     _spin_up(j, rj, tx, ty, tz, T)
-    v[i, 0], v[i, 1], v[i, 2] = v[i, 0] - Jx * mi, v[i, 1] - Jy * mi, v[i, 2] - Jz * mi
+    add(v, i, -mi, Jx, Jy, Jz)
     if mj > 0.0:
-        v[j, 0], v[j, 1], v[j, 2] = v[j, 0] + Jx * mj, v[j, 1] + Jy * mj, v[j, 2] + Jz * mj
-    entry.vix, entry.viy, entry.viz = v[i, 0] + a[i, 0] * s, v[i, 1] + a[i, 1] * s, v[i, 2] + a[i, 2] * s
-    entry.vjx, entry.vjy, entry.vjz = v[j, 0] + a[j, 0] * s, v[j, 1] + a[j, 1] * s, v[j, 2] + a[j, 2] * s
+        add(v, j, mj, Jx, Jy, Jz)
+    entry.vix, entry.viy, entry.viz = along(v, a, i, s)
+    entry.vjx, entry.vjy, entry.vjz = along(v, a, j, s)
 
 
 @inner
@@ -273,7 +275,7 @@ def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, fl
             height += T.surface[j - n, k] * x[i, k]
         N = T.surface[j - n]
         return -N[0], -N[1], -N[2], max(0.0, height), 0.0
-    dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+    dx, dy, dz = between(x, i, j)
     if T.box[0] > 0.0:
         dx, dy, dz = minimum_image(dx, T.box[0]), minimum_image(dy, T.box[1]), minimum_image(dz, T.box[2])
     d = np.sqrt(dx * dx + dy * dy + dz * dz)
@@ -293,7 +295,5 @@ def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectorie
         return
     left = T.drift[0].dt - T.drift[0].clock
     turn(i, i + 1, T.q, T.omega, -left)
-    T.omega[i, 0] += s * tx
-    T.omega[i, 1] += s * ty
-    T.omega[i, 2] += s * tz
+    add(T.omega, i, s, tx, ty, tz)
     turn(i, i + 1, T.q, T.omega, left)

@@ -14,6 +14,7 @@ from carom.physics.contact.continuous.event_loop import COLLAPSE_FROM, MAX_IMPAC
 from carom.physics.contact.continuous.trajectories import ROUNDING, Trajectories
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.vector import between, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -65,15 +66,17 @@ def _find(T: Trajectories, pairs: IntArray) -> int:
     x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
     count = min(1, len(pairs))
     for i in range(n if count > 0 else 0):
-        size = abs(x[i, 0]) + abs(x[i, 1]) + abs(x[i, 2])
+        xi, yi, zi = vector(x, i)
+        size = abs(xi) + abs(yi) + abs(zi)
         for j in range(i + 1, n):
-            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            dx, dy, dz = between(x, i, j)
             R = radius[i] + radius[j]
             reach = R + TOUCHING * (R + size)
             if dx * dx + dy * dy + dz * dz <= reach * reach and T.inverse_mass[i] + T.inverse_mass[j] > 0.0:
                 count = _add(i, j, count, pairs)
         for p in range(len(offset) if T.inverse_mass[i] > 0.0 else 0):
-            height = surface[p, 0] * x[i, 0] + surface[p, 1] * x[i, 1] + surface[p, 2] * x[i, 2] - offset[p]
+            nx, ny, nz = vector(surface, p)
+            height = nx * xi + ny * yi + nz * zi - offset[p]
             if height - radius[i] <= TOUCHING * (radius[i] + size):
                 count = _add(i, n + p, count, pairs)
     return count

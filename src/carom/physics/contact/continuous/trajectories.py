@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
+from carom.physics.vector import add, along, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -100,7 +101,8 @@ def write_reaches(
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
     mean, largest = 0.0, 0.0
     for i in range(len(body)):
-        wx, wy, wz = v[i, 0] - ux, v[i, 1] - uy, v[i, 2] - uz
+        vx, vy, vz = vector(v, i)
+        wx, wy, wz = vx - ux, vy - uy, vz - uz
         speed = np.sqrt(wx * wx + wy * wy + wz * wz)
         body[i].reach = speed
         mean += speed / len(body)
@@ -119,9 +121,8 @@ def begin(T: Trajectories, dt: float, kick: float) -> None:
     drift.queued = drift.strays = drift.exhausted = 0
     for i in range(len(T.body)):
         body = T.body[i]
-        x, y, z = T.x[i, 0], T.x[i, 1], T.x[i, 2]
-        vx, vy, vz = T.v[i, 0], T.v[i, 1], T.v[i, 2]
-        body.start_x, body.start_y, body.start_z = x, y, z
+        vx, vy, vz = vector(T.v, i)
+        body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.now, body.impact_time, body.impacts, body.queue_place = 0.0, np.inf, 0, -1
         body.strays = False
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
@@ -132,8 +133,8 @@ def advance(i: int, T: Trajectories) -> None:
     """Move a body along its path to the present time."""
     clock = T.drift[0].clock
     s = clock - T.body[i].now
-    for k in range(3):
-        T.x[i, k] += T.v[i, k] * s
+    vx, vy, vz = vector(T.v, i)
+    add(T.x, i, s, vx, vy, vz)
     T.body[i].now = clock
 
 
@@ -142,18 +143,17 @@ def leaves_reach(i: int, T: Trajectories) -> bool:
     """Tell whether the rest of a body's path leaves its reach."""
     body, drift = T.body[i], T.drift[0]
     s = drift.dt - body.now
-    x = T.x[i, 0] + T.v[i, 0] * s - drift.bulk_x * drift.dt - body.start_x
-    y = T.x[i, 1] + T.v[i, 1] * s - drift.bulk_y * drift.dt - body.start_y
-    z = T.x[i, 2] + T.v[i, 2] * s - drift.bulk_z * drift.dt - body.start_z
+    x, y, z = along(T.x, T.v, i, s)
+    x = x - drift.bulk_x * drift.dt - body.start_x
+    y = y - drift.bulk_y * drift.dt - body.start_y
+    z = z - drift.bulk_z * drift.dt - body.start_z
     return bool(x * x + y * y + z * z > body.reach * body.reach)
 
 
 @long_kernel
 def finish(lo: int, hi: int, T: Trajectories) -> None:
     """Move the bodies [lo, hi) to the end of the drift."""
-    x, v, dt = T.x, T.v, T.drift[0].dt
+    dt = T.drift[0].dt
     for i in range(lo, hi):
-        s = dt - T.body[i].now
-        x[i, 0] += v[i, 0] * s
-        x[i, 1] += v[i, 1] * s
-        x[i, 2] += v[i, 2] * s
+        vx, vy, vz = vector(T.v, i)
+        add(T.x, i, dt - T.body[i].now, vx, vy, vz)

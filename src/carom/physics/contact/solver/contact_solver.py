@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,12 @@ from carom.physics.contact.constraints import (
     CONTACT,
     CONTACT_STATE,
     ISLAND,
+    MIN_PER_TASK,
     PIECE_FINDINGS,
     RECORDED,
     SEARCH,
     SETTINGS,
+    SHARED_FROM,
     ConstraintSystem,
 )
 from carom.physics.contact.geometry import update_geometry
@@ -29,12 +31,12 @@ from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
-from carom.physics.contact.solver.phases import HELP, work
+from carom.physics.contact.solver.phases import work
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.half_space import HalfSpaces
 
@@ -42,10 +44,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-MIN_PER_TASK = 1000  # contacts or bodies
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
-SHARED_FROM = 4096  # contacts; with fewer, gathering a team takes as long as it saves
 
 
 class ContactSolver:
@@ -65,6 +65,8 @@ class ContactSolver:
         Threads that share the work.
     records
         Whether to keep the impulses of impacts, in `recorded`.
+    sweeps
+        `contact.sweeps` of the scene: whether small changes end the iterations, and what follows them.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class ContactSolver:
         friction: bool,
         team: Team,
         records: bool = False,
+        sweeps: Literal["auto", "as-needed"] | int = "auto",
     ) -> None:
         count = len(bodies.ends.velocity)
         self._bodies = bodies
@@ -86,6 +89,7 @@ class ContactSolver:
         self._team = team
         self._contacts = Room(CONTACT), Room(CONTACT)
         self._held = Room(np.bool_)
+        self._small_change = Room(np.float64)
         self._states = Room(CONTACT_STATE)
         self._search = Room(SEARCH)
         self._recorded = Room(RECORDED)
@@ -94,12 +98,16 @@ class ContactSolver:
         self._islands = Islands(count, team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
+        self._counts: IntArray | None = None  # (n + p,) contacts of each body and plane, once they are needed
         self._fastest = 0.0  # m/s, the fastest approach before the impulses
         self._body_states = aligned_empty(count, BODY_STATE)
         self._island = np.empty(count, dtype=np.int64)
         self._island_sums = np.empty(count, ISLAND)
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
+        self._settings["refines"], self._settings["as_needed"] = isinstance(sweeps, str), sweeps == "as-needed"
+        alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
+        self._settings["settles"] = sweeps == "auto" or alternates
         self._code = PhaseCode(friction)
 
     def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
@@ -118,6 +126,7 @@ class ContactSolver:
         room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._body_states), self._team)
+            self._counts = None
         self.order = order
         self._settings["independent"] = order.independent
         self._system = ConstraintSystem(
@@ -126,6 +135,7 @@ class ContactSolver:
             edges=order.edges,
             contacts=room.take(m),
             held=self._held.take(m),
+            small_change=self._small_change.take(m),
             states=self._states.take(m),
             search=self._search.take(m),
             recorded=self._recorded.take(m if self._records else 0),
@@ -192,6 +202,12 @@ class ContactSolver:
         """(m,) m/s; an approach up to this speed is a contact at rest and does not bounce."""
         return self._system.states["rest_speed"]
 
+    def rest_speeds_by_pair(self) -> FloatArray:
+        """Return `rest_speed` in the order of the pairs, (m,) m/s, a copy."""
+        found = np.empty(len(self.order.place))
+        _gather_rest_speeds(self.order.place, self._system.states, found)
+        return found
+
     @property
     def approach(self) -> FloatArray:
         """(m,) m/s, the fastest approach of each contact in the iterations of this step."""
@@ -230,11 +246,11 @@ class ContactSolver:
     def correct_positions(self, max_iterations: int) -> None:
         """Correct the overlaps of resting contacts."""
         system = self._system
-        counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
-        self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, counts)
-        self._team.divide(
-            len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states, system.island
-        )
+        if self._counts is None:
+            self._counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
+            self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, self._counts)
+        pushed = (system.pairs, self._counts, system.states, system.island)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, *pushed)
         self._work(POSITIONS, system, max_iterations)
 
     def audit_corrections(self) -> None:
@@ -270,7 +286,6 @@ class ContactSolver:
         drift: float,
         bias_rate: float,
         max_iterations: int,
-        refines: bool,
         against: FloatArray | None = None,
     ) -> int:
         """Find the impulses of resting contacts after a kick; return the number of iterations.
@@ -287,14 +302,12 @@ class ContactSolver:
             1/s, Baumgarte's separation speed per overlap.
         max_iterations
             Limit of the iterations if they do not converge before.
-        refines
-            Whether conjugate gradients follow if they did not converge.
         against
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         settings = self._settings
         settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
-        settings["bias_rate"], settings["refines"] = bias_rate, refines
+        settings["bias_rate"] = bias_rate
         system = self._system if against is None else self._system._replace(acceleration=against)
         return self._lead(RESTING, system, max_iterations)
 
@@ -326,8 +339,14 @@ class ContactSolver:
         code = self._code.addresses, self._code.kind
         if len(system.pairs) < SHARED_FROM:
             return work(ALONE, job, *code, system, max_iterations)
-        with self._team.gathered(work, HELP, *code, system, 0) as board:
+        with self._team.leading() as board:
             return work(board, job, *code, system, max_iterations)
+
+
+@kernel
+def _gather_rest_speeds(place: IntArray, states: Records, found: FloatArray) -> None:
+    for c in range(len(place)):
+        found[c] = states[place[c]].rest_speed
 
 
 @long_kernel

@@ -36,25 +36,11 @@ from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.solve import HELD
 from carom.physics.parallel.jit import inline, inner, long_kernel
 from carom.physics.parallel.task import assign, do, kind_of, lay_out, raise_fault
-from carom.physics.parallel.thread_team import (
-    END,
-    PATIENCE,
-    REST,
-    SHIFT,
-    YIELD,
-    claim,
-    dismiss,
-    finish,
-    is_over,
-    last_piece,
-    post,
-    wait,
-)
+from carom.physics.parallel.thread_team import lead_phase
 
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-HELP = -1  # given in place of a job: help the leader
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round
 MAX_SETTLING = 256  # Gauss-Seidel iterations after the last round
@@ -79,55 +65,26 @@ class Phases(NamedTuple):
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
-    """Lead a job, or help with the pieces on the board.
+    """Do a job; return the number of iterations.
 
     Parameters
     ----------
     board
         Of the team; empty if the leader works alone.
     job
-        `POSITIONS`, `IMPACTS`, `RESTING` or `HELP`.
+        `POSITIONS`, `IMPACTS` or `RESTING`.
     addresses, kind
         Of the phases' code and of the systems it is for, see `PhaseCode`.
-
-    Returns
-    -------
-    iterations
-        How many there were; of `HELP`, when to call again: `END`, `YIELD` or `REST`.
     """
     if kind != kind_of((system,)):
         raise TypeError("the phases are compiled for systems of another kind")
     doer, task = lay_out(0, 1, 1, (system,))  # piece k is the range [k, k + 1)
     phases = Phases(addresses, doer, task, system.edges, system.found, system.sums, system.settings)
-    if job == HELP:
-        return _help_out(board, phases)
     if job == POSITIONS:
-        iterations = _correct_positions(board, phases, max_iterations)
-    elif job == IMPACTS:
-        iterations = _resolve_impacts(board, phases, max_iterations)
-    else:
-        iterations = _hold(board, phases, max_iterations)
-    dismiss(board)
-    return iterations
-
-
-@inline
-def _help_out(board: IntArray, phases: Phases) -> int:
-    """Do pieces until the leader is done; return early after `SHIFT` pieces, or after a while without any."""
-    idle, done = 0, 0
-    while not is_over(board):
-        if claim(board):
-            _do_piece(phases, phases.settings[0].first_piece + last_piece(board))
-            finish(board)
-            idle = 0
-            done += 1
-            if done == SHIFT:
-                return YIELD
-        else:
-            idle += 1
-            if idle == PATIENCE:
-                return REST
-    return END
+        return _correct_positions(board, phases, max_iterations)
+    if job == IMPACTS:
+        return _resolve_impacts(board, phases, max_iterations)
+    return _hold(board, phases, max_iterations)
 
 
 @inline
@@ -204,7 +161,7 @@ def _refine(board: IntArray, phases: Phases) -> int:
         rounds += 1
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
         before, missed = missed, _largest_residual(phases)
-    return passes + _settle(board, phases) if missed > 0.0 else passes
+    return passes + _settle(board, phases) if missed > 0.0 and phases.settings[0].settles else passes
 
 
 @inner
@@ -287,27 +244,12 @@ def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
 @inner
 def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, independent: bool) -> None:
     """Do the pieces of a phase, with the team if they are independent."""
-    settings = phases.settings[0]
-    settings.phase, settings.first_piece = phase, first
-    k = first
+    assign(phases.task, phases.addresses[phase])
     if len(board) == 0 or end - first == 1 or not independent:
-        while k < end:
-            _do_piece(phases, k)
-            k += 1
-    else:
-        post(board, end - first)
-        while claim(board):
-            _do_piece(phases, k)
-            finish(board)
-            k += 1
-        wait(board, end - first)
-
-
-@inline
-def _do_piece(phases: Phases, k: int) -> None:
-    """Do one piece of the phase."""
-    assign(phases.task, phases.addresses[phases.settings[0].phase])
-    do(phases.doer, phases.task, k)
+        for k in range(first, end):
+            do(phases.doer, phases.task, k)
+    elif end > first:
+        lead_phase(board, phases.doer, phases.task, first, end - first)
     raise_fault(phases.task)
 
 

@@ -27,6 +27,7 @@ from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch
 from carom.physics.periodic_box import minimum_image
+from carom.physics.vector import add, between, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -37,6 +38,7 @@ LEAVING = 0.1  # of the rest speed; contacts that separate faster are not pushed
 # the energy in the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms)
 NEVER = -2  # in place of the iteration in which a body was last pushed
 ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
+ENOUGH_AS_NEEDED = 1e-5  # the same with `contact.sweeps = "as-needed"`; the next step has one iteration for them
 
 
 @long_kernel
@@ -75,6 +77,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
     n, last, again = len(x), len(pairs) - 1, 0.0
     records = len(system.recorded) > 0
     iteration, pushed = system.settings[0].iteration, system.island
+    enough = ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
     for c in range(lo, hi):
         i, j = pairs[c, 0], pairs[c, 1]
         if iteration > 0 and max(pushed[i], pushed[j]) < iteration - 1:
@@ -83,15 +86,15 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         prefetch(x, pairs[ahead, 0], 0)
         prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
         if j >= n:
-            nx, ny, nz = -system.surface[j - n, 0], -system.surface[j - n, 1], -system.surface[j - n, 2]
-            d = -(nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2]) - system.offset[j - n]
+            sx, sy, sz = vector(system.surface, j - n)
+            nx, ny, nz = -sx, -sy, -sz
+            px, py, pz = vector(x, i)
+            d = -(nx * px + ny * py + nz * pz) - system.offset[j - n]
             reach = radius[i]
         else:
-            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            dx, dy, dz = between(x, i, j)
             if box[0] > 0.0:
-                dx = minimum_image(dx, box[0])
-                dy = minimum_image(dy, box[1])
-                dz = minimum_image(dz, box[2])
+                dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
             d = np.sqrt(dx * dx + dy * dy + dz * dz)
             reach = radius[i] + radius[j]
             if d > 0.0:
@@ -102,27 +105,23 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         if overlap <= 0.0:
             continue
         state = system.states[c]
-        vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+        vx, vy, vz = between(v, i, j)
         vn = vx * nx + vy * ny + vz * nz
         material = system.materials[material_index(i, j, n, places)]
         rebounds = LAW.restitution(material, -vn, state.rest_speed) > 0.0
         if vn > LEAVING * state.rest_speed or rebounds:
             continue
-        if overlap > ENOUGH * reach:
+        if overlap > enough * reach:
             again = 1.0
         delta = state.push_fraction * overlap
         mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # parts of the push
         mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
         if mi > 0.0:
             pushed[i] = iteration
-            x[i, 0] -= mi * delta * nx
-            x[i, 1] -= mi * delta * ny
-            x[i, 2] -= mi * delta * nz
+            add(x, i, -mi * delta, nx, ny, nz)
         if mj > 0.0:
             pushed[j] = iteration
-            x[j, 0] += mj * delta * nx
-            x[j, 1] += mj * delta * ny
-            x[j, 2] += mj * delta * nz
+            add(x, j, mj * delta, nx, ny, nz)
         state.push_x += delta * nx
         state.push_y += delta * ny
         state.push_z += delta * nz
@@ -133,13 +132,9 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
         state.stabilisation_gain += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
         if mi > 0.0:
-            v[i, 0] -= mi * scale * tx
-            v[i, 1] -= mi * scale * ty
-            v[i, 2] -= mi * scale * tz
+            add(v, i, -mi * scale, tx, ty, tz)
         if mj > 0.0:
-            v[j, 0] += mj * scale * tx
-            v[j, 1] += mj * scale * ty
-            v[j, 2] += mj * scale * tz
+            add(v, j, mj * scale, tx, ty, tz)
         if records:
             given = system.recorded[c]
             given.correction_x += reduced * scale * tx

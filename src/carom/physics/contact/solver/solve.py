@@ -95,6 +95,7 @@ def _solve_blocks(
         change, step_limit, slope = solve_block(
             pairs,
             held,
+            system.small_change,
             contacts,
             states,
             bodies,
@@ -169,7 +170,9 @@ def _solve_each(
             Jx, Jy, Jz = Jx + dx, Jy + dy, Jz + dz
             turn(contact, body_i, body_j, dx, dy, dz)
             accumulate_turn(contact, body_i, body_j, dx, dy, dz)
-        change = max(change, largest * (body_i.inverse_mass + body_j.inverse_mass))
+        largest *= body_i.inverse_mass + body_j.inverse_mass
+        if largest > system.small_change[c]:
+            change = max(change, largest)
         push(body_i, body_j, Jx, Jy, Jz)
         accumulate_push(body_i, body_j, Jx, Jy, Jz)
     return change, step_limit, slope

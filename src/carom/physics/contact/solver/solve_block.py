@@ -41,6 +41,7 @@ def solve_block(
     typing: Any,
     pairs: Any,  # this and the next as in `ConstraintSystem`
     held: Any,
+    small_change: Any,
     contacts: Any,
     states: Any,
     bodies: Any,
@@ -193,8 +194,10 @@ class _Block:
         pulling = -normal / more
         zero = ir.Constant(ir.DoubleType(), 0.0)
         for k, held in enumerate(self._held):
+            small = builder.load(self._address("small_change", self._places[k]))
+            matters = builder.and_(held, builder.fcmp_ordered(">", change.lane(k), small))
             larger = builder.fcmp_ordered(">", change.lane(k), found[0])
-            found[0] = builder.select(builder.and_(held, larger), change.lane(k), found[0])
+            found[0] = builder.select(builder.and_(matters, larger), change.lane(k), found[0])
             less = builder.and_(held, builder.fcmp_ordered("<", more.lane(k), zero))
             nearer = builder.fcmp_ordered("<", pulling.lane(k), found[1])
             found[1] = builder.select(builder.and_(less, nearer), pulling.lane(k), found[1])

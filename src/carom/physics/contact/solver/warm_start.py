@@ -13,18 +13,16 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
-from carom.physics.contact.constraints import CONTACT, ConstraintSystem
+from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.body_state import apply_impulse
-from carom.physics.parallel.jit import long_kernel, unowned
+from carom.physics.parallel.jit import kernel, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
-
-MIN_CONTACTS_PER_TASK = 500
 
 
 def impulses_of(contacts: Records) -> FloatArray:
@@ -56,7 +54,9 @@ class ImpulseCache:
     @property
     def impulse(self) -> FloatArray:
         """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs."""
-        return impulses_of(self.contacts)[self.place]
+        found = np.empty((len(self.place), len(IMPULSES)))
+        _gather_impulses(self.place, self.contacts, found)
+        return found
 
     def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
         """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
@@ -74,9 +74,17 @@ class ImpulseCache:
         """
         if self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
-            team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _carry, *before, pairs, place, contacts)
+            team.divide(len(pairs), MIN_PER_TASK, _carry, *before, pairs, place, contacts)
         else:
             impulses_of(contacts)[:] = 0.0
+
+
+@kernel
+def _gather_impulses(place: IntArray, contacts: Records, found: FloatArray) -> None:
+    for c in range(len(place)):
+        contact = contacts[place[c]]
+        found[c, 0], found[c, 1] = contact.normal_impulse, contact.friction_x
+        found[c, 2], found[c, 3] = contact.friction_y, contact.friction_z
 
 
 @long_kernel

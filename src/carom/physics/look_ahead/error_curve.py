@@ -1,0 +1,37 @@
+"""Errors over the times at which runs are compared."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+def samples(scene: Scene, count: int) -> FloatArray:
+    """Return times at which runs are compared, (count,) s."""
+    return np.asarray(scene.time.duration * (np.arange(1, count + 1) / count))
+
+
+def with_start(values: FloatArray, start: float) -> FloatArray:
+    """Return values at times, with that at 0 before them."""
+    return np.concatenate(([start], values))
+
+
+def kept_until(times: FloatArray, error: FloatArray, accuracy: float) -> float:
+    """Return the time at which the error exceeds the accuracy, in s; the last if it does not."""
+    over = np.flatnonzero(~(error <= accuracy))
+    if not len(over):
+        return float(times[-1])
+    k = int(over[0])
+    if k == 0:
+        return 0.0
+    low, high = error[k - 1], error[k]
+    share = 0.0
+    if math.isfinite(high) and low > 0.0:
+        share = math.log(accuracy / low) / math.log(high / low)
+    return float(times[k - 1] + share * (times[k] - times[k - 1]))

@@ -1,0 +1,56 @@
+"""The error with shorter steps, extrapolated from the distances between runs of ever shorter ones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.look_ahead.error_curve import kept_until
+from carom.physics.look_ahead.twins import APART
+
+FloatArray = NDArray[np.float64]
+
+SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
+FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
+TRIED = 2  # comparisons before an order is believed
+NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps
+FALLING = 0.7  # largest part of the distance that a halving should leave
+
+
+def extrapolate(
+    times: FloatArray, apart: list[FloatArray], highest: int, accuracy: float
+) -> tuple[int, float, FloatArray]:
+    """Return how many times to halve the finer step, up to when the accuracy is kept then, in s, and the error.
+
+    -1 takes the coarser step. The factor in front of h^p depends on where in its step an impact happens, so the
+    largest of the last three distances counts, each as far as it should have fallen since.
+    """
+    order = _observed(apart, highest)
+    latest = apart[-1:-4:-1]
+    distance = np.max([each / 2.0 ** (order * age) for age, each in enumerate(latest)], axis=0)
+    surely = len(apart) >= TRIED and bool(latest[0].any())
+    if not surely:
+        return FARTHEST, 0.0, distance
+    tried = range(-1, FARTHEST + 1)
+    errors = [distance / (1.0 - 2.0**-order) / 2.0 ** (order * (halvings + 1)) for halvings in tried]
+    kept = [kept_until(times, SAFETY * error, accuracy) for error in errors]
+    k = next(k for k, until in enumerate(kept) if until >= NEARLY * max(kept))
+    return tried[k], kept[k], errors[k]
+
+
+def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
+    """Tell whether the last halving hardly changed the distance where the accuracy is not kept any more."""
+    k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
+    return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
+
+
+def _observed(apart: list[FloatArray], order: int) -> float:
+    """Return the order that the last distances show where all are comparable, from 1 to that of the integrator."""
+    coarse, fine = apart[max(0, len(apart) - 3)], apart[-1]
+    usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0))
+    if len(apart) < TRIED or not len(usable):
+        return 1.0
+    k = int(usable[-1])
+    return min(max(math.log2(coarse[k] / fine[k]) / min(2, len(apart) - 1), 1.0), float(order))

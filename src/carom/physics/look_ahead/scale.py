@@ -1,0 +1,52 @@
+"""The size of a system, in which distances between runs are given."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.look_ahead.trial_run import TrialRun
+from carom.physics.periodic_box import minimum_images
+from carom.scene.placement import Start
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The size of a system, and the distances of its states over it."""
+
+    size: float  # m
+    box: FloatArray | None  # (3,) m, of a periodic domain
+
+    @classmethod
+    def of(cls, scene: Scene, start: Start) -> Scale:
+        """Take half the box, the rms distance of the bodies from their centre, or that of one body from 0."""
+        if scene.domain.boundary == "periodic":
+            box = np.array(scene.domain.size)
+            return cls(float(box.min()) / 2.0, box)
+        apart = start.position - start.position.mean(axis=0)
+        size = math.sqrt(float(np.mean(np.sum(apart * apart, axis=1))))
+        return cls(size or float(np.abs(start.position).max()) or float(start.radius.max()), None)
+
+    def distance(self, a: FloatArray, b: FloatArray) -> float:
+        """Return the rms distance between positions, (n, 3) m, over the size."""
+        d = a - b if self.box is None else minimum_images(a - b, self.box)
+        return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
+
+    def apart(self, one: TrialRun, other: TrialRun, enough: float) -> FloatArray:
+        """Compare two runs until they are apart; return the largest distance so far over the size, (K,)."""
+        apart = np.full(len(one.times), np.inf)
+        largest = 0.0
+        for k in range(len(apart)):
+            a, b = one.at(k), other.at(k)
+            if a is None or b is None:
+                break
+            apart[k] = largest = max(largest, self.distance(a, b))
+            if not largest < enough:
+                break
+        return apart

@@ -1,0 +1,215 @@
+"""Finds the step that keeps an accuracy, by running the scene ahead with longer steps.
+
+A run with steps of h has the error e(t). The same scene run with h and with h/2 differs by D(t), and
+
+    e(t) of the finer run = D(t) / (2^p - 1),     e(t) with steps 2^j times shorter = e(t) / 2^{p j}
+
+for an integrator of order p, or for the order that three such runs show, if that is lower. D contains everything that
+makes errors grow, contacts and chaos too. The runs begin with the longest useful steps and halve them until the
+extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
+
+Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. Rounding alone makes an error
+r(t) in proportion to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
+Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. The largest
+Lyapunov exponent is that of their distance, to the end or until they are `APART`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.integrators.radau_twin import part
+from carom.physics.look_ahead.error_curve import kept_until, samples, with_start
+from carom.physics.look_ahead.extrapolation import SAFETY, extrapolate, stays
+from carom.physics.look_ahead.orbits import look_at_orbits
+from carom.physics.look_ahead.scale import Scale
+from carom.physics.look_ahead.trial_run import TrialRun
+from carom.physics.look_ahead.twins import APART, EPS, Twins, displaced
+from carom.plan.auto import integrator
+from carom.plan.features import require
+from carom.plan.hierarchy import orbits_often
+from carom.scene.error import SceneError
+from carom.scene.integrators import AUTO, INTEGRATORS
+from carom.scene.placement import Start, place
+from carom.scene.schema import Promise, Scene
+
+FloatArray = NDArray[np.float64]
+
+SAMPLES = 64  # times at which runs are compared
+FEWER_SAMPLES = (4, 32)  # where bodies meet, and pausing costs more than the steps: more only if a promise ends
+LONGEST = 1.0  # refinement of the longest useful steps
+EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter ones cost more
+EXACT_OF_MANY = 0.125  # likewise; in longer steps each body has more others within reach
+FEW = 200  # bodies
+FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
+FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
+HILL_RADII = 3.0  # between orbits, so that encounters are rare
+SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
+MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
+MOST_WORK = 2e6  # of the finest run ahead, some seconds; the run itself takes up to eight times as long
+MOST_IDLE = 3  # halvings in a row that do not
+DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
+# Distance from the truth over that of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases;
+# with 1, errors exceeded the request before the horizon in 6 of 80, by up to a few hundredths of the time.
+SPREAD = 1.3
+LARGEST_ERROR = 1.0  # of the size; no larger one is told apart
+ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
+LOWEST = 64.0  # smallest accuracy in units of ρ
+RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
+RADAU_CHAOTIC = 0.5  # likewise, where the promise ends: its own error may not reach the accuracy before
+RADAU_LEVELS = (  # refinement, and how many times the error exceeds the distance of twins: the most of 8 scenes
+    (2.0**-2.5, 1e6),
+    (0.25, 5e4),
+    (2.0**-1.5, 2e3),
+    (0.5, 20.0),
+    (1.0, SPREAD),
+)
+
+
+def settled(scene: Scene, threads: int | None = None, start: Start | None = None) -> Scene:
+    """Return a scene with the step that its accuracy takes, as a [promise]; others are returned as they are.
+
+    Raises
+    ------
+    SceneError
+        If double precision cannot give the accuracy.
+    PhysicsError
+        If no run ahead comes to an end.
+    """
+    if scene.time.accuracy is None or scene.promise is not None:
+        return scene
+    return _LookAhead(scene, scene.time.accuracy, threads, start or place(scene)).settle()
+
+
+class _LookAhead:
+    def __init__(self, scene: Scene, accuracy: float, threads: int | None, start: Start) -> None:
+        self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
+        self._times = samples(scene, SAMPLES)
+        self._scale = Scale.of(scene, start)
+        self._last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
+        least = LOWEST * ROUNDING * self._last_bit
+        if accuracy < least:
+            raise SceneError(
+                f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
+                "where this scene has them"
+            )
+        if integrator(scene).controls_error:  # errs by rounding, so twins that differ by a last bit show its errors
+            self._twin, self._rounding = displaced(start, 0.0), SPREAD
+        else:
+            self._twin, self._rounding = (
+                displaced(start, DISPLACEMENT * self._scale.size),
+                ROUNDING * self._last_bit / DISPLACEMENT,
+            )
+
+    def settle(self) -> Scene:
+        if integrator(self._scene).hierarchical:
+            return self._settle_orbits(persists=True) or self._scene
+        if self._is_rough and orbits_often(self._scene, HILL_RADII) >= FEWEST_ORBITS:
+            promised = self._settle_orbits(persists=False)
+            if promised is not None:
+                return promised
+        if integrator(self._scene).controls_error:
+            return self._settle_radau()
+        if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
+            twins, _ = self._part_at_impacts(EXACT if self._scene.count <= FEW else EXACT_OF_MANY)
+            return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
+        return self._settle_steps(integrator(self._scene).order)
+
+    @property
+    def _is_rough(self) -> bool:
+        """Whether Wisdom–Holman integration may keep the accuracy for less than Gauss–Radau integration."""
+        return self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
+
+    def _settle_radau(self) -> Scene:
+        rests_from = math.inf
+        if require(self._scene).contact.modelled:
+            twins, rests_from = self._part_at_impacts(RADAU_AHEAD)
+        else:
+            twins = self._part_of_orbits(RADAU_AHEAD, 1)
+            if SPREAD * twins.apart[-1] > self._accuracy:  # the run ahead has to be as true as the promise lasts
+                twins = self._part_of_orbits(RADAU_CHAOTIC, 3)
+        errors = {refinement: level * twins.apart for refinement, level in RADAU_LEVELS}
+        enough = (refinement for refinement, error in errors.items() if SAFETY * error[-1] <= self._accuracy)
+        chosen = next(enough, RADAU_LEVELS[-1][0])
+        if rests_from < kept_until(self._times, errors[chosen], self._accuracy):
+            return self._settle_steps(INTEGRATORS["leapfrog"].order)
+        return self._promise(chosen, errors[chosen], twins.exponent)
+
+    def _part_of_orbits(self, refinement: float, iterations: int) -> Twins:
+        """Return how bodies without contacts and their twins part."""
+        enough, twin = APART * self._scale.size, self._twin.position
+        apart = part(self._scene, self._start, twin, refinement, self._times, enough, iterations)
+        return Twins.grown(self._times, np.maximum.accumulate(apart) / self._scale.size, self._began)
+
+    def _settle_orbits(self, persists: bool) -> Scene | None:
+        """Return the scene with a promise of Wisdom–Holman integration; None if that is not worth it."""
+        times, most = samples(self._scene, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
+        found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists)
+        if not (found.keeps or persists):
+            return None
+        error = np.interp(self._times, with_start(times, 0.0), with_start(found.error / self._scale.size, 0.0))
+        chosen: Literal["wisdom-holman"] | None = "wisdom-holman" if self._scene.time.integrator == AUTO else None
+        return self._promise(found.refinement, MARGIN * error, found.exponent, chosen)
+
+    def _settle_steps(self, order: int) -> Scene:
+        refinement = LONGEST
+        coarse, apart, idle = self._run(refinement), list[FloatArray](), 0
+        while True:
+            refinement *= 2.0
+            fine = self._run(refinement)
+            apart.append(self._scale.apart(coarse, fine, 1.0))
+            chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy)
+            idle = idle + 1 if stays(self._times, apart, kept) else 0
+            if kept >= self._times[-1] or idle == MOST_IDLE or fine.work > MOST_WORK:
+                break
+            coarse = fine
+        run = fine if chosen >= 0 else coarse
+        twins = self._part(run, self._run(run.refinement, self._twin))
+        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins.exponent)
+
+    def _part_at_impacts(self, refinement: float) -> tuple[Twins, float]:
+        """Return how a run that bounces and its twin part, and when contacts come to rest, in s."""
+        if self._scene.count > FEW:
+            run = self._run(refinement)
+            return self._part(run, self._run(refinement, self._twin)), run.rests_from
+        for count in FEWER_SAMPLES:
+            times = self._times = samples(self._scene, count)
+            run = self._run(refinement)
+            twins = self._part(run, run.again(self._twin))
+            if self._rounding * twins.apart[-1] <= self._accuracy:
+                break
+        self._times = samples(self._scene, SAMPLES)
+        return twins.at(self._times, times, self._began), run.rests_from
+
+    def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
+        """Return how a run and its twin part."""
+        return Twins.grown(self._times, self._scale.apart(run, twin, APART), self._began)
+
+    @property
+    def _began(self) -> float:
+        """The distance of the twins at the start, over the size."""
+        return max(self._scale.distance(self._start.position, self._twin.position), EPS**2)
+
+    def _run(self, refinement: float, start: Start | None = None) -> TrialRun:
+        return TrialRun(self._scene, refinement, self._threads, start or self._start, self._times)
+
+    def _promise(
+        self, refinement: float, error: FloatArray, exponent: float, chosen: Literal["wisdom-holman"] | None = None
+    ) -> Scene:
+        until = self._scene.time.duration
+        kept = kept_until(self._times, error, self._accuracy)
+        horizon = kept if kept < until else None
+        return self._scene.promising(
+            Promise(
+                refinement=refinement,
+                until=until,
+                horizon=horizon,
+                integrator=chosen,
+                lyapunov=float(f"{exponent:.6g}"),
+                error=tuple(float(f"{min(each, LARGEST_ERROR):.3g}") for each in error.tolist()),
+            )
+        )

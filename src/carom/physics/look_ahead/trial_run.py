@@ -1,0 +1,75 @@
+"""A run ahead, which goes only as far as it is looked at."""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.error import PhysicsError
+from carom.physics.simulation import Simulation
+from carom.plan.auto import integrator
+from carom.scene.placement import Start
+from carom.scene.schema import Expect, Promise, Scene
+
+FloatArray = NDArray[np.float64]
+
+NEVER = 2**62  # steps between two checks of the energy of a run ahead
+BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
+
+
+class TrialRun:
+    """A run that goes only as far as it is looked at."""
+
+    def __init__(self, scene: Scene, refinement: float, threads: int | None, start: Start, times: FloatArray) -> None:
+        promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
+        record = scene.record.model_copy(update={"check_every": NEVER})
+        unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
+        self.refinement = refinement
+        self.rests_from = math.inf  # s; contacts that the integrator does not hold itself come to rest after that
+        self._simulation = Simulation(unchecked, start, threads)
+        self._simulation.count_no_impacts()
+        self._start = self._simulation.frame().checkpoint
+        self._chooses_steps = integrator(scene).controls_error
+        self.times = times
+        self._positions: list[FloatArray] = []  # (n, 3) m, at the times so far
+
+    @property
+    def work(self) -> float:
+        """What all its steps would cost, by its steps so far: a step costs as much as `BODIES_PER_STEP` bodies more."""
+        steps = self._simulation.step * len(self.times) / max(len(self._positions), 1)
+        return steps * (self._simulation.scene.count + BODIES_PER_STEP)
+
+    def at(self, sample: int) -> FloatArray | None:
+        """Return the positions at one of the times, (n, 3) m; None where it fails before."""
+        try:
+            while len(self._positions) <= sample:
+                self._positions.append(self._next(float(self.times[len(self._positions)])))
+        except PhysicsError:
+            return None  # too long a step
+        return self._positions[sample]
+
+    def again(self, start: Start) -> TrialRun:
+        """Return a run from another start with the same memory; this one goes to its end before."""
+        self.at(len(self.times) - 1)
+        other = copy(self)
+        other.rests_from, other._positions = math.inf, []
+        self._simulation.restore(replace(self._start, position=start.position))
+        return other
+
+    def _next(self, time: float) -> FloatArray:
+        """Go on to a time in s; return the positions there, (n, 3) m."""
+        simulation = self._simulation
+        if not self._chooses_steps:
+            simulation.reach(time)
+            return simulation.state.position.copy()
+        simulation.pass_by(time)
+        solution = simulation.between(time)
+        if solution is not None:
+            return solution[0]
+        if self.rests_from == math.inf:  # since the last time at which they did not rest, or soon after
+            self.rests_from = float(self.times[len(self._positions) - 1]) if self._positions else 0.0
+        return simulation.state.position.copy()

@@ -1,0 +1,50 @@
+"""Runs that begin almost alike, and how they part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.look_ahead.error_curve import with_start
+from carom.scene.placement import Start
+
+FloatArray = NDArray[np.float64]
+
+APART = 1e-2  # of the size; beyond, twins no longer part exponentially
+EPS = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, slots=True)
+class Twins:
+    """How two runs part that begin almost alike."""
+
+    apart: FloatArray  # (K,) largest distance so far over the size
+    exponent: float  # 1/s
+
+    @classmethod
+    def grown(cls, times: FloatArray, apart: FloatArray, began: float) -> Twins:
+        """Continue the distance, (K,) over the size, beyond where it is no longer small."""
+        apart = np.maximum(apart, began)
+        over = np.flatnonzero(~(apart < APART))
+        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they go on to part as up to here
+        apart[last] = min(apart[last], 1.0)
+        exponent = math.log(apart[last] / began) / float(times[last])
+        apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (times[last + 1 :] - times[last]))
+        return cls(apart, exponent)
+
+    def at(self, times: FloatArray, known: FloatArray, began: float) -> Twins:
+        """Return what is known at some times at all times, in s; the distance grows exponentially between them."""
+        grown = np.log(np.maximum(with_start(self.apart, began), EPS**2))
+        return Twins(np.exp(np.interp(times, with_start(known, 0.0), grown)), self.exponent)
+
+
+def displaced(start: Start, distance: float) -> Start:
+    """Return a start whose free bodies are displaced by an rms distance in m, or else by a last bit."""
+    direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
+    moved = start.position + distance * direction
+    unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))
+    moved = np.where(moved == start.position, unmoved, moved)
+    return replace(start, position=np.where(start.fixed[:, np.newaxis], start.position, moved))
