@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 from importlib.metadata import version
@@ -47,14 +49,31 @@ def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_ask
         carom.Scene.load("two-spheres", ["time.duratio=3"])
 
 
-def test_tables_of_a_recording_convert_to_pandas(tmp_path: Path) -> None:
+@pytest.mark.parametrize("layer", ["scene", "plan", "physics", "recording"])
+def test_exceptions_of_scenes_spaces_and_recordings_name_no_option_of_a_command(layer: str) -> None:
+    named = []
+    for file in sorted((Path(carom.__file__).parent / layer).rglob("*.py")):
+        source = file.read_text(encoding="utf-8")
+        if not re.search(r"\W--[a-z]", source):
+            continue
+        for raised in (node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Raise)):
+            texts = (str(node.value) for node in ast.walk(raised) if isinstance(node, ast.Constant))
+            named += [f"{file.name}: {text}" for text in texts if re.search(r"(^|(?<!rerun)\W)--[a-z]", text)]
+    assert named == []
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> carom.Recording:
+    return carom.run("two-spheres", tmp_path_factory.mktemp("recorded") / "<b>.rrd")
+
+
+def test_tables_of_a_recording_convert_to_pandas(recorded: carom.Recording) -> None:
     pytest.importorskip("pandas")
-    frame = carom.run("two-spheres", tmp_path / "run.rrd").trajectory("left").to_pandas()
+    frame = recorded.trajectory("left").to_pandas()
     assert len(frame) == 801 and frame["x"].iloc[0] == -2.0
 
 
-def test_a_notebook_shows_the_summary_of_a_recording(tmp_path: Path) -> None:
-    recording = carom.run("two-spheres", tmp_path / "<b>.rrd")
-    table = recording._repr_html_()
+def test_a_notebook_shows_the_summary_of_a_recording(recorded: carom.Recording) -> None:
+    table = recorded._repr_html_()
     assert "<caption>&lt;b&gt;.rrd</caption>" in table and "<td>completed</td>" in table
     assert "801 frames, 800 steps, 4 s" in table

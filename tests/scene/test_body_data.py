@@ -291,6 +291,20 @@ def test_wrong_columns_are_refused_by_file_column_and_row(tmp_path: Path, case: 
         assert part in message
 
 
+def test_all_wrong_files_are_refused_in_one_message(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", m=None)
+    write_csv(tmp_path / "b.csv")
+    write_csv(tmp_path / "c.csv", r=[1.0, -1.0, 1.0])
+    more = "".join(f'[[bodies]]\nfile = "{file}"\n' for file in ("b.csv", "none.csv", "c.csv"))
+    with pytest.raises(SceneError) as caught:
+        scene_of(tmp_path, "a.csv", more)
+    first, second, third = str(caught.value).splitlines()
+    assert "scene.toml:3: bodies.0: a.csv: no column for mass" in first
+    assert "scene.toml:7: bodies.2: " in second
+    assert "none.csv: cannot be read: No such file" in second
+    assert "scene.toml:9: bodies.3: c.csv: column r, row 1" in third
+
+
 def test_overlaps_are_allowed_where_the_scene_says_so(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", x=np.zeros(3), y=np.zeros(3))
     assert len(place(scene_of(tmp_path, "a.csv", top="[contact]\nallow_overlap = true\n")).mass) == 3

@@ -49,9 +49,7 @@ def test_both_names_are_one_error(tmp_path: Path) -> None:
     with pytest.raises(SceneError) as raised:
         Scene.load(path)
     assert str(raised.value) == f"{path}:3: record: log_freq is the old name of check_every: give one of the two"
-    with pytest.raises(
-        SceneError, match=r"the override record\.check_every=1 and the override record\.log_freq=2: two names"
-    ):
+    with pytest.raises(SceneError, match=r"the overrides record\.check_every=1 and record\.log_freq=2: two names"):
         Scene.load(write(tmp_path, BODY), ["record.check_every=1", "record.log_freq=2"])
 
 

@@ -41,7 +41,6 @@ from carom.cli import (
 )
 from carom.cli.flags import Command, Group
 from carom.experiment.memory import keep_freed_memory
-from carom.scene.wording import at_a_shell
 
 app = typer.Typer(
     name="carom",
@@ -137,8 +136,7 @@ def main() -> None:
     keep_freed_memory()
     _say_old_names_once()
     try:
-        with at_a_shell():
-            app()
+        app()
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         typer.echo(f"carom: {where}{error.strerror or error}", err=True)
@@ -147,7 +145,7 @@ def main() -> None:
         from carom.cli.text import say
         from carom.experiment.error import ExperimentError
         from carom.physics.error import PhysicsError
-        from carom.recording.errors import RecordingError
+        from carom.recording.errors import ExistsError, RecordingError
         from carom.scene.error import SceneError
 
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
@@ -155,5 +153,8 @@ def main() -> None:
             sys.exit(1)
         if not isinstance(error, (SceneError, RecordingError, ExperimentError, PhysicsError)):
             raise
-        say(f"carom: {error}", err=True)
+        text = str(error)
+        if isinstance(error, ExistsError):
+            text = f"{error.path}: exists; give --force to replace it, or another name with -o"
+        say(f"carom: {text}", err=True)
         sys.exit(2)

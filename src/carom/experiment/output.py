@@ -6,9 +6,8 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from carom.recording.errors import RecordingError
+from carom.recording.errors import ExistsError, RecordingError
 from carom.recording.write.claim import Claim
-from carom.scene.wording import worded
 
 RECORDINGS = Path("recordings")
 
@@ -39,8 +38,7 @@ def refuse_output(path: Path, force: bool) -> None:
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: a device or a pipe; name a file, since a recording is read back")
         if path.exists() and not force:
-            way = worded("give --force to replace it, or another name with -o", "give force=True to replace it")
-            raise RecordingError(f"{path}: exists; {way}")
+            raise ExistsError(path)
         if not path.parent.is_dir():
             raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
     except OSError as error:

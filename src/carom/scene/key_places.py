@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from carom.scene.lines import KeyPath, line_of
-from carom.scene.wording import override_called
 
 
 class KeyPlaces:
@@ -18,7 +17,7 @@ class KeyPlaces:
         """Return the place of a key as a message begins with it; empty if it is not known."""
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
-                return f"{override_called(text)}: "
+                return f"the override {text}: "
         if not self.file:
             return ""
         line = line_of(self.text, path)

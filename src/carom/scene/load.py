@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import copy
-import itertools
 import tomllib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,6 @@ from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import override_called
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
@@ -68,7 +66,7 @@ def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
             warnings.warn(f"{places.of(old)}{advice(old)}", OldNameWarning, stacklevel=4)
     for override in overrides:
         if (key := key_path(override)) in RENAMED:
-            warnings.warn(f"{override_called(override)}: {advice(key)}", OldNameWarning, stacklevel=4)
+            warnings.warn(f"the override {override}: {advice(key)}", OldNameWarning, stacklevel=4)
 
 
 def scene_from_text(
@@ -103,7 +101,7 @@ def scene_from_text(
         path = apply_override(document, override)
         other = other_name(path)
         if other in overridden:
-            both = f"{override_called(overridden[other])} and {override_called(override)}"
+            both = f"the overrides {overridden[other]} and {override}"
             raise SceneError(f"{both}: two names of one key; give one of them")
         overridden[path] = override
         forget_digest(document, path)
@@ -171,10 +169,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
             path = written_path(detail, data)
             if not is_known(path, messages):
                 messages[path] = partial(explain, detail, path, places, data, units)
-    if messages:
-        more = len(messages) - MOST_MESSAGES
-        shown = [message() for message in itertools.islice(messages.values(), MOST_MESSAGES)]
-        raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
+    _refuse(list(messages.values()))
     if scene.bodies:
         scene, text = _with_bodies(scene, units, data, text, places, bodies or DataFiles(Path()))
     if len(text) > longest_text(scene.count):
@@ -186,18 +181,28 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
     return scene
 
 
+def _refuse(messages: Sequence[Callable[[], str]]) -> None:
+    """Refuse a scene with all that is wrong with it, one line each; those that are not shown are not worked out."""
+    if messages:
+        more = len(messages) - MOST_MESSAGES
+        shown = [message() for message in messages[:MOST_MESSAGES]]
+        raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
+
+
 def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
     """Find the bodies of each [[bodies]]; return the scene and its text with their counts and digests."""
-    found, row = list[Found](), 0
+    found, row, wrong = list[Found](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:
             material = material_called(scene, section.material) if section.material else None
             found.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material)))
+            row += len(found[-1].columns)
         except SceneError as error:
-            raise SceneError(f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}") from None
-        row += len(found[-1].columns)
+            wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))
+            row += section.count or 0
+    _refuse(wrong)
     known = [{"count": len(one.columns), "sha256": one.sha256} for one in found]
     sections = tuple(section.model_copy(update=values) for section, values in zip(scene.bodies, known, strict=True))
     if sections != scene.bodies:

@@ -16,7 +16,6 @@ from carom.scene.nesting import DEEPEST
 from carom.scene.renamed import other_name
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.expect import ABOUT_THE_END
-from carom.scene.wording import override_called
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
 _INDEX = re.compile(r"[0-9]{1,9}")
@@ -27,9 +26,9 @@ def apply_override(document: Any, override: str) -> KeyPath:
     dotted, separator, text = override.partition("=")
     keys = key_path(override)
     if not separator or not all(key != "" for key in keys):
-        raise SceneError(f"{override_called(override)}: expected key=value, such as contact.restitution=0.8")
+        raise SceneError(f"the override {override}: expected key=value, such as contact.restitution=0.8")
     if len(keys) > DEEPEST:
-        raise SceneError(f"{override_called(override[:80])} …: a key of more than {DEEPEST} parts")
+        raise SceneError(f"the override {override[:80]} …: a key of more than {DEEPEST} parts")
     node: Any = document
     for depth, key in enumerate(keys[:-1]):
         try:
@@ -39,10 +38,10 @@ def apply_override(document: Any, override: str) -> KeyPath:
         except (KeyError, IndexError, TypeError):
             where = ".".join(map(str, keys[: depth + 1]))
             unknown = hint(keys[:1]) if keys[0] not in Scene.model_fields else ""
-            raise SceneError(f"{override_called(override)}: there is no {where} in the scene{unknown}") from None
+            raise SceneError(f"the override {override}: there is no {where} in the scene{unknown}") from None
         if not isinstance(node, (dict, list)):
             where = ".".join(map(str, keys[: depth + 1]))
-            raise SceneError(f"{override_called(override)}: {where} is a value, not a section")
+            raise SceneError(f"the override {override}: {where} is a value, not a section")
     try:
         if not text.strip() and keys[-1] not in TEXTS:
             node.pop(keys[-1])
@@ -51,7 +50,7 @@ def apply_override(document: Any, override: str) -> KeyPath:
         if other := other_name(keys):
             node.pop(other[-1], None)
     except (KeyError, IndexError, TypeError, ValueError):
-        raise SceneError(f"{override_called(override)}: there is no {dotted.strip()} in the scene") from None
+        raise SceneError(f"the override {override}: there is no {dotted.strip()} in the scene") from None
     return keys
 
 

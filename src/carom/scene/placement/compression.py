@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.scene.error import SceneError
-from carom.scene.half_space import HalfSpaces
 from carom.scene.neighbours import overlapping_pairs
 from carom.scene.placement.region import confined
-from carom.scene.placement.start import Start
+from carom.scene.placement.surroundings import Surroundings
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Region
 
@@ -48,9 +47,7 @@ def compressed(
     region: Region,
     position: FloatArray,
     radius: FloatArray,
-    placed: list[Start],
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
 ) -> FloatArray:
     """Return centres, (n, 3) m, at which spheres of their full size do not overlap, near given ones.
 
@@ -60,8 +57,8 @@ def compressed(
         If overlaps are left in the end.
     """
     n, large = len(radius), radius * (1.0 + INFLATED)
-    others = np.concatenate([np.empty((0, 3)), *(start.position for start in placed)])
-    radii = np.concatenate((large, *(start.radius for start in placed)))
+    others = np.concatenate([np.empty((0, 3)), *(centres for centres, _ in around.spheres)])
+    radii = np.concatenate((large, *(radii for _, radii in around.spheres)))
     x, v = position.copy(), np.zeros_like(position)
     pairs, listed = np.empty((0, 2), dtype=np.int64), np.full_like(position, np.inf)
     step, mixed, downhill = FIRST_STEP, MIXED, 0
@@ -69,9 +66,9 @@ def compressed(
     for _ in range(MOST_STEPS):
         if _farthest(x - listed) > 0.5 * slack:
             everyone = np.concatenate((x, others))
-            pairs = overlapping_pairs(everyone, radii + 0.5 * slack, box)
+            pairs = overlapping_pairs(everyone, radii + 0.5 * slack, around.box)
             pairs, listed = pairs[pairs[:, 0] < n], x.copy()
-        force, deepest = _forces(x, large, np.concatenate((x, others)), radii, pairs, region, solids, box)
+        force, deepest = _forces(x, large, np.concatenate((x, others)), radii, pairs, region, around)
         if deepest < 0.5 * INFLATED:
             return x
         power = float((force * v).sum())
@@ -108,11 +105,10 @@ def _forces(
     radii: FloatArray,
     pairs: IntArray,
     region: Region,
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
 ) -> tuple[FloatArray, float]:
     """Return the push on each sphere in m, (n, 3), and the deepest overlap in radii."""
-    i, j = pairs[:, 0], pairs[:, 1]
+    i, j, box = pairs[:, 0], pairs[:, 1], around.box
     d = everyone[j] - everyone[i]
     if box is not None:
         d -= box * np.round(d / box)
@@ -129,7 +125,7 @@ def _forces(
         float((overlap / np.minimum(radii[i], radii[j])).max(initial=0.0)),
         float((np.sqrt((back * back).sum(axis=1)) / radius).max()),
     )
-    for N, o in zip(solids.normal, solids.offset, strict=True):  # not by BLAS, whose rounding varies
+    for N, o in zip(around.solids.normal, around.solids.offset, strict=True):  # not by BLAS, whose rounding varies
         depth = np.maximum(0.0, radius - (x[:, 0] * N[0] + x[:, 1] * N[1] + x[:, 2] * N[2] - o))
         force += depth[:, None] * N
         deepest = max(deepest, float((depth / radius).max()))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carom.scene.body_names import NumberedNames
 from carom.scene.data.columns import BodyColumns
 from carom.scene.error import SceneError
-from carom.scene.half_space import HalfSpaces, half_spaces
+from carom.scene.half_space import half_spaces
 from carom.scene.materials import made_of
 from carom.scene.neighbours import overlapping_pairs
 from carom.scene.placement.check import (
@@ -26,7 +26,7 @@ from carom.scene.placement.compression import DENSEST, compressed, shrunken
 from carom.scene.placement.lattice import lattice
 from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
 from carom.scene.placement.plummer import drawn_velocities, mass_within
-from carom.scene.placement.random_placement import clear_of, positions
+from carom.scene.placement.random_placement import positions
 from carom.scene.placement.region import (
     default_region,
     half_extent,
@@ -35,6 +35,7 @@ from carom.scene.placement.region import (
     refuse_too_large,
 )
 from carom.scene.placement.start import Start, join
+from carom.scene.placement.surroundings import Surroundings
 from carom.scene.schema import Body, Group, Region, Scene
 from carom.scene.schema.group import LATTICES
 from carom.scene.units.system import SI, UnitSystem
@@ -71,7 +72,8 @@ def place(scene: Scene) -> Start:
     units = scene.unit_system
     for index, group in enumerate(scene.group):
         made = made_of(scene, group)
-        parts.append(_group(index, made, parts, solids, box, np.random.default_rng(streams[index]), pull, units))
+        around = Surroundings(tuple((part.position, part.radius) for part in parts), solids, box)
+        parts.append(_group(index, made, around, np.random.default_rng(streams[index]), pull, units))
     start = join(parts)
     refuse_overflow(start)
     return start if box is None else replace(start, position=_inside(start.position, box))
@@ -129,9 +131,7 @@ def _explicit(bodies: Sequence[Body]) -> Start:
 def _group(
     index: int,
     group: Group,
-    placed: list[Start],
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
     rng: np.random.Generator,
     constant: float,
     units: UnitSystem = SI,
@@ -143,7 +143,7 @@ def _group(
     region = group.region or default_region(index, radius, units)
     room = float(half_extent(region).max())
     refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()), units)
-    position = _arranged(index, group, region, radius, placed, solids, box, rng, units)
+    position = _arranged(index, group, region, radius, around, rng, units)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
     velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
@@ -176,9 +176,7 @@ def _arranged(
     group: Group,
     region: Region,
     radius: FloatArray,
-    placed: list[Start],
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
@@ -186,10 +184,10 @@ def _arranged(
     if group.arrangement in LATTICES:
 
         def is_clear(points: FloatArray) -> NDArray[np.bool_]:
-            return clear_of(points, np.full(len(points), radius.max()), placed, solids, box)
+            return around.is_clear(points, np.full(len(points), radius.max()))
 
         found = lattice(index, group, region, radius, is_clear, units)
-        if box is not None and len(overlapping_pairs(found, radius, box)):
+        if around.box is not None and len(overlapping_pairs(found, radius, around.box)):
             raise SceneError(
                 f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
                 "smaller than the box by a spacing"
@@ -197,10 +195,10 @@ def _arranged(
         return found
     refuse_too_large(index, region, radius, units)
     if group.arrangement == "random":
-        return positions(index, region, radius, placed, solids, box, rng)
+        return positions(index, region, radius, around, rng)
     small = shrunken(radius, packing_fraction(group))
-    loose = positions(index, region, small, placed, solids, box, rng)
-    return compressed(index, region, loose, radius, placed, solids, box)
+    loose = positions(index, region, small, around, rng)
+    return compressed(index, region, loose, radius, around)
 
 
 def _refuse_full_region(index: int, group: Group) -> None:

@@ -7,21 +7,16 @@ collide are replaced by new ones until each body has one.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.scene.error import SceneError
-from carom.scene.half_space import HalfSpaces
-from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance, wrapped
+from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance
 from carom.scene.placement.occupancy import Occupancy
 from carom.scene.placement.region import bounds, drawn_centres, volume
-from carom.scene.placement.start import Start
+from carom.scene.placement.surroundings import Surroundings
 from carom.scene.schema import Region
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 FloatArray = NDArray[np.float64]
 
@@ -34,51 +29,23 @@ def positions(
     index: int,
     region: Region,
     radius: FloatArray,
-    placed: list[Start],
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
-    obstacles = [(start.position, start.radius) for start in placed]
     for members in reversed(size_classes(radius)):
-        position[members] = _place_class(
-            index, region, radius[members], _trees(obstacles, box), solids, box, rng, packing
-        )
-        obstacles.append((position[members], radius[members]))
+        position[members] = _place_class(index, region, radius[members], around, rng, packing)
+        around = around.beside(position[members], radius[members])
     return position
-
-
-_Tree = tuple["cKDTree", FloatArray, FloatArray]
-
-
-def _trees(obstacles: list[tuple[FloatArray, FloatArray]], box: FloatArray | None) -> list[_Tree]:
-    """Return a tree of each size class of spheres, given centres and radii."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
-
-    return [
-        (cKDTree(wrapped(centres[same], box), boxsize=box), centres[same], radii[same])
-        for centres, radii in obstacles
-        for same in size_classes(radii)
-    ]
-
-
-def clear_of(
-    position: FloatArray, radius: FloatArray, placed: list[Start], solids: HalfSpaces, box: FloatArray | None
-) -> NDArray[np.bool_]:
-    """Tell which spheres touch no plane and none of the bodies placed before, (k,)."""
-    return _clear_of(position, radius, _trees([(start.position, start.radius) for start in placed], box), solids, box)
 
 
 def _place_class(
     index: int,
     region: Region,
     radius: FloatArray,
-    trees: list[_Tree],
-    solids: HalfSpaces,
-    box: FloatArray | None,
+    around: Surroundings,
     rng: np.random.Generator,
     packing: float,
 ) -> FloatArray:
@@ -90,7 +57,7 @@ def _place_class(
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
-    corners = bounds(region)
+    corners, box = bounds(region), around.box
     occupied = Occupancy(*corners, radius) if box is None and Occupancy.pays(*corners, radius) else None
     drawn = 0
     for _ in range(MOST_ROUNDS):
@@ -99,7 +66,7 @@ def _place_class(
         drawn += math.ceil(CANDIDATES_PER_BODY * n) - len(owner)
         fresh_owner = np.resize(missing, math.ceil(CANDIDATES_PER_BODY * n) - len(owner))
         fresh = drawn_centres(region, radius[fresh_owner], rng)
-        clear = _clear_of(fresh, radius[fresh_owner], trees, solids, box)
+        clear = around.is_clear(fresh, radius[fresh_owner])
         candidates, candidate_owner = fresh[clear], fresh_owner[clear]
         if occupied is None or len(pool) == 0:
             clean = _clean(pool, candidates, radius[owner], radius[candidate_owner], box)
@@ -116,9 +83,9 @@ def _place_class(
         missing = np.flatnonzero(~placed)
         if len(missing) == 0:
             return pool[np.argsort(owner)]
-    in_the_way = np.flatnonzero(np.all(solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
+    in_the_way = np.flatnonzero(np.all(around.solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
     if len(in_the_way):
-        names = " and ".join(solids.name[plane] for plane in in_the_way)
+        names = " and ".join(around.solids.name[plane] for plane in in_the_way)
         raise SceneError(f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it")
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
@@ -163,22 +130,3 @@ def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArra
     clean[free] = True
     clean[i[hit]] = False
     return np.flatnonzero(clean)
-
-
-def _clear_of(
-    position: FloatArray, radius: FloatArray, trees: list[_Tree], solids: HalfSpaces, box: FloatArray | None
-) -> NDArray[np.bool_]:
-    """Tell which candidates touch no plane and none of the bodies placed before."""
-    from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
-
-    clear: NDArray[np.bool_] = np.all(solids.depth(position, radius) < 0.0, axis=1)
-    if not trees:
-        return clear
-    own = cKDTree(wrapped(position, box), boxsize=box)
-    for tree, centres, radii in trees:
-        reach = (radius.max() + radii.max()) * QUERY_MARGIN
-        near = own.sparse_distance_matrix(tree, reach, output_type="ndarray")
-        i, j = near["i"], near["j"]
-        hit = squared_distance(position[i], centres[j], box) <= (radius[i] + radii[j]) ** 2
-        clear[i[hit]] = False
-    return clear
