@@ -46,6 +46,19 @@ def test_a_full_queue_makes_the_writer_wait() -> None:
     assert not writer.is_alive()
 
 
+def test_room_is_waited_for_before_there_is_anything_to_put() -> None:
+    queue: BatchQueue[int] = BatchQueue(capacity=1, batch=1, seconds=60.0)
+    queue.wait_for_room()
+    queue.put(1)
+    writer = threading.Thread(target=queue.wait_for_room)
+    writer.start()
+    writer.join(timeout=0.1)
+    assert writer.is_alive()
+    queue.fail(OSError("full"))
+    writer.join(timeout=30)
+    assert not writer.is_alive()
+
+
 def test_a_writer_who_waits_hears_of_a_failure() -> None:
     queue: BatchQueue[int] = BatchQueue(capacity=1, batch=1, seconds=60.0)
     queue.put(1)

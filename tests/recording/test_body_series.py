@@ -59,7 +59,7 @@ def test_what_does_not_exist_is_told_in_one_sentence(thrown: Recording, text: st
 
 def test_spins_of_bodies_that_do_not_spin_are_refused(tmp_path: Path) -> None:
     simulate(Space(scene_of([{}], time={"duration": 0.1, "fixed_dt": 0.05})), tmp_path / "one.rrd")
-    with pytest.raises(RecordingError, match=r"--plot 0\.omega: the bodies of .*one\.rrd do not spin"):
+    with pytest.raises(RecordingError, match=r"^plot 0\.omega: the bodies of .*one\.rrd do not spin"):
         asked_quantities(Recording.open(tmp_path / "one.rrd"), "0.omega")
 
 

@@ -8,7 +8,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema.checkpoint import size
+from carom.recording.schema.checkpoint import encode, size
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.recorder import Recorder
 from merry import Merry
@@ -47,6 +47,13 @@ def test_a_checkpoint_comes_back_bit_for_bit(tmp_path: Path, spins: bool) -> Non
     recording = record(tmp_path / "run.rrd", merry, frames)
     for state in recording.checkpoints():
         assert_same_bits(state, frames[state.step])
+
+
+def test_a_single_state_is_encoded_without_copies_of_its_arrays() -> None:
+    frame = next(iter(Merry(20).frames(1)))
+    columns = encode([frame.checkpoint])
+    for name in ("position", "velocity", "acceleration", "orientation", "angular_velocity"):
+        assert np.shares_memory(np.asarray(columns[name][0]), getattr(frame, name)), name
 
 
 def test_the_first_and_the_last_frame_and_those_before_warnings_have_one(tmp_path: Path) -> None:

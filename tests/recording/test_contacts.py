@@ -219,6 +219,19 @@ def test_a_replay_finds_that_fewer_impacts_were_kept_than_there_was_room_for(
     assert (found.quantity, found.recorded, found.replayed) == (f"impact {dropped[0]} in /impacts", "nothing", "a row")
 
 
+def test_a_replay_compares_the_numbers_of_impacts_in_the_outcome(recording: Recording, tmp_path: Path) -> None:
+    count = recording.closing["impacts.recorded"]
+    one_more = mapped("impacts.recorded", lambda row: [row[0] + 1])
+    changed(recording.path, tmp_path / "altered.rrd", "__properties/outcome", one_more, static=True)
+    found = replay(Recording.open(tmp_path / "altered.rrd")).difference
+    assert found is not None
+    assert (found.quantity, found.recorded, found.replayed) == (
+        "impacts.recorded of the property outcome",
+        count + 1,
+        count,
+    )
+
+
 def test_a_replay_finds_that_not_the_largest_impacts_were_kept(thinned: Recording, tmp_path: Path) -> None:
     hardest = pc.index(thinned.impacts()["normal_impulse"], pc.max(thinned.impacts()["normal_impulse"])).as_py()
     number = impacts_by_number(thinned)[0][hardest]

@@ -75,6 +75,33 @@ def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) ->
         assert of_hue(shown, colour) > 200, "the trail of each planet"
 
 
+GRAINS = """
+title = "Grains of a millimetre"
+[time]
+duration = 0.03
+fixed_dt = 1e-4
+[gravity]
+constant = 0.0
+uniform = [0, 0, -9.81]
+[[plane]]
+[[body]]
+radius = 1e-3
+position = [0, 0, 4e-3]
+[[body]]
+radius = 1e-3
+position = [5e-4, 0, 7e-3]
+"""
+
+
+@pytest.mark.slow
+def test_grains_of_a_millimetre_are_framed_like_large_bodies(tmp_path: Path) -> None:
+    file = tmp_path / "grains.toml"
+    file.write_text(GRAINS)
+    pixels = picture(Scene.load(str(file)), tmp_path)
+    for number in range(3):
+        assert filled(view(pixels, number, SHARES)) > 0.5, ("bodies", "graph", "close-up")[number]
+
+
 @pytest.mark.slow
 def test_bodies_far_smaller_than_a_pixel_are_seen_as_dots(tmp_path: Path) -> None:
     file = tmp_path / "sun.toml"

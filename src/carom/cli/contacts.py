@@ -34,7 +34,10 @@ def contacts(
     at: Annotated[
         Seconds,
         typer.Option(
-            "--at", parser=seconds, metavar="T", help="The step that this time is in; default: the hardest impact."
+            "--at",
+            parser=seconds,
+            metavar="T",
+            help="Simulated time within the step. Default: the hardest impact.",
         ),
     ] = None,
     bodies: Annotated[

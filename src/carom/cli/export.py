@@ -20,7 +20,10 @@ def export(
     at: Annotated[
         float | None,
         typer.Option(
-            "--at", parser=seconds, metavar="T", help="The step that this time is in. Default: the hardest impact."
+            "--at",
+            parser=seconds,
+            metavar="T",
+            help="Simulated time within the step. Default: the hardest impact.",
         ),
     ] = None,
     everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,

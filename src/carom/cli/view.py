@@ -58,7 +58,7 @@ class ColourBy(StrEnum):
 
 ColourOption = Annotated[
     ColourBy | None,
-    typer.Option("--colour-by", "--color-by", help="What tells the bodies apart. Default: what the scene says."),
+    typer.Option("--colour-by", "--color-by", help="What the colours of the bodies show. Default: as the scene says."),
 ]
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 

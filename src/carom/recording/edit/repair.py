@@ -9,7 +9,8 @@ from pathlib import Path
 from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
-from carom.recording.read.recording import UNFINISHED, Recording
+from carom.recording.read.recording import Recording
+from carom.recording.read.statics import UNFINISHED
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Entry, Store
 from carom.recording.rrd.salvage import Salvage, salvage

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from carom.recording.errors import RecordingError
+from carom.recording.errors import ExistsError, RecordingError
 from carom.recording.export.arrays import write_npz
 from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.recording.export.snapshot import Snapshot
@@ -30,7 +30,7 @@ def refuse_series(path: Path, force: bool) -> None:
     """Raise RecordingError if the folder of a .vtk of many steps is there, unless its files may be replaced."""
     folder = series_of(path)[1]
     if folder.exists() and not (force and folder.is_dir()):
-        raise RecordingError(f"{folder}: exists; give --force to replace the files in it, or another name with -o")
+        raise ExistsError(folder)
 
 
 def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path, int]:

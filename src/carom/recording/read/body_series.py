@@ -78,14 +78,14 @@ def asked_quantities(recording: Recording, text: str) -> list[tuple[int, Quantit
     for part in text.split(","):
         body, _, name = part.strip().rpartition(".")
         if not body:
-            raise RecordingError(f'--plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part.strip()}" is not')
+            raise RecordingError(f'plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part.strip()}" is not')
         if name not in QUANTITIES:
-            raise RecordingError(f'--plot {text}: there is no quantity "{name}"; there are {_all_quantities()}')
+            raise RecordingError(f'plot {text}: there is no quantity "{name}"; there are {_all_quantities()}')
         asked[body_number(recording, body), QUANTITIES[name]] = None
     if any(quantity.vector == "angular_velocity" for _, quantity in asked) and not recording.info["spins"]:
-        raise RecordingError(f"--plot {text}: the bodies of {recording.path} do not spin")
+        raise RecordingError(f"plot {text}: the bodies of {recording.path} do not spin")
     if len(asked) > MOST:
-        raise RecordingError(f"--plot: {len(asked)} curves are more than {MOST}; ask for fewer")
+        raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; ask for fewer")
     return list(asked)
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, wraps
+from collections.abc import Iterable, Iterator
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -18,16 +18,17 @@ from carom.recording.read.body_states import bodies_at
 from carom.recording.read.body_table import BodyTable
 from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
-from carom.recording.read.entities import Entities, Values
+from carom.recording.read.entities import Values
 from carom.recording.read.events import event_table, warnings_of
 from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
 from carom.recording.read.series import scalar_series
+from carom.recording.read.statics import Statics, named
 from carom.recording.read.summary import summary
 from carom.recording.read.trajectory import trajectory
 from carom.recording.rrd.index import Container
-from carom.recording.rrd.messages import RECORDING, Chunk, Entry, Store
+from carom.recording.rrd.messages import RECORDING, Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.body_names import names_of
@@ -35,39 +36,14 @@ from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import STEP
 from carom.scene.data.columns import BodyColumns
-from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.window import Watcher
 
-UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
 
-_Parameters = ParamSpec("_Parameters")
-_Result = TypeVar("_Result")
-
-
-def _named(
-    read: Callable[Concatenate[Recording, _Parameters], _Result],
-) -> Callable[Concatenate[Recording, _Parameters], _Result]:
-    """Make a method name the file in its errors."""
-
-    @wraps(read)
-    def reads(self: Recording, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-        with reading(self.path):
-            return read(self, *args, **kwargs)
-
-    return reads
-
-
-class Recording:
+class Recording(Statics):
     """A recording on disk. Make one with :meth:`open`."""
-
-    def __init__(self, container: Container, store: Store) -> None:
-        self.path = container.path
-        self.finished = container.finished  # the file has its footer: the run closed it
-        self.store = store
-        self._entities = Entities(container, store)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -90,114 +66,7 @@ class Recording:
         return cls(container, store)
 
     @cached_property
-    @_named
-    def info(self) -> Mapping[str, Any]:
-        """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
-        return self._entities.properties("carom")
-
-    @cached_property
-    @_named
-    def properties(self) -> Mapping[str, Any]:
-        """The property `run`: versions, command, git, cpu and whatever else the caller added."""
-        return self._entities.properties("run")
-
-    @cached_property
-    @_named
-    def parameters(self) -> Mapping[str, Any]:
-        """The property `sweep`: the run's name in its sweep, and its varied values; empty for a single run."""
-        return self._entities.properties("sweep")
-
-    @cached_property
-    @_named
-    def closing(self) -> Mapping[str, Any]:
-        """The property `outcome`: how it ended; empty if the run was killed."""
-        return self._entities.properties("outcome")
-
-    @cached_property
-    @_named
-    def arrow_references(self) -> Mapping[str, Any]:
-        """The property `arrows`: reference magnitudes of the arrows."""
-        return self._entities.properties("arrows")
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """Versions of the packages that it was recorded with."""
-        stamped = ((key.partition("version."), value) for key, value in self.properties.items())
-        return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
-
-    @cached_property
-    @_named
-    def clip(self) -> Mapping[str, Any]:
-        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
-        return self._entities.properties("clip")
-
-    @cached_property
-    @_named
-    def shown(self) -> Sequence[int]:
-        """Numbers of the bodies that it shows: all, unless it is a clip of some."""
-        if "bodies" not in self.clip:
-            return range(int(self.info["bodies"]))
-        found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
-        if not all(0 <= body < int(self.info["bodies"]) for body in found):
-            raise DamageError("it shows bodies that it does not have")
-        return found
-
-    @property
-    @_named
-    def is_partial(self) -> bool:
-        """Whether it is a clip without the exact states, and without the bodies that it does not show."""
-        return bool(self.clip.get("partial", False))
-
-    @property
-    @_named
-    def is_overlay(self) -> bool:
-        """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
-        return bool(self._entities.properties("diff") or self._entities.properties("tradeoff"))
-
-    def refuse_overlay(self) -> None:
-        """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""
-        if self.is_overlay:
-            raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
-
-    @property
-    @_named
-    def engine(self) -> str:
-        """Name and version of the other engine that it was recorded from; empty for carom's own runs."""
-        return str(self.info.get("engine", ""))
-
-    @property
-    @_named
-    def records_contacts(self) -> bool:
-        """Whether impacts and the contact table are recorded."""
-        return bool(self.info.get("records_contacts", False))
-
-    @property
-    @_named
-    def title(self) -> str:
-        """The scene's title."""
-        return str(self.info["title"])
-
-    @property
-    @_named
-    def outcome(self) -> str:
-        """How the run ended."""
-        return str(self.closing.get("outcome", UNFINISHED))
-
-    @cached_property
-    @_named
-    def units(self) -> UnitSystem:
-        """The units of its scene: recorded numbers are in SI, unless the scene has units of its own."""
-        return UnitSystem.of_properties(self.info)
-
-    @cached_property
-    @_named
-    def scene_toml(self) -> str:
-        """The scene, exactly as it was written."""
-        self.refuse_overlay()
-        return str(self._entities.static(paths.SCENE_TOML)["TextDocument:text"][0])
-
-    @cached_property
-    @_named
+    @named
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time.
 
@@ -306,7 +175,7 @@ class Recording:
         """
         return contacts(self, at, replay=replay, watch=watch)
 
-    @_named
+    @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
         """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.given_bodies`."""
         return decode(self._given, index, row, place, self.bodies)
@@ -317,14 +186,8 @@ class Recording:
             raise DamageError(f"{name} of its bodies is not {n} positive numbers")
         return array
 
-    @cached_property
-    @_named
-    def origin(self) -> NDArray[np.float64]:
-        """Origin of the drawn positions in the scene, (3,) m."""
-        return np.asarray(self.info["origin"], dtype=np.float64)
-
     @property
-    @_named
+    @named
     def frames(self) -> int:
         """Number of frames."""
         return int(self._fingerprints.num_rows)
@@ -334,12 +197,12 @@ class Recording:
         if self.frames == 0:
             raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
 
-    @_named
+    @named
     def fingerprints(self) -> pa.Table:
         """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
         return self._fingerprints
 
-    @_named
+    @named
     def energy(self, *names: str) -> pa.Table:
         """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
 
@@ -347,7 +210,7 @@ class Recording:
         """
         return self._series(paths.ENERGY, names)
 
-    @_named
+    @named
     def steps(self, *names: str) -> pa.Table:
         """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame.
 
@@ -355,12 +218,12 @@ class Recording:
         """
         return self._series(paths.STEP, names)
 
-    @_named
+    @named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
         return self._entities.table(paths.MOMENTUM, tables.MOMENTA)
 
-    @_named
+    @named
     def events(self) -> pa.Table:
         """Columns step, sim_time, level, text and kind, in the order of steps.
 
@@ -372,18 +235,18 @@ class Recording:
         """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
         return warnings_of(self.events(), float(self.info["time_scale"]), until)
 
-    @_named
+    @named
     def phases(self) -> pa.Table:
         """Columns step, sim_time, state: a row where the phase changes."""
         return self._states(paths.PHASE)
 
-    @_named
+    @named
     def dt_limits(self) -> pa.Table:
         """Columns step, sim_time, state: a row where what limits dt changes."""
         return self._states(paths.DT_LIMIT)
 
     @cached_property
-    @_named
+    @named
     def checkpoint_times(self) -> dict[int, float]:
         """Simulated times (s) of the checkpoints by step, rising; a clip's first may precede its frames."""
         table = self._entities.table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
@@ -397,7 +260,7 @@ class Recording:
         """Steps that carry an exact checkpoint, rising."""
         return list(self.checkpoint_times)
 
-    @_named
+    @named
     def checkpoint(self, step: int) -> Checkpoint:
         """Decode the exact state at one of :attr:`checkpoint_steps`.
 
@@ -415,7 +278,7 @@ class Recording:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
 
-    @_named
+    @named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
         for chunk in self._entities.chunks_at(step, paths.BODIES):
@@ -425,7 +288,7 @@ class Recording:
                     return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
         return None
 
-    @_named
+    @named
     def drawn_box(self, path: str) -> NDArray[np.float64]:
         """Return the size of the walls or of the periodic box as drawn, (3,) m."""
         half = np.asarray(self._entities.static(path)["Boxes3D:half_sizes"], dtype=np.float64)
@@ -433,7 +296,7 @@ class Recording:
             raise DamageError(f"/{path} is not one box")
         return 2.0 * half
 
-    @_named
+    @named
     def moment(self, at: float | None = None) -> float:
         """Return the time (s) to look at: the given one, else the hardest impact, else the most contacts, else the end.
 
@@ -446,7 +309,7 @@ class Recording:
         """
         return moment(self, at)
 
-    @_named
+    @named
     def summary(self) -> dict[str, Any]:
         """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)

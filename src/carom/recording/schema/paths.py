@@ -5,6 +5,7 @@ SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed;
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"
+MAGNIFIED = "magnified"  # transforms, by which views magnify small scenes
 BODIES = "world/bodies"
 PLANES = "world/planes"
 WALLS = "world/walls"

@@ -54,11 +54,8 @@ class Sample(NamedTuple):
     before: Frame | Checkpoint | None  # the frame recorded before it; None at the first
     overlap: float  # m, the deepest of the frame's contacts; 0 without any
     relative_overlap: float  # the largest overlap / smaller radius of a contact
-
-    @property
-    def energy(self) -> Energy:
-        """The frame's energies, in J."""
-        return self.frame.energy
+    colours: float  # number of colours of the contacts
+    energy: Energy  # of the frame, J
 
 
 class Past(Enum):
@@ -94,11 +91,6 @@ def _impact_rate(sample: Sample) -> float:
     if before is None or frame.time <= before.time:
         return 0.0
     return (frame.books.moments.impacts - before.books.moments.impacts) / (frame.time - before.time)
-
-
-def _colours(sample: Sample) -> int:
-    colours = sample.frame.contacts.colours
-    return int(colours.max()) + 1 if len(colours) else 0
 
 
 def _potential(kind: ForceKind) -> Series:
@@ -162,7 +154,7 @@ SERIES = (
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
            _impact_rate, "impacts since the frame before over the time between", "contact", Past.INTERVAL),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
-           _colours, "colours of the contacts in the step", "contact", Past.STEP, inside=True),
+           lambda s: s.colours, "colours of the contacts in the step", "contact", Past.STEP, inside=True),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
            lambda s: s.frame.sweeps, "passes of the solver over the contacts in the step", "contact", Past.STEP,
            inside=True),

@@ -9,14 +9,14 @@ import rerun.blueprint as rrb
 
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view.camera import View
-from carom.recording.view.eye import background, eye
+from carom.recording.view.eye import background, eye, space_of
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
     """Lay out a 3D view of some entities, whose camera stands still, with panels on its right."""
     bodies = rrb.Spatial3DView(
         name=name,
-        origin="/",
+        origin=space_of(view),
         contents=contents,
         background=background(),
         line_grid=False,

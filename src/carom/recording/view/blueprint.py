@@ -127,12 +127,12 @@ def _single(
             return graph_view(header, camera, canvas.area())
         case "graph":
             raise RecordingError(
-                "there is no collision graph: bodies neither touch nor feel torques; take --view bodies"
+                "there is no collision graph: bodies neither touch nor feel torques; take the view of bodies"
             )
         case "close-up" if added.close:
             return added.close.view(header)
         case "close-up":
-            raise RecordingError("no impact is known that a close-up could show; name two bodies with --bodies")
+            raise RecordingError("no impact is known that a close-up could show; name two bodies")
         case _:
             return energy_view(header, curves, canvas.area())
 

@@ -11,7 +11,7 @@ from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area
 from carom.recording.view.contact_overrides import recent_impacts
 from carom.recording.view.drawn_bodies import drawn_bodies
-from carom.recording.view.eye import background, eye
+from carom.recording.view.eye import background, eye, space_of
 from carom.recording.view.trails import TRAILS, up_to_cursor
 from carom.recording.write import encoder as entities
 
@@ -21,7 +21,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     view = camera.view(area.aspect)
     return rrb.Spatial3DView(
         name="Bodies and contacts" if header.collides else "Bodies",
-        origin="/",
+        origin=space_of(view),
         contents=[
             paths.BODIES,
             *entities.surroundings(header),

@@ -22,7 +22,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.recording.view.camera import CameraFit, View
-from carom.recording.view.eye import background, eye
+from carom.recording.view.eye import background, eye, space_of
 from carom.recording.view.graph_view import faint_bodies
 from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
@@ -82,7 +82,7 @@ class CloseUp:
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
         return rrb.Spatial3DView(
             name=f"Close-up: {self.names}",
-            origin="/",
+            origin=space_of(self.eye),
             contents=contents,
             background=background(),
             line_grid=False,

@@ -12,7 +12,7 @@ from carom.recording.schema.header import Header
 from carom.recording.view.camera import CameraFit
 from carom.recording.view.canvas import Area
 from carom.recording.view.contact_overrides import edges_by_impulse, force_arrows
-from carom.recording.view.eye import background, eye
+from carom.recording.view.eye import background, eye, space_of
 from carom.recording.write import encoder as entities
 
 _GHOST = 0x8A93A630
@@ -26,9 +26,10 @@ def has_graph(header: Header) -> bool:
 
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
+    view = camera.view(area.aspect, _arrows(header))
     return rrb.Spatial3DView(
         name=_name(header),
-        origin="/",
+        origin=space_of(view),
         contents=[
             paths.BODIES,
             *entities.surroundings(header),
@@ -38,7 +39,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
         ],
         background=background(),
         line_grid=False,
-        eye_controls=eye(camera.view(area.aspect, _arrows(header))),
+        eye_controls=eye(view),
         overrides=faint_bodies(header) | edges_by_impulse(header),
     )
 

@@ -20,7 +20,6 @@ from carom.recording.errors import RecordingError
 
 _SETTINGS = '{{"egui": "(options:(theme_preference:Light))", "rerun.version": "{version}"}}'
 _GRACE = 5.0  # s between asking the screen to end and ending it
-_MISSING = "a picture in the light theme needs Xvfb, a virtual screen: apt-get install xvfb; or take --theme dark"
 
 
 @contextlib.contextmanager
@@ -34,7 +33,9 @@ def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
     """
     program = shutil.which("Xvfb")
     if program is None:
-        raise RecordingError(_MISSING)
+        raise RecordingError(
+            "a picture in the light theme needs Xvfb, a virtual screen: apt-get install xvfb; or take the dark theme"
+        )
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         settings = Path(folder) / "rerun" / "app.ron"
         settings.parent.mkdir()
@@ -62,7 +63,7 @@ def _screen(program: str, size: tuple[int, int]) -> Iterator[str]:
         with os.fdopen(reads) as told:
             number = told.readline().strip()  # empty if Xvfb has ended
         if not number:
-            raise RecordingError("Xvfb, the virtual screen for the light theme, did not start; take --theme dark")
+            raise RecordingError("Xvfb, the virtual screen for the light theme, did not start; take the dark theme")
         yield f":{number}"
     finally:
         process.terminate()

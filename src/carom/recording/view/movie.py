@@ -28,6 +28,7 @@ from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.request import Request
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import Viewer
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +51,8 @@ def frame_times(recording: Recording, start: float, end: float, count: int) -> F
     recording.moment(start)
     recording.moment(end)
     if not start < end:
-        raise RecordingError(f"--from {start:.9g} --to {end:.9g}: a movie goes from an earlier time to a later one")
+        first, last = (recording.units.text(time, TIME, ".9g") for time in (start, end))
+        raise RecordingError(f"from {first} to {last}: a movie goes from an earlier time to a later one")
     times = recording.fingerprints()["time"].to_numpy()
     wanted = np.linspace(start, end, count)
     rows = np.searchsorted(times, wanted * (1.0 + 1e-12), side="right") - 1

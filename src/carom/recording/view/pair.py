@@ -14,7 +14,6 @@ from carom.recording.read.impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.scene.names import bodies_called, body_called
-from carom.scene.wording import worded
 
 _IMPACT = "impact:"  # before the number of an impact
 _DIGITS = 18  # so many fit into 64 bits
@@ -37,15 +36,12 @@ def named_pair(recording: Recording, text: str) -> Pair:
     RecordingError
         If they are not two bodies of the recording.
     """
-    asked = worded("--bodies", "bodies")
     given = [part.strip() for part in text.split(",")]
     if len(given) != 2 or not all(given):
-        raise RecordingError(
-            f"{worded('--bodies', 'bodies')} {text}: expected two bodies with a comma between them, such as 0,1"
-        )
+        raise RecordingError(f"bodies {text}: expected two bodies with a comma between them, such as 0,1")
     first, second = (body_number(recording, part) for part in given)
     if first == second:
-        raise RecordingError(f"{asked} {text}: this is one body; give two")
+        raise RecordingError(f"bodies {text}: this is one body; give two")
     for body in (first, second):
         if body not in recording.shown:
             names = recording.bodies.name
@@ -110,7 +106,7 @@ def event(recording: Recording, name: str) -> tuple[float, Pair | None]:
 def _impact(recording: Recording, text: str) -> tuple[float, Pair]:
     """Return the time (s) and the ends of an impact, given its number on the timeline ``impact``."""
     if not text.isdigit() or len(text) > _DIGITS:
-        raise RecordingError(f"--event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
+        raise RecordingError(f"event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
     at, i, j = numbered_impact(recording, int(text))
     bodies = int(recording.info["bodies"])
     return at, Pair(i, j) if j < bodies else Pair(i, None, j - bodies)

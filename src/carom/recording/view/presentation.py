@@ -74,12 +74,12 @@ def _body_plots(recording: Recording, text: str | None, only: str, watch: Watche
     """Compute the plots of single bodies that are asked for."""
     if text is None:
         if only == PLOT:
-            raise RecordingError("--view plot shows what --plot names, such as --plot 0.speed")
+            raise RecordingError("a view of plots shows the curves that plot names, such as 0.speed; none is named")
         return None
     quantities = asked_quantities(recording, text)
     units = dict.fromkeys(quantity.unit for _, quantity in quantities)
     if only == PLOT and len(units) > 1:
-        raise RecordingError(f"--view plot shows one unit, and --plot asks for {' and '.join(units)}")
+        raise RecordingError(f"a view of plots shows one unit, and plot asks for {' and '.join(units)}")
     return BodyPlots(body_series(recording, quantities, watch), recording.units)
 
 

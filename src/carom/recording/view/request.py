@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carom.recording.errors import RecordingError
-from carom.scene.wording import worded
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,4 +39,4 @@ class Request:
     def __post_init__(self) -> None:
         """Refuse two moments."""
         if self.at is not None and self.event is not None:
-            raise RecordingError(f"give {worded('--at or --event', 'at or event')}, not both")
+            raise RecordingError("give a time (at) or an event, not both")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,8 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
 from carom.recording.view.answer_layout import paused
 from carom.recording.view.blueprint import WINDOW
-from carom.recording.view.eye import background
+from carom.recording.view.camera import CameraFit, View
+from carom.recording.view.eye import background, eye, space_of
 from carom.recording.view.legend import time_beside_legend
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.statics import curve_style
@@ -82,9 +83,8 @@ def write_trajectories(
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
-        writer.send_layout(
-            _layout(time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width))
-        )
+        axis = time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width)
+        writer.send_layout(_layout(_view(radius, trajectories[0].position - origin), axis))
         writer.flush()
 
 
@@ -114,11 +114,24 @@ def _send(
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
 
 
-def _layout(time: rrb.TimeAxis) -> rrb.Blueprint:
+def _view(radius: FloatArray, position: FloatArray) -> View:
+    """Place the camera so that it sees all positions, (K, n, 3) m."""
+    camera = CameraFit(radius, position[0])
+    for moment in position:
+        camera.look(moment)
+    return replace(camera.view(), follows=False)
+
+
+def _layout(view: View, time: rrb.TimeAxis) -> rrb.Blueprint:
     return paused(
         rrb.Vertical(
             rrb.Spatial3DView(
-                name="Settings over the reference", origin="/world", background=background(), line_grid=False
+                name="Settings over the reference",
+                origin=space_of(view),
+                contents=[f"/{paths.WORLD}/**"],
+                background=background(),
+                line_grid=False,
+                eye_controls=eye(view),
             ),
             rrb.TimeSeriesView(
                 name="log10 of the distance from the reference, over the size",

@@ -26,6 +26,13 @@ class BatchQueue(Generic[_Item]):
         self._closed = False
         self._error: Exception | None = None
 
+    def wait_for_room(self) -> None:
+        """Wait while the queue is full; return at once after `fail`. Only the thread that puts items may call it."""
+        if len(self._items) < self._capacity:  # nobody else makes it longer
+            return
+        with self._changed:
+            self._changed.wait_for(lambda: self._error is not None or len(self._items) < self._capacity)
+
     def put(self, item: _Item) -> None:
         """Add an item; wait while the queue is full. Raises the error given to `fail`, if any."""
         with self._changed:

@@ -20,6 +20,7 @@ import rerun_bindings
 
 from carom.recording.errors import DamageError
 from carom.recording.rrd.messages import Chunk
+from carom.recording.write.magnification import log_spaces
 
 if TYPE_CHECKING:
     from rerun.notebook import Viewer
@@ -33,8 +34,11 @@ def end_earlier_streams() -> None:
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
     """Send a layout as `rr.send_blueprint` does, and close the stream that it is sent through.
 
+    The recording gets the transforms of the magnified spaces that the layout has.
+
     `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep.
     """
+    log_spaces(stream, layout)
     own = rr.RecordingStream._from_native(
         rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
     )

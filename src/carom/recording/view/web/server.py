@@ -123,5 +123,5 @@ def _listening(port: int) -> _Server:
         return _Server((HOST, port), _Handler)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            raise RecordingError(f"port {port} is in use; name another with --port, or leave it out") from None
+            raise RecordingError(f"port {port} is in use; name another, or leave it out") from None
         raise RecordingError(f"cannot listen on port {port}: {error.strerror}") from None

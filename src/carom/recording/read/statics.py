@@ -1,0 +1,160 @@
+"""What a recording states once: its properties, its scene and its units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.recording.errors import DamageError, RecordingError
+from carom.recording.read.damage import reading
+from carom.recording.read.entities import Entities
+from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import Store
+from carom.recording.schema import paths
+from carom.scene.units.system import UnitSystem
+
+UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
+
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+_Own = TypeVar("_Own", bound="Statics")
+
+
+def named(
+    read: Callable[Concatenate[_Own, _Parameters], _Result],
+) -> Callable[Concatenate[_Own, _Parameters], _Result]:
+    """Make a method name the file in its errors."""
+
+    @wraps(read)
+    def reads(self: _Own, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+        with reading(self.path):
+            return read(self, *args, **kwargs)
+
+    return reads
+
+
+class Statics:
+    """The properties of a recording, its scene and its units."""
+
+    def __init__(self, container: Container, store: Store) -> None:
+        self.path = container.path
+        self.finished = container.finished  # the file has its footer: the run closed it
+        self.store = store
+        self._entities = Entities(container, store)
+
+    @cached_property
+    @named
+    def info(self) -> Mapping[str, Any]:
+        """The property `carom`: schema version, title, bodies, flags, origin, time scale."""
+        return self._entities.properties("carom")
+
+    @cached_property
+    @named
+    def properties(self) -> Mapping[str, Any]:
+        """The property `run`: versions, command, git, cpu and whatever else the caller added."""
+        return self._entities.properties("run")
+
+    @cached_property
+    @named
+    def parameters(self) -> Mapping[str, Any]:
+        """The property `sweep`: the run's name in its sweep, and its varied values; empty for a single run."""
+        return self._entities.properties("sweep")
+
+    @cached_property
+    @named
+    def closing(self) -> Mapping[str, Any]:
+        """The property `outcome`: how it ended; empty if the run was killed."""
+        return self._entities.properties("outcome")
+
+    @cached_property
+    @named
+    def arrow_references(self) -> Mapping[str, Any]:
+        """The property `arrows`: reference magnitudes of the arrows."""
+        return self._entities.properties("arrows")
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Versions of the packages that it was recorded with."""
+        stamped = ((key.partition("version."), value) for key, value in self.properties.items())
+        return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
+
+    @cached_property
+    @named
+    def clip(self) -> Mapping[str, Any]:
+        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
+        return self._entities.properties("clip")
+
+    @cached_property
+    @named
+    def shown(self) -> Sequence[int]:
+        """Numbers of the bodies that it shows: all, unless it is a clip of some."""
+        if "bodies" not in self.clip:
+            return range(int(self.info["bodies"]))
+        found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
+        if not all(0 <= body < int(self.info["bodies"]) for body in found):
+            raise DamageError("it shows bodies that it does not have")
+        return found
+
+    @property
+    @named
+    def is_partial(self) -> bool:
+        """Whether it is a clip without the exact states, and without the bodies that it does not show."""
+        return bool(self.clip.get("partial", False))
+
+    @property
+    @named
+    def is_overlay(self) -> bool:
+        """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
+        return bool(self._entities.properties("diff") or self._entities.properties("tradeoff"))
+
+    def refuse_overlay(self) -> None:
+        """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""
+        if self.is_overlay:
+            raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
+
+    @property
+    @named
+    def engine(self) -> str:
+        """Name and version of the other engine that it was recorded from; empty for carom's own runs."""
+        return str(self.info.get("engine", ""))
+
+    @property
+    @named
+    def records_contacts(self) -> bool:
+        """Whether impacts and the contact table are recorded."""
+        return bool(self.info.get("records_contacts", False))
+
+    @property
+    @named
+    def title(self) -> str:
+        """The scene's title."""
+        return str(self.info["title"])
+
+    @property
+    @named
+    def outcome(self) -> str:
+        """How the run ended."""
+        return str(self.closing.get("outcome", UNFINISHED))
+
+    @cached_property
+    @named
+    def units(self) -> UnitSystem:
+        """The units of its scene: recorded numbers are in SI, unless the scene has units of its own."""
+        return UnitSystem.of_properties(self.info)
+
+    @cached_property
+    @named
+    def scene_toml(self) -> str:
+        """The scene, exactly as it was written."""
+        self.refuse_overlay()
+        return str(self._entities.static(paths.SCENE_TOML)["TextDocument:text"][0])
+
+    @cached_property
+    @named
+    def origin(self) -> NDArray[np.float64]:
+        """Origin of the drawn positions in the scene, (3,) m."""
+        return np.asarray(self.info["origin"], dtype=np.float64)
