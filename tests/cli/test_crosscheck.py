@@ -102,11 +102,12 @@ def test_what_an_engine_cannot_represent_is_named_before_anything_runs(tmp_path:
 
 def test_several_scenes_make_one_table_and_one_folder_each_and_name_what_no_engine_can_represent(checked: Path) -> None:
     words = ("crosscheck", "pair.toml", "crosscheck/cannon-fast-ball", "extremes/dense-gas", "--engine", "mujoco")
-    done = carom(*words, "--repeats", "1", "--limit", "20", "-o", "several", cwd=checked)
+    done = carom(*words, "--repeats", "1", "--limit", "20", "-o", "several", "--workers", "2", cwd=checked)
     assert done.returncode == 0, done.stderr
     assert "2/3  crosscheck/cannon-fast-ball: " in done.stderr
     assert "extremes/dense-gas: mujoco cannot represent this scene: a periodic box" in done.stdout
-    assert "crosscheck/cannon-fast-ball" in done.stdout and "2 scenes; 1 that none of the engines" in done.stdout
+    report = "a ball that passes through its target (https://github.com/schteppe/cannon.js/issues/202)"
+    assert report in done.stdout and "2 scenes; 1 that none of the engines" in done.stdout
     kept = {path.parent.name for path in (checked / "several").glob("*/crosscheck.json")}
     assert kept == {"pair", "cannon-fast-ball"}
 

@@ -99,6 +99,29 @@ def not_a_number(toy: Toy) -> None:
     toy.velocity[2, 1] = np.nan
 
 
+class Clockless(Toy):
+    """An engine that does not tell the time."""
+
+    counted = 0
+
+    @property
+    def time(self) -> float:
+        return self.counted * DT
+
+    def stepped(self) -> None:
+        self.counted += 1
+
+
+def test_a_source_that_counts_the_time_is_right_where_not_every_frame_is_recorded(tmp_path: Path) -> None:
+    toy = Clockless()
+    with carom.record.Recorder(toy, tmp_path / "toy.rrd", every=4) as recorder:
+        for _ in range(8):
+            toy.step()
+            recorder.frame()
+    times = Recording.open(tmp_path / "toy.rrd").trajectory(0)["time"].to_pylist()
+    assert times == [0.0, 4 * DT, 8 * DT]
+
+
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("toy") / "toy.rrd"
@@ -257,16 +280,69 @@ def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
         recorder.frame()
 
 
-def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_it_is_finite() -> None:
+def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_it_is_bounded() -> None:
     position, velocity = np.ones((3, 3)), np.zeros((3, 3))
-    snapshot = Snapshot(carom.record.State(0.0, position, velocity))
-    assert snapshot.take(carom.record.State(1.5, position, velocity))
+    snapshot = Snapshot.like(carom.record.State(0.0, position, velocity))
+    snapshot.take(carom.record.State(1.5, position, velocity))
+    assert snapshot.bounded
     position[:] = 2.0
     assert snapshot.state.time == 1.5 and (snapshot.state.position == 1.0).all()
     for wrong in (np.nan, np.inf, -np.inf, -1e200):
         velocity[2, 1] = wrong
-        assert not snapshot.take(carom.record.State(2.0, position, velocity)), wrong
-    assert not snapshot.take(carom.record.State(np.nan, position, np.zeros((3, 3))))
+        snapshot.take(carom.record.State(2.0, position, velocity))
+        assert not snapshot.bounded, wrong
+    snapshot.take(carom.record.State(np.nan, position, np.zeros((3, 3))))
+    assert not snapshot.bounded
+
+
+def test_an_infinite_number_in_single_precision_is_not_bounded() -> None:
+    block = np.zeros((2, 6), np.float32)
+    snapshot = Snapshot(carom.record.State(0.0, block[:, :3], block[:, 3:]), block)
+    assert snapshot.bounded
+    block[1, 2] = np.inf
+    assert not snapshot.bounded
+
+
+def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
+    rebound = pytest.importorskip("rebound")
+    simulation = rebound.Simulation()
+    for k in range(3):
+        simulation.add(m=1.0, x=float(k), vy=0.5 * k)
+    source = carom.record.rebound(simulation)
+    before = source.state()
+    simulation.add(m=1.0)
+    for _ in range(1000):  # until REBOUND has moved its particles
+        simulation.add(m=1.0, x=9.0)
+    for _ in range(1001):
+        simulation.remove(3)
+    simulation.particles[2].x = 7.0
+    assert before.position[2, 0] == 2.0
+    assert source.state().position[:, 0].tolist() == [0.0, 1.0, 7.0]
+    assert source.state().velocity[:, 1].tolist() == [0.0, 0.5, 1.0]
+
+
+def test_rebound_is_recorded_in_the_units_of_the_simulation() -> None:
+    rebound = pytest.importorskip("rebound")
+    found = []
+    for units, constant in ((("AU", "yr", "Msun"), None), (None, 1.0), (None, 6.674e-11)):
+        simulation = rebound.Simulation()
+        if units:
+            simulation.units = units
+        else:
+            simulation.G = constant
+        simulation.add(m=1.0)
+        found.append(carom.record.rebound(simulation).model.units)
+    assert found == ["au, yr, M_sun", "dimensionless", ""]
+
+
+def test_a_source_names_its_units_unless_the_recorder_does(tmp_path: Path) -> None:
+    toy = Toy()
+    toy.model = replace(toy.model, units="km, h, kg")
+    for given, named in ((None, "km, h, kg"), ("cm, ms, g", "cm, ms, g")):
+        path = tmp_path / f"{given}.rrd"
+        with carom.record.Recorder(toy, path, units=given):
+            pass
+        assert Recording.open(path).units.named == named
 
 
 def test_rebound_is_recorded_with_its_gravity(tmp_path: Path) -> None:

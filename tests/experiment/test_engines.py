@@ -11,9 +11,13 @@ import pytest
 
 from carom.experiment.engines.engine import engine_called
 from carom.experiment.engines.rebound import shortest_period
+from carom.experiment.engines.stepped import Simulation
+from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.tradeoff import Study
 from carom.experiment.work_precision.trajectory import sample_times
+from carom.recording.read.recording import Recording
+from carom.recording.source.source import Model, State
 from carom.scene.schema import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
@@ -112,3 +116,40 @@ def test_newton_hands_velocity_from_sphere_to_equal_sphere_and_bounces_on_a_plan
     run = newton.follow(scene, newton.settings(scene)[0], sample_times(scene))
     right = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     assert np.abs(run.velocity[-1] - right).max() < 1e-5  # single precision
+
+
+class Restarting:
+    """A body whose engine begins anew after five steps, as MuJoCo does when it becomes unstable."""
+
+    model = Model(engine="restarting 1.0", mass=[1.0], radius=[0.1], collides=False)
+    steps = 0
+
+    def step(self) -> None:
+        self.steps = (self.steps + 1) % 6
+
+    def state(self) -> State:
+        return State(0.1 * self.steps, np.zeros((1, 3)), np.zeros((1, 3)))
+
+
+def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path) -> None:
+    scene, engine = orbit(units="au, day, solar mass"), Restarting()
+    simulation = Simulation(engine, engine.step, 0.1)
+    seen = watch(simulation, scene, sample_times(scene), tmp_path / "run.rrd")
+    assert seen.outcome == "failed: the engine's time went back from 0.5 day to 0 day."
+    assert Recording.open(tmp_path / "run.rrd").outcome == seen.outcome
+
+
+def test_steps_of_engines_are_named_in_the_units_of_the_scene() -> None:
+    pytest.importorskip("mujoco")
+    scene = Scene.from_dict(
+        {
+            "title": "a ball",
+            "units": "cm, ms, g",
+            "time": {"duration": 10.0, "fixed_dt": 2.0},
+            "contact": {"static_friction": 0.0},
+            "gravity": {"constant": 0.0},
+            "body": [STAR],
+        }
+    )
+    names = [setting.name for setting in engine_called("mujoco").settings(scene)]
+    assert names == ["mujoco, dt = 2 ms", "mujoco, dt = 0.5 ms"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +13,15 @@ from carom.cli.options import SetOption, ThreadsOption, bundled
 from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, ran
 from carom.scene.command import command
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.cli.terminal import Terminal
-    from carom.experiment.crosscheck.crosscheck import Crosscheck
+    from carom.experiment.crosscheck.crosscheck import Crosscheck, Teller
+    from carom.scene.schema import Scene
+    from carom.scene.units.system import UnitSystem
 
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
@@ -28,7 +32,7 @@ def crosscheck(
         list[str],
         typer.Argument(
             metavar="SCENE...",
-            help="Scene files (.toml) or names of bundled scenes; `extremes` and `crosscheck` are all of their folder.",
+            help="Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` stand for all of that folder.",
             autocompletion=bundled,
         ),
     ],
@@ -46,7 +50,7 @@ def crosscheck(
         typer.Option(
             "--limit",
             metavar="SECONDS",
-            help="Stop following a run after so much CPU time, and making a reference after so long. "
+            help="CPU time in seconds after which to stop a run, and time after which to stop a reference. "
             f"Default: none for one scene, {SEVERAL_LIMIT:g} for several.",
             min=0.0,
         ),
@@ -57,11 +61,20 @@ def crosscheck(
             "-o",
             "--output",
             metavar="DIR",
-            help="Folder; of several scenes, the folder of theirs. Default: recordings/crosscheck/SCENE.",
+            help="Folder of the results; of several scenes, their parent. Default: recordings/crosscheck/SCENE.",
         ),
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            "--workers",
+            metavar="N",
+            help="Processes that follow runs before anything is timed. Default: one per core if there are many runs.",
+            min=1,
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Start over, in place of earlier results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -72,6 +85,7 @@ def crosscheck(
     import json
 
     from carom.experiment.crosscheck.crosscheck import Crosscheck
+    from carom.experiment.crosscheck.runs import Runs
     from carom.experiment.engines.engine import engines_called
     from carom.experiment.error import ExperimentError
     from carom.scene.bundled import bundled_folders
@@ -85,41 +99,53 @@ def crosscheck(
         engine.ensure_installed()
     limit = (SEVERAL_LIMIT if several else math.inf) if limit is None else limit
     parent = folder or Path("recordings/crosscheck")
-    documents: dict[str, dict[str, Any]] = {}
+    checks: dict[str, Crosscheck] = {}
     refused: dict[str, str] = {}
-    finished = True
-    for number, (name, scene) in enumerate(loaded.items(), start=1):
+    runs = Runs(workers)
+    for name, scene in loaded.items():
         where = folder if folder and not several else parent / Path(name).stem
         try:
-            check = Crosscheck(scene, chosen, where, threads, force, limit)
+            checks[name] = Crosscheck(scene, chosen, where, threads, force, limit, runs)
         except ExperimentError as error:
             if not several:
                 raise
             refused[name] = str(error)
-            continue
-        heading = f"{number}/{len(loaded)}  {name}: " if several else ""
-        if not several:
-            for reason in check.refused.values():
-                say(f"carom: {reason}", err=True)
-        finished = ran(lambda tell: check.run(repeats, lambda text: tell(heading + text)), quiet=as_json)  # noqa: B023
-        documents[name] = check.document()
+    if not several:
+        for reason in next(iter(checks.values())).refused.values():
+            say(f"carom: {reason}", err=True)
+    headings = {name: f"{k}/{len(loaded)}  {name}: " if several else "" for k, name in enumerate(loaded, start=1)}
+
+    def measure(tell: Teller) -> None:
+        with runs:
+            for check in checks.values():
+                check.announce()
+            runs.begin()
+            for name, check in checks.items():
+                check.follow(lambda text: tell(headings[name] + text))  # noqa: B023
+        for name, check in checks.items():
+            check.time(repeats, lambda text: tell(headings[name] + text))  # noqa: B023
+
+    finished = ran(measure, quiet=as_json)
+    documents = {name: check.document() for name, check in checks.items() if check.results}
+    for check in checks.values():
         _draw(check, quiet=as_json or several)
-        if not finished:
-            break
     if as_json:
-        said = {"scenes": documents, "refused": refused} if several else next(iter(documents.values()))
+        said = {"scenes": documents, "refused": refused} if several else next(iter(documents.values()), {})
         say(json.dumps(said, indent=2, ensure_ascii=False))
     elif several:
-        _show_several(documents, refused, parent)
-    else:
-        _show(next(iter(documents.values())))
+        _show_several(documents, loaded, refused, parent)
+    elif documents:
+        name, document = next(iter(documents.items()))
+        _show(document, loaded[name].unit_system)
     if not finished:
         say(STOPPED, err=True)
         raise typer.Exit(1)
 
 
-def _show_several(documents: dict[str, dict[str, Any]], refused: dict[str, str], folder: Path) -> None:
-    """Print one table of all scenes, and which of them no engine can represent."""
+def _show_several(
+    documents: dict[str, dict[str, Any]], scenes: dict[str, Scene], refused: dict[str, str], folder: Path
+) -> None:
+    """Print one table of all scenes, what each is about, and which of them no engine can represent."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -132,9 +158,13 @@ def _show_several(documents: dict[str, dict[str, Any]], refused: dict[str, str],
         for number, run in enumerate(document["runs"]):
             cost = "" if run["cost"] is None else f"{run['cost']:.3g}"
             laws = ", ".join(run.get("laws", {})) or "none"
-            cells = ("" if number else name, run["name"], cost, _criteria(run), _parting(run), laws)
+            parting = _parting(run, scenes[name].unit_system)
+            cells = ("" if number else name, run["name"], cost, _criteria(run), parting, laws)
             table.add_row(*(escape(cell) for cell in cells), end_section=run is document["runs"][-1])
     console.print(table)
+    for name in documents:
+        if link := _report(scenes[name]):
+            console.print(escape(f"{name}: {scenes[name].title} ({link})"), soft_wrap=True)
     for name, reason in refused.items():
         console.print(escape(f"{name}: {reason}"), soft_wrap=True)
     ran_by = sum(1 for document in documents.values() if document["runs"])
@@ -143,6 +173,12 @@ def _show_several(documents: dict[str, dict[str, Any]], refused: dict[str, str],
         f"Figures and recordings: {folder}/SCENE.",
         soft_wrap=True,
     )
+
+
+def _report(scene: Scene) -> str:
+    """Return the address of the bug report that a scene was made from; empty if there is none."""
+    found = re.match(r"# From (https://\S+)", scene.toml)
+    return found[1] if found else ""
 
 
 def _console() -> Terminal:
@@ -154,15 +190,16 @@ def _console() -> Terminal:
     return console
 
 
-def _show(document: dict[str, Any]) -> None:
+def _show(document: dict[str, Any], units: UnitSystem) -> None:
     from rich.markup import escape
 
     console = _console()
-    console.print(_table(document))
+    console.print(_table(document, units))
     reference = document["reference"]
     if reference is not None:
         console.print(
-            f"Reference, {escape(reference['text'])}; positions are compared up to t = {reference['horizon']:.6g} s. "
+            f"Reference, {escape(reference['text'])}; positions are compared up to "
+            f"t = {escape(units.text(reference['horizon'], TIME))}. "
             "A run parts where it is farther from it than a hundredth of the size.",
             soft_wrap=True,
         )
@@ -174,11 +211,12 @@ def _show(document: dict[str, Any]) -> None:
             console.print(f"{escape(run['name'])}: {run['status']}: {escape(run['reason'])}", soft_wrap=True)
         for broken in run.get("laws", {}).values():
             times = "" if broken["frames"] == 1 else f" In {broken['frames']} frames."
-            text = f"{run['name']}, step {broken['step']}, t = {broken['time']:.6g} s: {broken['text']}{times}"
+            at = units.text(broken["time"], TIME)
+            text = f"{run['name']}, step {broken['step']}, t = {at}: {broken['text']}{times}"
             console.print(escape(text), soft_wrap=True)
 
 
-def _table(document: dict[str, Any]) -> Table:
+def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -193,7 +231,7 @@ def _table(document: dict[str, Any]) -> Table:
         numbers = [_number(errors.get(name)) for name in ("position", "overlap")]
         parting = run.get("parting")
         laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
-        cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run), laws)
+        cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, units), laws)
         table.add_row(*(escape(cell) for cell in cells))
     return table
 
@@ -207,15 +245,16 @@ def _criteria(run: dict[str, Any]) -> str:
     return f"{len(criteria) - len(missed)} of {len(criteria)}" + (f", not {', '.join(missed)}" if missed else "")
 
 
-def _parting(run: dict[str, Any]) -> str:
+def _parting(run: dict[str, Any], units: UnitSystem) -> str:
+    """Say where a run parts from the reference."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]
     if parting is None:
         return "nowhere"
     if parting["impact"] == 0:
-        return f"t = {parting['time']:.6g} s, before any impact"
-    return f"impact {parting['impact']}, {parting['between']}, t = {parting['impact_time']:.6g} s"
+        return f"t = {units.text(parting['time'], TIME)}, before any impact"
+    return f"impact {parting['impact']}, {parting['between']}, t = {units.text(parting['impact_time'], TIME)}"
 
 
 def _number(value: float | None) -> str:

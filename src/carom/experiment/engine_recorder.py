@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
+import time
 import uuid
 import warnings
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -21,11 +22,11 @@ from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_output
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Scalar
+from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.snapshot import Snapshot
-from carom.recording.source.source import Model, Setup, Source, State, array_of, setup_of
+from carom.recording.source.snapshot import Snapshot, memory_of, reader_of
+from carom.recording.source.source import Model, Setup, Source, State, SteppedSource, array_of, setup_of
 from carom.recording.write.recorder import Recorder as FrameRecorder
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -33,6 +34,9 @@ from carom.scene.units.unit import UnitError
 
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
 MOST_WAITING = 256
+STOCK_BYTES = 8_000_000  # of memory that the writer's thread makes ready at the start
+BATCH = 8  # states that are handed over at once: waking a thread costs as much as copying a state of 1000 bodies
+PATIENCE = 0.02  # s, after which fewer are
 COMPLETED = "completed"
 
 
@@ -64,8 +68,8 @@ class Recorder:
     tolerances
         How much may be wrong before the audit reports it.
     units
-        Of the source, if they are not SI: a length, a time and a mass, such as ``"au, day, solar mass"``, or
-        ``"dimensionless"``.
+        Of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``. By
+        default those that the source names, and SI if it names none.
     force
         Whether to replace a file that exists.
 
@@ -94,12 +98,15 @@ class Recorder:
         if every < 1:
             raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
         try:
-            self._units = SI if units is None else UnitSystem.of_text(units)
+            named = units or source.model.units
+            self._units = UnitSystem.of_text(named) if named else SI
         except UnitError as error:
-            raise RecordingError(f'units = "{units}": {error}') from None
+            raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_output(self.path, force)
         self._source, self._every, self._exact, self._force = source, every, exact, force
+        self._read = reader_of(source)
+        self._stepped = source.stepped if isinstance(source, SteppedSource) else None
         self._title, self._duration = title, duration
         self._tolerances = tolerances or Tolerances()
         self._calls = 0
@@ -108,6 +115,7 @@ class Recorder:
         self._setup: Setup | None = None
         self._ring: deque[tuple[int, Snapshot]] | None = None if last is None else deque(maxlen=last)
         self._free: Snapshot | None = None  # whose memory can be used again
+        self._new: Callable[[], Snapshot]  # makes memory; known once a state was seen
         self._sink: _Writer | None = None
         self._written = self._taken = 0
         self.faults: list[Fault] = []
@@ -126,12 +134,21 @@ class Recorder:
             If the file can no longer be written, or the time has gone back.
         """
         call, self._calls = self._calls, self._calls + 1
+        if call and self._stepped is not None:
+            self._stepped()
         if self._ended or call % self._every:
             return not self._ended
-        state = self._source.state()
-        setup = self._setup or self._begin(state)
-        snapshot = self._memory(state)
-        if not snapshot.take(state) and (fault := not_finite(setup, call, state)) is not None:
+        setup = self._setup
+        if setup is None:
+            state = self._source.state()
+            setup = self._begin(state)
+            snapshot = self._memory()
+            snapshot.take(state)
+        else:
+            snapshot = self._memory()
+            self._read(snapshot)
+        state = snapshot.state
+        if not snapshot.bounded and (fault := not_finite(setup, call, state)) is not None:
             self._end(fault)
             return False
         if not state.time >= self._time:
@@ -149,12 +166,12 @@ class Recorder:
             self._taken += 1
         return True
 
-    def _memory(self, state: State) -> Snapshot:
+    def _memory(self) -> Snapshot:
         """Return memory for a copy of a state; wait for the writer if all of it is in use."""
+        if self._sink is not None:
+            return self._sink.spare()
         free, self._free = self._free, None
-        if free is None and self._sink is not None:
-            free = self._sink.spare()
-        return free or Snapshot(state)
+        return free or self._new()
 
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
         """Write the frames in memory; later frames go on filling it.
@@ -204,6 +221,7 @@ class Recorder:
         for name, width in (("orientation", 4), ("angular_velocity", 3)):
             if getattr(first, name) is not None:
                 array_of(setup.engine, name, getattr(first, name), (n, width))
+        self._new = memory_of(self._source, first)
         if self._ring is None:
             self._sink = self._writer(self.path, setup, first, self._force)
         self._setup = setup
@@ -221,7 +239,7 @@ class Recorder:
             properties=stamped,
             units=self._units,
         )
-        return _Writer(path, observer, header, force)
+        return _Writer(path, observer, header, force, self._new)
 
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
         """Write the frames in memory into a file of their own."""
@@ -254,36 +272,53 @@ class Recorder:
 class _Writer:
     """The thread that makes frames of states and gives them to the recorder of frames."""
 
-    def __init__(self, path: Path, observer: Observer, header: Any, force: bool) -> None:
-        self._observer = observer
+    def __init__(
+        self, path: Path, observer: Observer, header: Header, force: bool, new: Callable[[], Snapshot]
+    ) -> None:
+        self._observer, self._new = observer, new
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
         self._recorder = FrameRecorder(path, header)
         self._store = self._recorder.store_for(observer.bodies)
-        self._room = max(2, min(MOST_WAITING, WAITING_BYTES // (104 * header.bodies)))  # snapshots that may be made
-        self._queue: queue.SimpleQueue[tuple[int, Snapshot] | None] = queue.SimpleQueue()
+        size = 104 * header.bodies
+        room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
+        self._stock = min(room, STOCK_BYTES // size)  # of them, by this thread
+        self._room = room - self._stock
+        self._batch: list[tuple[int, Snapshot]] = []  # not handed over yet
+        self._due = 0.0
+        self._queue: queue.SimpleQueue[list[tuple[int, Snapshot]] | None] = queue.SimpleQueue()
         self._spare: queue.SimpleQueue[Snapshot] = queue.SimpleQueue()  # whose memory can be used again
         self._error: Exception | None = None
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
 
-    def spare(self) -> Snapshot | None:
-        """Return memory that is used again; None if more may be made. Waits while the thread is behind."""
+    def spare(self) -> Snapshot:
+        """Return memory for a state. Waits while the thread is behind."""
         try:
-            return self._spare.get(block=self._room == 0)
+            return self._spare.get(False)
         except queue.Empty:
-            self._room -= 1
-            return None
+            if self._room > 0:
+                self._room -= 1
+                return self._new()
+        self._hand_over()
+        return self._spare.get()
 
     def put(self, step: int, snapshot: Snapshot) -> None:
         """Hand over a snapshot, which belongs to the thread from then on."""
         if self._error is not None:
             raise self._error
-        self._queue.put((step, snapshot))
+        self._batch.append((step, snapshot))
+        if len(self._batch) == BATCH or time.monotonic() >= self._due:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._queue.put(self._batch)
+        self._batch, self._due = [], time.monotonic() + PATIENCE
 
     def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
         """Write what is left, close the file, and return the first fault of each law."""
+        self._queue.put(self._batch)
         self._queue.put(None)
         self._thread.join()
         audit = self._observer.audit
@@ -305,14 +340,17 @@ class _Writer:
         return sorted(audit.first.values(), key=lambda fault: fault.step)
 
     def _run(self) -> None:
-        while (item := self._queue.get()) is not None:
-            if self._error is not None:
-                self._spare.put(item[1])  # or `spare` would wait for ever
-                continue
-            step, snapshot = item
-            try:
-                self._recorder.put(self._observer.frame(step, snapshot.state, self._store))
-                self._last = (step, snapshot.state.time)
-            except Exception as error:
-                self._error = error
-            self._spare.put(snapshot)
+        for _ in range(self._stock):
+            self._spare.put(self._new())
+        while (batch := self._queue.get()) is not None:
+            for step, snapshot in batch:
+                if self._error is None:
+                    self._record(step, snapshot.state)
+                self._spare.put(snapshot)  # in any case, or `spare` would wait for ever
+
+    def _record(self, step: int, state: State) -> None:
+        try:
+            self._recorder.put(self._observer.frame(step, state, self._store))
+            self._last = (step, state.time)
+        except Exception as error:
+            self._error = error

@@ -1,7 +1,7 @@
 """Runs a scene in other engines, and says where each parts from the reference and which law it breaks there.
 
-`Study` measures errors and costs, in turns. Each run is examined: the audit of `carom.record` follows it step by step,
-its criteria are those of the scene's [expect], and it is recorded.
+Each run is first followed: the audit of `carom.record` looks at every step, the criteria are those of the scene's
+[expect], and it is recorded. `Study` then measures costs, in turns.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from typing import Any
 
 from carom.experiment.crosscheck.examination import Examination, examined_other, examined_own
 from carom.experiment.crosscheck.parting import parting_of
+from carom.experiment.crosscheck.runs import Runs, Task
 from carom.experiment.engines.engine import Engine
-from carom.experiment.engines.watched import COMPLETED, Watched, watch
+from carom.experiment.engines.watched import Watched
 from carom.experiment.error import ExperimentError
 from carom.experiment.run import recording_space, simulate
 from carom.experiment.whole_file import write_whole
-from carom.experiment.work_precision.reference import BUDGET
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.tradeoff import Result, Study
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
@@ -58,6 +58,8 @@ class Crosscheck:
         Whether to start over.
     limit
         s of CPU time for following each run of an engine, and s for the reference; what takes longer is stopped.
+    runs
+        Follows the runs of engines.
 
     Raises
     ------
@@ -71,6 +73,7 @@ class Crosscheck:
     threads: int | None = None
     force: bool = False
     limit: float = math.inf
+    runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings
     _seen: dict[str, Watched] = field(default_factory=dict)  # likewise, of runs that are not examined yet
@@ -88,8 +91,8 @@ class Crosscheck:
         if not able:
             raise ExperimentError("; ".join(self.refused.values()))
         self.engines = able
-        self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force)
-        self.study.follow_engine, self.study.budget = self._follow, min(BUDGET, self.limit)
+        self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit)
+        self.study.follow_engine = self._follow
         if not self.force:
             self._load()
 
@@ -98,10 +101,16 @@ class Crosscheck:
         """The measured runs, carom's first."""
         return self.study.results
 
-    def run(self, repeats: int, tell: Teller) -> None:
-        """Measure and examine what is not yet."""
-        settings = [OWN, *(setting for engine in self.engines for setting in engine.examined(self.scene))]
-        self.study.measure(settings, repeats, tell)
+    def announce(self) -> None:
+        """Tell what follows the runs which of them are not followed yet."""
+        for setting in self._settings():
+            name, known = setting.name, {result.setting.name: result.status for result in self.results}
+            if setting.engine and (name not in self.examinations or known.get(name, "pending") == "pending"):
+                self.runs.announce(self._task(setting))
+
+    def follow(self, tell: Teller) -> None:
+        """Follow and examine the runs that are not yet; nothing is timed."""
+        self.study.measure(self._settings(), 0, tell)
         asked = {engine.name for engine in self.engines} | {OWN.engine}
         for result in self.results:
             name = result.setting.name
@@ -110,6 +119,17 @@ class Crosscheck:
             tell(f"{name}: laws")
             self.examinations[name] = self._examined(result)
             self._save()
+
+    def time(self, repeats: int, tell: Teller) -> None:
+        """Time each run so many times, in turns."""
+        self.study.measure(self._settings(), repeats, tell)
+        self._save()
+
+    def _settings(self) -> list[Setting]:
+        return [OWN, *(setting for engine in self.engines for setting in engine.examined(self.scene))]
+
+    def _task(self, setting: Setting) -> Task:
+        return Task(self.scene, setting, self._recording(setting), self.limit)
 
     def document(self) -> dict[str, Any]:
         """Return all results as one JSON document."""
@@ -129,29 +149,19 @@ class Crosscheck:
         }
 
     def _follow(self, setting: Setting, times: FloatArray) -> Trajectory:
-        """Run a setting of an engine, and examine it on the way if its samples are taken from its steps, too."""
-        engine = self._engine(setting)
-        if not engine.samples_steps(self.scene):
-            return engine.follow(self.scene, setting, times)
-        seen = self._watched(setting, times)
-        if seen.outcome != COMPLETED:
-            raise ExperimentError(seen.outcome.removeprefix("failed: "))
-        return seen.trajectory
-
-    def _watched(self, setting: Setting, times: FloatArray) -> Watched:
-        """Follow a run step by step, and record it."""
-        simulation = self._engine(setting).begin(self.scene, setting)
-        seen = watch(simulation, self.scene, times, self._recording(setting), self.limit)
-        self._seen[setting.name] = seen
-        return seen
+        """Return the samples of a setting of an engine, which is examined on the way."""
+        followed = self.runs.result(self._task(setting))
+        self._seen[setting.name] = followed.watched
+        if followed.trajectory is None:
+            raise ExperimentError(followed.reason)
+        return followed.trajectory
 
     def _examined(self, result: Result) -> Examination:
         """Look at a run that is measured."""
         setting = result.setting
         if not setting.engine:
             return self._own(result)
-        assert self.study.reference is not None, "it is measured first"
-        seen = self._seen.pop(setting.name, None) or self._watched(setting, self.study.reference.trajectory.time)
+        seen = self._seen.pop(setting.name, None) or self.runs.result(self._task(setting)).watched
         parting = self._parting(result, seen.broken, seen.dt)
         return examined_other(setting.name, self.scene, seen, parting, self._recording(setting).name)
 
@@ -164,9 +174,6 @@ class Crosscheck:
             raise ExperimentError(f"carom: {error}") from error
         broken = [(event.time, event.kind) for event in outcome.warnings]
         return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
-
-    def _engine(self, setting: Setting) -> Engine:
-        return next(engine for engine in self.engines if engine.name == setting.engine)
 
     def _recording(self, setting: Setting) -> Path:
         return self.folder / f"{_file_name(setting.name)}.rrd"

@@ -11,9 +11,12 @@ from carom.experiment.crosscheck.crosscheck import Crosscheck
 from carom.experiment.crosscheck.parting import PARTED
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.figure import FAINT, LEAST, styled
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
+WIDEST = 3.0  # points, of the first line, or later ones would hide those that agree with them
 STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
 MOST_IMPACTS = 40  # that are marked; more would fill the figure
 
@@ -27,7 +30,7 @@ def draw(check: Crosscheck, path: Path) -> None:
         If matplotlib is not there, or nothing is measured.
     """
     look = styled(9)
-    reference = check.study.reference
+    reference, units = check.study.reference, check.scene.unit_system
     runs = [result for result in check.results if result.status == "measured"]
     if reference is None or not runs:
         raise ExperimentError("nothing is measured yet that could be drawn")
@@ -37,32 +40,45 @@ def draw(check: Crosscheck, path: Path) -> None:
         figure = Figure(figsize=(10.0, 5.2), layout="constrained", dpi=110)
         ax = figure.subplots()
         for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:
-            ax.axvline(float(met), color=FAINT, linewidth=0.6, alpha=0.5)
+            ax.axvline(units.shown(float(met), TIME), color=FAINT, linewidth=0.6, alpha=0.5)
         engines = {engine.name: COLOURS[k % len(COLOURS)] for k, engine in enumerate(check.engines)}
         seen: dict[str, int] = {}
-        for result in runs:
+        for number, result in enumerate(runs):
             engine = result.setting.engine
             style = STYLES[seen.get(engine, 0) % len(STYLES)]
             seen[engine] = seen.get(engine, 0) + 1
             run = check.study.trajectory(result)
             distance, _ = reference.scale.apart(run, reference.trajectory)
             shown = np.maximum(distance, LEAST)
-            time = reference.trajectory.time[: len(shown)]
+            time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
             colour = engines.get(engine, OWN_COLOUR)
-            ax.plot(time, shown, style, color=colour, linewidth=1.4, label=result.setting.name)
-            _mark(ax, check.examinations.get(result.setting.name), time, shown, colour)
+            ax.plot(
+                time,
+                shown,
+                style,
+                color=colour,
+                linewidth=WIDEST - (WIDEST - 1.0) * number / len(runs),
+                label=result.setting.name,
+            )
+            _mark(ax, check.examinations.get(result.setting.name), time, shown, colour, units)
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("parted", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
-        ax.set(yscale="log", xlabel="time / s", ylabel="rms distance from the reference / size", xlim=(0.0, None))
+        ax.set(
+            yscale="log",
+            xlabel=units.labelled("time", TIME),
+            ylabel="rms distance from the reference / size",
+            xlim=(0.0, None),
+        )
         ax.set_title(f"{check.scene.title}\ngrey lines: first contacts; crosses: a law is broken first", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.savefig(path)
 
 
-def _mark(ax: Any, examination: Any, time: Any, distance: Any, colour: str) -> None:
+def _mark(ax: Any, examination: Any, time: Any, distance: Any, colour: str, units: UnitSystem) -> None:
     """Mark the first frame that broke each law."""
     laws = {} if examination is None else examination.laws
     for broken in laws.values():
-        if len(time) and broken["time"] <= time[-1]:
-            ax.plot(broken["time"], np.interp(broken["time"], time, distance), "x", color=colour, markersize=8, mew=2.0)
+        at = units.shown(broken["time"], TIME)
+        if len(time) and at <= time[-1]:
+            ax.plot(at, np.interp(at, time, distance), "x", color=colour, markersize=8, mew=2.0)

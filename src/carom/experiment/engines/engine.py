@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -48,20 +49,25 @@ class Engine(Protocol):
             If the engine is not installed, or cannot represent the scene; the message says what it lacks.
         """
 
-    def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it at some times in s.
+
+        Parameters
+        ----------
+        limit
+            s of CPU time, after which the run is stopped.
 
         Raises
         ------
         ExperimentError
-            If the state is no longer finite.
+            If the state is no longer finite; `RunStoppedError` if it takes longer than the limit.
         """
 
     def samples_steps(self, scene: Scene) -> bool:
         """Tell whether `follow` takes its samples from the ends of steps, as `watch` does."""
 
     def run(self, scene: Scene, setting: Setting) -> float:
-        """Run a scene without sampling; return the seconds that the engine took."""
+        """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
 
 
 ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet(), Newton())}

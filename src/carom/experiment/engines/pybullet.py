@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -87,4 +88,11 @@ class PyBullet(SteppedEngine):
             for one, other in itertools.combinations(bodies, 2):
                 engine.setCollisionFilterPair(one, other, -1, -1, 0, physicsClientId=client)
         x, y, z = (float(g) for g in np.asarray(problem.field))
-        return Simulation(source_of(dt, (x, y, z), client), lambda: engine.stepSimulation(client), dt)
+        source = source_of(dt, (x, y, z), client)
+        source.model = replace(source.model, names=start.name)
+
+        def step() -> None:
+            engine.stepSimulation(client)
+            source.stepped()
+
+        return Simulation(source, step, dt)

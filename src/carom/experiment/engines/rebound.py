@@ -7,7 +7,9 @@ shortest period about that body.
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 from carom.experiment.engines.stepped import FINER, Simulation
 from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.run_bound import RunStoppedError
 from carom.experiment.work_precision.settings_grid import STEPS, Setting
 from carom.experiment.work_precision.trajectory import FloatArray, IntArray, Trajectory
 from carom.physics.space import Space
@@ -84,19 +87,25 @@ class Rebound:
     def begin(self, scene: Scene, setting: Setting) -> Simulation:
         """Build a scene at its start, to be taken step by step."""
         simulation = _simulation(scene, setting, safe=True)
-        order = np.argsort(_heaviest_first(place(scene).mass))
+        start = place(scene)
+        order = np.argsort(_heaviest_first(start.mass))
         dt = simulation.dt if "dt=" in " ".join(setting.overrides) else 0.0
-        return Simulation(_InOrder(record(simulation), order), lambda: simulation.steps(1), dt)
+        return Simulation(_InOrder(record(simulation), order, start.name), lambda: simulation.steps(1), dt)
 
-    def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
         if self.samples_steps(scene):
-            return watch(self.begin(scene, setting), scene, times).trajectory
+            return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
         simulation = _simulation(scene, setting, safe=True)
         space = Space(scene, 1)
         scale, mass = space.energy().scale, space.state.mass
         energies, momenta, positions, velocities = [simulation.energy()], [_momenta(simulation, mass)], [], []
+        began = time.process_time()
         for moment in times.tolist():
+            spent = time.process_time() - began
+            if spent > limit:
+                reached = scene.unit_system.text(simulation.t, TIME)
+                raise RunStoppedError(simulation.steps_done, spent, reached, by_limit=True)
             if simulation.t < moment:  # or it would step back
                 simulation.integrate(moment, exact_finish_time=0)
             sample = simulation.copy()
@@ -133,12 +142,12 @@ class Rebound:
         return require(scene).contact.modelled
 
     def run(self, scene: Scene, setting: Setting) -> float:
-        """Run a scene, as fast as the integrator allows; return the time it took in s."""
+        """Run a scene, as fast as the integrator allows; return the CPU time it took in s: it uses one thread."""
         simulation = _simulation(scene, setting, safe=False)
-        began = time.perf_counter()
+        began = time.thread_time()
         simulation.integrate(scene.time.duration, exact_finish_time=0)
         simulation.synchronize()
-        return time.perf_counter() - began
+        return time.thread_time() - began
 
 
 def shortest_period(scene: Scene) -> float:
@@ -214,12 +223,12 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
 
 
 class _InOrder:
-    """A source whose bodies are put into the order of the scene."""
+    """A source whose bodies are put into the order of the scene, with their names."""
 
-    def __init__(self, source: Source, order: IntArray) -> None:
+    def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
         model = source.model
         self._source, self._order = source, order
-        self.model = replace(model, mass=model.mass[order], radius=model.radius[order], names=None)
+        self.model = replace(model, mass=model.mass[order], radius=model.radius[order], names=names)
 
     def state(self) -> State:
         """Return the present state."""

@@ -17,6 +17,8 @@ from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.source import Source
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
 
 FINER = (1.0, 4.0)  # the scene's step over those that are compared
 
@@ -61,19 +63,19 @@ class SteppedEngine(ABC):
         self.ensure_installed()
         self.check(scene)
         step = scene.time.fixed_dt or Space(scene, 1).first_dt
-        return [self.setting(step / finer) for finer in FINER]
+        return [self.setting(step / finer, scene.unit_system) for finer in FINER]
 
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the settings for `carom crosscheck`."""
         return self.settings(scene)
 
-    def setting(self, step: float) -> Setting:
-        """Return the setting of a step in s."""
-        return Setting(f"{self.name}, dt = {step:.4g} s", (f"dt={step!r}",), engine=self.name)
+    def setting(self, step: float, units: UnitSystem = SI) -> Setting:
+        """Return the setting of a step in s, named in the units of the scene."""
+        return Setting(f"{self.name}, dt = {units.text(step, TIME, '.4g')}", (f"dt={step!r}",), engine=self.name)
 
-    def follow(self, scene: Scene, setting: Setting, times: FloatArray) -> Trajectory:
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it; see `Engine`."""
-        return watch(self.begin(scene, setting), scene, times).trajectory
+        return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
 
     def samples_steps(self, scene: Scene) -> bool:
         """Tell whether `follow` takes its samples from the ends of steps: it does."""

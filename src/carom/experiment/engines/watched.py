@@ -17,12 +17,13 @@ from carom.experiment.contact_counts import ONCE_A_STEP
 from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import claimed_output
+from carom.experiment.work_precision.run_bound import RunStoppedError
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, between
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.frame import Frame
 from carom.recording.source.audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.source import State, setup_of
+from carom.recording.source.source import Setup, State, setup_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -70,70 +71,137 @@ def watch(
     Raises
     ------
     ExperimentError
-        If the state is no longer finite, and the run is not recorded.
+        If the state is no longer finite, and the run is not recorded; `RunStoppedError` if it took
+        longer than the limit.
     """
-    model, first = simulation.source.model, simulation.source.state()
-    setup = setup_of(model, first)
-    observer = Observer(setup, first, Tolerances(), scene.unit_system)
-    samples, met, outcome = _Samples(times), dict[tuple[int, int], float](), COMPLETED
+    first = simulation.source.state()
+    setup = setup_of(simulation.source.model, first)
+    walk = _Walk(simulation, scene, Observer(setup, first, Tolerances(), scene.unit_system), _Samples(times))
     with ExitStack() as stack:
-        recorder = None
-        if path is not None:
-            stack.enter_context(claimed_output(path, force=True))
-            header = header_of_source(
-                setup,
-                title=f"{scene.title}: {setup.engine}",
-                run_id=str(uuid.uuid4()),
-                duration=scene.time.duration,
-                exact=True,
-                properties={**environment(1), "engine": setup.engine},
-                units=scene.unit_system,
-            )
-            recorder = stack.enter_context(Recorder(path, header))
-        end, due = scene.time.duration, 0.0  # s, of the next recorded frame
-        frame, step = observer.frame(0, _copied(first)), 0
-        if recorder:
-            recorder.put(frame)
-        dt, began = simulation.dt, clock()
-        stride = 1 if setup.collides or dt == 0.0 else math.ceil(end / dt / MOST_SEEN)
-        while frame.time < end * (1.0 - ROUNDING):
-            if clock() - began > limit:
-                reached = scene.unit_system.text(frame.time, TIME)
-                outcome = f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
-                break
-            left = math.ceil((end - frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
-            for _ in range(min(stride, left)):
-                step += 1
-                simulation.step()
-            state = simulation.source.state()
-            fault = not_finite(setup, step, state)
-            if fault is not None:
-                observer.audit.note(fault)
-                outcome = f"failed: {fault.text}"
-                break
-            before, frame = frame, observer.frame(step, _copied(state))
-            samples.take(before, frame)
-            for pair in frame.contacts.pairs.tolist():
-                met.setdefault((pair[0], pair[1]), frame.time)
-            if recorder and (frame.time >= min(due, end * (1.0 - ROUNDING)) or frame.events):
-                recorder.put(frame)
-                due = frame.time + end / FRAMES
-        if recorder:
-            recorder.finish(
-                outcome, _closing(observer, frame), observer.extremes.highlights(observer.names, scene.unit_system)
-            )
+        log = None if path is None else _Log(stack, path, scene, setup)
+        outcome = walk.run(first, log, limit)
+        if log is not None:
+            log.finish(outcome, walk)
     if outcome != COMPLETED and path is None:
         raise ExperimentError(outcome.removeprefix("failed: "))
-    audit = observer.audit
+    audit = walk.observer.audit
     return Watched(
         outcome=outcome,
         dt=simulation.dt,
-        trajectory=_trajectory(observer, samples, met, frame, times),
-        extremes=observer.extremes,
+        trajectory=walk.trajectory(times),
+        extremes=walk.observer.extremes,
         faults=sorted(audit.first.values(), key=lambda fault: fault.step),
         counts=audit.counts,
         broken=audit.broken,
     )
+
+
+class _Walk:
+    """Takes a simulation from its start to the end of its scene, and looks at it on the way."""
+
+    def __init__(self, simulation: Simulation, scene: Scene, observer: Observer, samples: _Samples) -> None:
+        self.observer = observer
+        self.frame: Frame  # the last one
+        self._simulation, self._scene, self._samples = simulation, scene, samples
+        self._end = scene.time.duration * (1.0 - ROUNDING)
+        self._met: dict[tuple[int, int], float] = {}  # when two ends first touched, in s
+        self._step = 0
+        many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
+        self._stride = 1 if observer.setup.collides else many  # steps between two looks
+
+    def run(self, first: State, log: _Log | None, limit: float) -> str:
+        """Go on until the scene ends, the state is not finite, or so many s of CPU time are spent; say which."""
+        units, began = self._scene.unit_system, clock()
+        self.frame = self.observer.frame(0, _copied(first))
+        if log is not None:
+            log.see(self.frame)
+        while self.frame.time < self._end:
+            spent = clock() - began
+            if spent > limit:
+                reached = units.text(self.frame.time, TIME)
+                if log is None:
+                    raise RunStoppedError(self._step, spent, reached, by_limit=True)
+                return f"failed: stopped at t = {reached}: it took more than {limit:g} s of CPU time (--limit)"
+            wrong = self._advance()
+            if wrong:
+                return f"failed: {wrong}"
+            if log is not None:
+                log.see(self.frame)
+        return COMPLETED
+
+    def trajectory(self, times: FloatArray) -> Trajectory:
+        """Return what was sampled, and the extremes so far."""
+        extremes, samples, count = self.observer.extremes, self._samples, len(self._samples.position)
+        n, collides = len(self.observer.setup), self.observer.setup.collides
+        return Trajectory(
+            time=times[:count],
+            position=np.array(samples.position).reshape(count, n, 3),
+            velocity=np.array(samples.velocity).reshape(count, n, 3),
+            pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
+            met=np.array(list(self._met.values())),
+            energy_error=extremes.energy_error.value if extremes.energy_error else 0.0,
+            energy_gain=extremes.energy_gain.value,
+            momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
+            angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
+            overlap=(extremes.overlap.value if extremes.overlap else 0.0) if collides else np.nan,
+            sinking=np.nan,
+            impacts=extremes.impacts,
+            steps=self.frame.step,
+            frames=0,
+        )
+
+    def _advance(self) -> str:
+        """Take the steps up to the next look, and look; return why the run cannot go on, or nothing."""
+        dt = self._simulation.dt
+        left = math.ceil((self._scene.time.duration - self.frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
+        for _ in range(min(self._stride, left)):
+            self._step += 1
+            self._simulation.step()
+        state = self._simulation.source.state()
+        fault = not_finite(self.observer.setup, self._step, state)
+        if fault is not None:
+            self.observer.audit.note(fault)
+            return fault.text
+        if state.time < self.frame.time:  # as MuJoCo's does, which begins anew when it becomes unstable
+            units = self._scene.unit_system
+            back = units.text(state.time, TIME, "g")
+            return f"the engine's time went back from {units.text(self.frame.time, TIME, 'g')} to {back}."
+        before, self.frame = self.frame, self.observer.frame(self._step, _copied(state))
+        self._samples.take(before, self.frame)
+        for pair in self.frame.contacts.pairs.tolist():
+            self._met.setdefault((pair[0], pair[1]), self.frame.time)
+        return ""
+
+
+class _Log:
+    """The recording of a run: `FRAMES` of its frames, and those in which a law is broken."""
+
+    def __init__(self, stack: ExitStack, path: Path, scene: Scene, setup: Setup) -> None:
+        self._scene, self._due = scene, 0.0  # s, of the next recorded frame
+        stack.enter_context(claimed_output(path, force=True))
+        header = header_of_source(
+            setup,
+            title=f"{scene.title}: {setup.engine}",
+            run_id=str(uuid.uuid4()),
+            duration=scene.time.duration,
+            exact=True,
+            properties={**environment(1), "engine": setup.engine},
+            units=scene.unit_system,
+        )
+        self._recorder = stack.enter_context(Recorder(path, header))
+
+    def see(self, frame: Frame) -> None:
+        """Record a frame if it is due, the last, or in the log."""
+        end = self._scene.time.duration
+        if frame.time >= min(self._due, end * (1.0 - ROUNDING)) or frame.events:
+            self._recorder.put(frame)
+            self._due = frame.time + end / FRAMES if frame.step else 0.0
+
+    def finish(self, outcome: str, walk: _Walk) -> None:
+        """Write the end of the recording."""
+        observer = walk.observer
+        events = observer.extremes.highlights(observer.names, self._scene.unit_system)
+        self._recorder.finish(outcome, _closing(observer, walk.frame), events)
 
 
 class _Samples:
@@ -155,29 +223,6 @@ class _Samples:
             self.position.append(before.position + moved)
             self.velocity.append(velocity)
             self._due = next(self._times, np.inf)
-
-
-def _trajectory(
-    observer: Observer, samples: _Samples, met: dict[tuple[int, int], float], last: Frame, times: FloatArray
-) -> Trajectory:
-    extremes, count = observer.extremes, len(samples.position)
-    n = len(observer.setup)
-    return Trajectory(
-        time=times[:count],
-        position=np.array(samples.position).reshape(count, n, 3),
-        velocity=np.array(samples.velocity).reshape(count, n, 3),
-        pair=np.array(list(met), dtype=np.int64).reshape(-1, 2),
-        met=np.array(list(met.values())),
-        energy_error=extremes.energy_error.value if extremes.energy_error else 0.0,
-        energy_gain=extremes.energy_gain.value,
-        momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
-        angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
-        overlap=(extremes.overlap.value if extremes.overlap else 0.0) if observer.setup.collides else np.nan,
-        sinking=np.nan,
-        impacts=extremes.impacts,
-        steps=last.step,
-        frames=0,
-    )
 
 
 def _closing(observer: Observer, last: Frame) -> dict[str, str | int | float | bool]:

@@ -232,7 +232,7 @@ class Audit:
         x = moment.position - m @ moment.position / m.sum()
         x = x - (clusters.sum(m[:, None] * x) / mass[:, None])[clusters.label]
         v = moment.velocity - (clusters.sum(m[:, None] * moment.velocity) / mass[:, None])[clusters.label]
-        each, size = m[:, None] * np.cross(x, v), m * _lengths(x) * _lengths(v)
+        each, size = m[:, None] * _cross(x, v), m * _lengths(x) * _lengths(v)
         if len(moment.spin):
             each = each + self._setup.inertia[:, None] * moment.spin
             size = size + self._setup.inertia * _lengths(moment.spin)
@@ -403,3 +403,9 @@ def _deep(near: Near) -> NDArray[np.bool_]:
 
 def _lengths(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a × b of rows of three; `numpy.cross` takes eight times as long for a few."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack((y * w - z * v, z * u - x * w, x * v - y * u), axis=1)

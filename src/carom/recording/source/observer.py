@@ -15,7 +15,6 @@ from carom.physics.diagnostics.activity import Activity
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
-from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumAccount
 from carom.physics.event import Event
@@ -95,7 +94,7 @@ class Observer:
             self._activity.see(len(contacts), seen.struck)
             self._activity.judge(energy)
         self._before, self._pull = now, pull
-        slot = None if store is None else store.keep(self.bodies)
+        slot = None if store is None else store.keep()
         arrays = copies(self.bodies) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, _, _ = arrays
         return Frame(
@@ -117,7 +116,6 @@ class Observer:
             sweeps=0,
             phase=self._activity.phase,
             events=tuple(events),
-            fingerprint=fingerprint(self.bodies, now.time),
             previous_dt=dt,
             memory=None,
             books=self._books(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,8 @@ class Model:
         Whether bodies touch each other and the planes.
     time_step
         s, the shortest step to expect; 0 if unknown.
+    units
+        Of all numbers, as in `Recorder`; empty: SI.
     """
 
     engine: str
@@ -76,6 +78,7 @@ class Model:
     box: Any = None
     collides: bool = True
     time_step: float = 0.0
+    units: str = ""
 
 
 @dataclass(slots=True)
@@ -99,6 +102,14 @@ class Source(Protocol):
 
     def state(self) -> State:
         """Return the present state."""
+
+
+@runtime_checkable
+class SteppedSource(Protocol):
+    """A source whose engine does not tell the time, which it therefore counts."""
+
+    def stepped(self) -> None:
+        """Note another call of `Recorder.frame`, after the first; it may be one that is not recorded."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
+from carom.recording.source.snapshot import Snapshot
 from carom.recording.source.source import Model, Plane, State
 
 PACKAGE = "robox3d"
@@ -39,7 +40,6 @@ class Box3D:
             raise RecordingError("box3d: the world has no dynamic body")
         chosen, moves = [bodies[k] for k in shown], dynamic[shown]
         self._group = package.BodyGroup(chosen)
-        self._poses, self._rates = (np.empty((len(chosen), width), np.float32) for width in (7, 6))
         jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
         known = [sized[k] for k in shown]
         mass = np.array([body.mass for body in chosen])
@@ -57,8 +57,24 @@ class Box3D:
 
     def state(self) -> State:
         """Return the present state."""
-        poses, rates = self._group.poses(self._poses), self._group.velocities(self._rates)
-        return State(self._world.time, poses[:, :3], rates[:, :3], poses[:, 3:], rates[:, 3:])
+        snapshot = self.memory()
+        self.read(snapshot)
+        return snapshot.state
+
+    def memory(self) -> Snapshot:
+        """Return memory for one state, in the single precision of Box3D; see `BulkSource`."""
+        n = len(self._group)
+        block = np.empty(13 * n, np.float32)
+        poses, rates = block[: 7 * n].reshape(n, 7), block[7 * n :].reshape(n, 6)
+        state = State(0.0, poses[:, :3], rates[:, :3], poses[:, 3:], rates[:, 3:])
+        return Snapshot(state, block, (poses, rates))
+
+    def read(self, into: Snapshot) -> None:
+        """Let Box3D write into the snapshot, without a copy."""
+        poses, rates = into.parts
+        self._group.poses(poses)
+        self._group.velocities(rates)
+        into.state.time = self._world.time
 
 
 def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3D:

@@ -25,13 +25,13 @@ class PyBullet:
     Parameters
     ----------
     time_step
-        s, as given to ``setTimeStep``. The time is counted by the calls of `state` after the first.
+        s, as given to ``setTimeStep``. The time is counted by the calls of `stepped`, which `Recorder.frame` makes.
     gravity
         (3,) m/s², as given to ``setGravity``.
     client
         The number of the physics client.
     steps_per_frame
-        How many steps are taken between two frames.
+        How many steps are taken between two calls of `Recorder.frame`.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class PyBullet:
         steps_per_frame: int = 1,
     ) -> None:
         package = engine_package("pybullet")
-        self._package, self._client, self._frames = package, client, -1
+        self._package, self._client, self._frames = package, client, 0
         self._stride = time_step * steps_per_frame
         everything = [package.getBodyUniqueId(k, client) for k in range(package.getNumBodies(client))]
         shapes = {body: package.getCollisionShapeData(body, BASE, client) for body in everything}
@@ -76,9 +76,12 @@ class PyBullet:
             time_step=time_step,
         )
 
-    def state(self) -> State:
-        """Return the present state. Each call but the first is one frame later."""
+    def stepped(self) -> None:
+        """Note that the steps up to the next frame were taken."""
         self._frames += 1
+
+    def state(self) -> State:
+        """Return the present state."""
         # PyBullet has no call for several bodies: these two a body are most of the cost of a frame
         places = map(self._package.getBasePositionAndOrientation, self._bodies, repeat(self._client))
         rates = map(self._package.getBaseVelocity, self._bodies, repeat(self._client))

@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import ctypes
+import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
+from carom.recording.source.snapshot import Snapshot
 from carom.recording.source.source import Model, State
+from carom.scene.units.system import WITHOUT
+
+G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
+UNITS = {  # by REBOUND's names, as far as both know them
+    **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
+    **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
+    **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),
+    **{"myr": "Myr", "gyr": "Gyr", "gram": "g", "mearth": "M_earth", "mjupiter": "M_jupiter"},
+    **dict.fromkeys(("msun", "solarmass", "sunmass", "msolar"), "M_sun"),
+}
+UNITS.update({name: name for name, known in UNITS.items() if not known})
+READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory
+ROW = np.dtype((np.void, 8 * len(READ)))  # all of them, copied as one: six times as fast as six numbers
 
 
 class Rebound:
-    """The particles of a simulation, in its units: with ``G = 1`` they are not SI, and neither is what is printed.
+    """The particles of a simulation, in its ``units``; without any, in SI if its G is that of SI, or in no units.
 
     Parameters
     ----------
@@ -23,10 +40,10 @@ class Rebound:
     """
 
     def __init__(self, simulation: Any, radius: float | None = None) -> None:
-        engine_package("rebound")
+        self._stride = _size_of(engine_package("rebound").Particle)
         self._simulation = simulation
-        self._n = simulation.N - _variational(simulation)
-        self._state = np.zeros((simulation.N, 6))  # positions and velocities
+        self._all, self._n = simulation.N, simulation.N - _variational(simulation)
+        self._address, self._particles = 0, np.empty(0, ROW)  # a view of the particles in memory
         mass, size = np.zeros(simulation.N), np.zeros(simulation.N)
         simulation.serialize_particle_data(m=mass, r=size)
         mass, size = mass[: self._n], size[: self._n]
@@ -46,19 +63,35 @@ class Rebound:
             box=_box(simulation) if periodic else None,
             collides=touches,
             time_step=abs(simulation.dt),
+            units=_units(simulation),
         )
 
     def state(self) -> State:
         """Return positions and velocities of the particles."""
+        snapshot = self.memory()
+        self.read(snapshot)
+        return snapshot.state
+
+    def memory(self) -> Snapshot:
+        """Return memory for one state; see `BulkSource`."""
+        block = np.empty((self._n, len(READ)))
+        return Snapshot(State(0.0, block[:, :3], block[:, 3:]), block, (block.view(ROW)[:, 0],))
+
+    def read(self, into: Snapshot) -> None:
+        """Copy positions and velocities from REBOUND's own memory, in one pass."""
         simulation = self._simulation
-        known = len(self._state)
-        if known != simulation.N:
+        if self._all != simulation.N:
             raise RecordingError(
-                f"rebound had {known} particles and has {simulation.N}: a recording keeps its bodies; begin another one"
+                f"rebound had {self._all} particles and has {simulation.N}: "
+                "a recording keeps its bodies; begin another one"
             )
-        simulation.synchronize()
-        simulation.serialize_particle_data(xyzvxvyvz=self._state)
-        return State(simulation.t, self._state[: self._n, :3], self._state[: self._n, 3:])
+        if not simulation.is_synchronized:
+            simulation.synchronize()
+        address = ctypes.addressof(simulation._particles.contents)  # `simulation.particles` makes objects
+        if address != self._address:
+            self._address, self._particles = address, _particles_at(address, self._stride, self._n)
+        into.parts[0][:] = self._particles
+        into.state.time = simulation.t
 
 
 def rebound(simulation: Any, radius: float | None = None) -> Rebound:
@@ -75,9 +108,30 @@ def _setting(simulation: Any, name: str) -> str:
     return value if isinstance(value, str) else str(getattr(value, "name", value)).lower()
 
 
+def _units(simulation: Any) -> str:
+    """Name the units that the simulation was given; without any, its G tells whether they are SI."""
+    known = [UNITS.get(simulation.units[what], "") for what in ("length", "time", "mass")]
+    if all(known):
+        return ", ".join(known)
+    return "" if math.isclose(simulation.G, G_SI, rel_tol=1e-3) else WITHOUT
+
+
 def _box(simulation: Any) -> Any:
     return np.array([simulation.N_root_x, simulation.N_root_y, simulation.N_root_z]) * simulation.root_size
 
 
 def _name(particle: Any, number: int) -> str:
     return str(getattr(particle, "name", None) or f"body {number}")
+
+
+def _size_of(particle: Any) -> int:
+    """Return the bytes of a particle; refuse a version whose particles are laid out otherwise in memory."""
+    if [getattr(particle, name).offset for name in READ] != [8 * k for k in range(len(READ))]:
+        raise RecordingError(f"{named_version('rebound')} keeps its particles in another order; carom knows 5.x")
+    return ctypes.sizeof(particle)
+
+
+def _particles_at(address: int, size: int, count: int) -> NDArray[np.void]:
+    """Return a view of the positions and velocities of particles of some bytes each, (n,) rows."""
+    raw = (ctypes.c_char * (size * count)).from_address(address)
+    return np.ndarray((count,), ROW, memoryview(raw), strides=(size,))
