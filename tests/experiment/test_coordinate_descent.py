@@ -56,6 +56,7 @@ def test_the_step_is_searched_beyond_the_settings_that_a_study_begins_with(tmp_p
     assert tuning.speed == tuning.written.cost / tuning.best.cost > 4.0
 
 
+@pytest.mark.slow
 def test_keys_are_combined_until_no_change_of_one_is_an_improvement(tmp_path: Path) -> None:
     scene = cloud(25, time={"duration": 0.2}, record={"every": 0.1})
     tuning = search(scene, tmp_path, overlap=0.5, energy=0.1)
@@ -98,6 +99,7 @@ def test_a_scene_that_records_every_step_keeps_enough_of_them_to_be_looked_at(tm
     assert tuning.best is not None and tuning.best.frames >= 0.95 * 600
 
 
+@pytest.mark.slow
 def test_what_a_setting_makes_worse_is_told_with_both_values(tmp_path: Path) -> None:
     tuning = search(eight(), tmp_path, energy=1e-4)
     best, written = tuning.best, tuning.written

@@ -40,6 +40,16 @@ EngineOption = Annotated[
         "packages.",
     ),
 ]
+LimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--limit",
+        metavar="SECONDS",
+        help="Stop following a setting after so much CPU time, and making a reference after so long. Default: none, "
+        "but settings that are not chosen with --vary stop after some 10⁶ steps.",
+        min=0.0,
+    ),
+]
 COLUMNS = {
     "position": "position",
     "velocity": "velocity",
@@ -63,6 +73,7 @@ def tradeoff(
     vary: VaryOption = None,
     engines: EngineOption = None,
     repeats: RepeatsOption = 3,
+    limit: LimitOption = None,
     folder: Annotated[
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Folder of the study. Default: recordings/tradeoff/SCENE."),
@@ -82,7 +93,7 @@ def tradeoff(
     from carom.experiment.work_precision.settings_grid import default_settings
 
     others = engines_called(engines or ())
-    study, settings = opened(scene, vary, folder, overrides, threads, force)
+    study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
     wanted = default_settings(study.scene) if settings is None else settings
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]
     finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
@@ -103,6 +114,7 @@ def opened(
     overrides: list[str] | None,
     threads: int | None,
     anew: bool,
+    limit: float | None,
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
@@ -113,7 +125,11 @@ def opened(
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else None
     where = folder or Path("recordings/tradeoff") / Path(source).stem
-    return Study(scene, where, threads=threads, force=anew, advice=advice or ADVICE), settings
+    most = math.inf if limit is None else limit
+    study = Study(
+        scene, where, threads=threads, force=anew, advice=advice or ADVICE, limit=most, bounded=settings is None
+    )
+    return study, settings
 
 
 def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
@@ -179,7 +195,8 @@ def _show(study: Study) -> None:
     console.print(_legend(study.noise), soft_wrap=True)
     for result in study.results:
         if result.reason:
-            console.print(f"{escape(result.setting.name)}: {result.status}: {escape(result.reason)}", soft_wrap=True)
+            status = "" if result.status == "stopped" else f"{result.status}: "
+            console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
 
 
 def _legend(noise: float) -> str:
@@ -217,7 +234,8 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
         table.add_row(escape(name), *cost, str(result.steps), *cells)
     for result in study.results:
         if result.errors is None:
-            table.add_row(escape(result.setting.name), result.status)
+            steps = str(result.steps) if result.status == "stopped" else ""
+            table.add_row(escape(result.setting.name), result.status, "", steps)
     return table
 
 

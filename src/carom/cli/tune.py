@@ -10,7 +10,7 @@ import typer
 
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
-from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, RepeatsOption, opened, ran, table_of
+from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, LimitOption, RepeatsOption, opened, ran, table_of
 
 if TYPE_CHECKING:
     from carom.experiment.work_precision.tradeoff import Study
@@ -41,6 +41,7 @@ def tune(
         ),
     ] = None,
     repeats: RepeatsOption = 3,
+    limit: LimitOption = None,
     folder: Annotated[
         Path | None,
         typer.Option("--study", metavar="DIR", help="Folder of the measurements, as for `carom tradeoff`."),
@@ -67,7 +68,7 @@ def tune(
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
     refuse_output(path, force)
-    study, settings = opened(scene, vary, folder, overrides, threads, new_study, ADVICE)
+    study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, ADVICE)
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)
     if not as_json:

@@ -85,7 +85,7 @@ def solve(
         0 solves the scene itself. Any other number is the seed of a twin, which starts displaced by rounding and
         resolves simultaneous contacts in the opposite order.
     budget
-        Seconds of computing, after which the solution ends.
+        s of CPU time, after which the solution ends.
     """
     return _Solver(space, times, tolerance, twin, budget).run()
 
@@ -95,7 +95,7 @@ class _Solver:
         scene, start = space.scene, space.state
         self._scene, self._tolerance, self._times = scene, tolerance, times
         self._coefficients = pair_coefficients(scene)
-        self._budget, self._deadline = budget, clock.perf_counter() + budget
+        self._budget, self._deadline = budget, clock.thread_time() + budget
         self._bodies = _copy(start)
         self._n, self._names, self._units = len(start), space.names, scene.unit_system
         self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
@@ -164,7 +164,7 @@ class _Solver:
             after, state = found or (solver.t, solver.y)
             self._sample(before, y, after)
             self._accept(after, state)
-            if clock.perf_counter() > self._deadline:
+            if clock.thread_time() > self._deadline:
                 self._end(f"{self._budget:.3g} s of computing reached t = {self._units.text(after, TIME)}")
             if found is not None:
                 return self._touching()

@@ -1,21 +1,22 @@
-"""The figure of a study: error over cost, the front drawn, each setting labelled. Needs the extra ``plot``."""
+"""The figure of a study: error over cost, the front, and a line for each setting at several steps. Needs ``plot``."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.pareto_front import pareto_front
+from carom.experiment.work_precision.settings_grid import AS_WRITTEN
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.backend_bases import RendererBase
+    from matplotlib.lines import Line2D
 
 PANELS = {
     "position": "position, rms / size",
@@ -28,10 +29,18 @@ PANELS = {
 }
 MOST_PANELS = 6
 LEAST = 1e-14  # rounding; smaller errors are drawn here
-INK, FAINT, ACCENT = "#1b2a3a", "#8a94a0", "#d55e00"
-OWN, OTHER = "o", "D"  # markers of carom's settings, and of other engines'
+INK, FAINT = "#1b2a3a", "#8a94a0"
+COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
+OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
 MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of each power of ten are labelled
-LINE = 9.0  # points between two lines of labels
+COLUMNS = 4  # of the legend
+
+
+class Look(NamedTuple):
+    """How the points of a family of settings are drawn."""
+
+    colour: str
+    marker: str
 
 
 def styled(size: float) -> AbstractContextManager[None]:
@@ -57,95 +66,122 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
     ExperimentError
         If matplotlib is not there, or nothing is measured.
     """
-    look = styled(8)
     done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
         raise ExperimentError("nothing is measured yet that could be drawn")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an extra
-    from matplotlib.figure import Figure  # noqa: PLC0415
+    families = _families(done)
+    looks = _looks(families)
+    with styled(8):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415
 
-    with look:
         rows = (len(panels) + 1) // 2
-        figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.9 * rows), layout="constrained", dpi=110)
-        canvas = FigureCanvasAgg(figure)
+        figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.6 * rows + 0.8), layout="constrained", dpi=110)
+        FigureCanvasAgg(figure)
         axes = figure.subplots(rows, min(len(panels), 2), squeeze=False).ravel()
         for ax, error in zip(axes, panels, strict=False):
-            _panel(ax, error, document, done, units if error == "impact" else None)
+            _panel(ax, error, document, families, looks, units if error == "impact" else None)
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         figure.suptitle(document["scene"]["title"], fontsize=10)
-        noise = f"costs ± half their range; filled: on the front; ring: in doubt; least noise {document['noise']:.1%}"
-        noise += "; diamonds: another engine" if any(entry.get("engine") for entry in done) else ""
-        figure.supxlabel(f"cost / s ({noise})", fontsize=7, color=FAINT)
-        figure.draw_without_rendering()
-        for ax in axes[: len(panels)]:
-            _label(ax, canvas.get_renderer())  # type: ignore[no-untyped-call]
+        ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
+        words = "filled: on the front; ring: in doubt; faint: another is as good and cheaper"
+        noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
+        figure.legend(
+            handles=[_sample(name, look) for name, look in looks.items()],
+            loc="outside lower center",
+            ncols=min(COLUMNS, len(looks)),
+            fontsize=7,
+            frameon=False,
+            title="\n".join([words, noise, *ends]),
+            title_fontproperties={"size": 7},
+        )
         figure.savefig(path)
 
 
+def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Group settings that differ in the step only, by the name that they share; one alone has its whole name."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for entry in done:
+        found.setdefault(_without_step(entry), []).append(entry)
+    return {name if len(group) > 1 else _short(group[0]): group for name, group in found.items()}
+
+
+def _without_step(entry: dict[str, Any]) -> str:
+    parts = [part for part in _short(entry).split(", ") if not part.startswith(("step ×", "dt ="))]
+    return ", ".join(parts) or AS_WRITTEN.name
+
+
+def _short(entry: dict[str, Any]) -> str:
+    """Return the name of a setting without what most of them have in common."""
+    return str(entry["name"]).replace("integrator = ", "")
+
+
+def _looks(families: dict[str, list[dict[str, Any]]]) -> dict[str, Look]:
+    """Give each family a look of its own; those of other engines have other markers."""
+    found: dict[str, Look] = {}
+    counts = {OWN: 0, OTHERS: 0}
+    for name, group in families.items():
+        markers = OTHERS if group[0].get("engine") else OWN
+        k, counts[markers] = counts[markers], counts[markers] + 1
+        found[name] = Look(COLOURS[k % len(COLOURS)], markers[k // len(COLOURS) % len(markers)])
+    return found
+
+
+def _sample(name: str, look: Look) -> Line2D:
+    """Return the entry of a family in the legend."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - an extra
+
+    return Line2D([], [], color=look.colour, marker=look.marker, markersize=5, linewidth=0.8, label=name)
+
+
 def _panel(
-    ax: Axes, error: str, document: dict[str, Any], done: list[dict[str, Any]], units: UnitSystem | None
+    ax: Axes,
+    error: str,
+    document: dict[str, Any],
+    families: dict[str, list[dict[str, Any]]],
+    looks: dict[str, Look],
+    units: UnitSystem | None,
 ) -> None:
     """Draw one error over the cost; ``units`` are those of an error that is a time."""
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
     one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
-    points = [(e["cost"], one * max(e["errors"][error], LEAST), e) for e in done if e["errors"][error] is not None]
-    ax.set(xscale="log", yscale="log", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
-    costs = [point[0] for point in points]
-    wide = max(costs) > MOST_LABELLED * min(costs)
+    ax.set(xscale="log", yscale="log", xlabel="cost / s", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
+    points: list[tuple[float, float]] = []
+    for name, group in families.items():
+        look = looks[name]
+        known = [entry for entry in group if entry["errors"][error] is not None]
+        here = [(entry["cost"], one * max(entry["errors"][error], LEAST)) for entry in known]
+        points += here
+        if len(here) > 1:
+            ax.plot(*zip(*sorted(here), strict=True), color=look.colour, linewidth=0.6, alpha=0.5)
+        for (cost, wrong), entry in zip(here, known, strict=True):
+            mark = entry["marks"][error]
+            ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=look.colour, elinewidth=0.6)
+            fill, alpha = ("white", 1.0) if mark == "near" else (look.colour, 1.0 if mark else 0.35)
+            point = ax.plot(cost, wrong, look.marker, markersize=5, color=look.colour, alpha=alpha, zorder=3)
+            point[0].set_markerfacecolor(fill)
+    cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
+    wide = cost.max() > MOST_LABELLED * cost.min()
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
-    for cost, wrong, entry in points:
-        on, near = (entry["marks"][error] == mark for mark in ("front", "near"))
-        ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=FAINT, elinewidth=0.8)
-        edge, fill = ACCENT if on or near else FAINT, ACCENT if on else "white" if near else FAINT
-        marker = OTHER if entry.get("engine") else OWN
-        ax.plot(cost, wrong, marker, markersize=5, color=edge, markerfacecolor=fill, zorder=3)
-        name = entry["name"].replace("integrator = ", "")
-        ax.annotate(
-            name,
-            (cost, wrong),
-            xytext=(6, 3),
-            textcoords="offset points",
-            color=INK if on or near else FAINT,
-            fontsize=7,
-        )
-    cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
     # of the medians: a line through the settings that are certainly on the front would have gaps
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
-        ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=ACCENT, lw=1.0)
+        ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)
     floor = document["reference"]["uncertainty"][error]
     if (
         error not in ("energy", "energy_gain", "overlap", "sinking")
         and floor
         and floor > LEAST
-        and one * floor > min(w for _, w, _ in points) / 30
+        and one * floor > wrong.min() / 30
     ):
         ax.axhline(one * floor, color=FAINT, linewidth=0.8, linestyle=":")
         words, where = "the reference's own uncertainty", ("axes fraction", "data")
         ax.annotate(words, (1.0, one * floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
-    ax.margins(x=0.12, y=0.12)
-
-
-def _label(ax: Axes, renderer: RendererBase) -> None:
-    """Move labels that lie on each other apart, upwards, and to the left of their points at the right edge."""
-    edge = ax.get_window_extent().x1
-    placed: list[Any] = []
-    labels = [text for text in ax.texts if text.get_fontsize() == 7]
-    for label in sorted(labels, key=lambda text: text.get_window_extent(renderer).y0):
-        if label.get_window_extent(renderer).x1 > edge:
-            label.set_horizontalalignment("right")
-            label.set_position((-6, 3))
-        for _ in range(len(labels)):
-            box = label.get_window_extent(renderer)
-            if not any(box.overlaps(other) for other in placed):
-                break
-            x, y = label.get_position()
-            label.set_position((x, y + LINE / 2))
-        placed.append(label.get_window_extent(renderer))
+    ax.margins(x=0.06, y=0.08)

@@ -23,6 +23,9 @@ THREADS = "threads"  # likewise: threads of the kernels, which change the cost b
 TIMING = "contact.timing"
 STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
 FEW = 20  # bodies; a tree is tried only for more
+MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
+ACCURACIES = ("1e-4", "1e-8")
+STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator", "accuracy")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,9 @@ class Setting:
             If a key or a value is wrong.
         """
         return scene.changed(list(self.overrides))
+
+
+AS_WRITTEN = Setting("as written", ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +153,17 @@ def _controls_error(scene: Scene, point: Point) -> bool:
 
 
 def default_settings(scene: Scene) -> list[Setting]:
-    """Return the default points as settings."""
-    return [point.setting(scene) for point in default_points(scene)]
+    """Return the default points as settings, and accuracies in place of a step where few bodies cannot touch."""
+    settings = [point.setting(scene) for point in default_points(scene)]
+    if not require(scene).contact.modelled and scene.count <= MOST_ACCURATE:
+        settings += [_accurate(scene, accuracy) for accuracy in ACCURACIES]
+    return settings
+
+
+def _accurate(scene: Scene, accuracy: str) -> Setting:
+    """Return an accuracy in place of all keys that set the step."""
+    keys = [f"time.{key}=" for key in STEP_KEYS if key in scene.time.model_fields_set]
+    return Setting(f"accuracy = {accuracy}", (*keys, f"time.accuracy={accuracy}"))
 
 
 def vary(scene: Scene, choices: list[str]) -> list[Setting]:
@@ -169,10 +184,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     axes = [_axis(choice) for choice in choices]
     settings = []
     for picked in itertools.product(*axes):
-        try:
-            settings.append(_setting(scene, picked))
-        except SceneError as error:
-            raise SceneError(str(error).replace("--set", "--vary")) from None
+        settings.append(_setting(scene, picked))
     return settings
 
 
@@ -201,7 +213,7 @@ def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
     step = math.prod(choice.step for choice in picked)
     if step != 1.0:
         overrides += refined(Setting("", tuple(overrides)).apply(scene), 1.0 / step)
-    name = ", ".join(choice.word for choice in picked if choice.word) or "as written"
+    name = ", ".join(choice.word for choice in picked if choice.word) or AS_WRITTEN.name
     threads = next((choice.threads for choice in picked if choice.threads), None)
     setting = Setting(name, tuple(overrides), threads)
     setting.apply(scene)

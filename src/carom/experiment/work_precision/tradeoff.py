@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import time
 import zipfile
 from collections.abc import Callable
@@ -27,12 +28,16 @@ from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.error_measures import NAMES, Errors
 from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.reference import BUDGET, Reference, fineness, make_reference, scale_of
-from carom.experiment.work_precision.settings_grid import Setting, refusal
+from carom.experiment.work_precision.run_bound import RunBound, RunStoppedError
+from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting, refusal
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, follow, sample_times
 from carom.physics.error import PhysicsError
+from carom.physics.look_ahead.settle import settled
+from carom.physics.parallel.cores import cores
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
@@ -40,6 +45,10 @@ VERSION = 3  # of the document; 1 had no sinking, 2 no frames and no rounding in
 COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
 ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
+WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
+
+BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
+DEARER = 30.0  # times the steps of the scene as written that a bounded setting may take in any case
 MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
 
 Teller = Callable[[str], None]
@@ -51,12 +60,13 @@ class Result:
     """A setting and its measurements so far."""
 
     setting: Setting
-    status: str = "pending"  # "measured", "refused" or "failed"
-    reason: str = ""  # why it was refused or failed
+    status: str = "pending"  # "measured", "refused", "stopped" or "failed"
+    reason: str = ""  # why it was refused, stopped or failed
     costs: list[float] = field(default_factory=list)  # s, of each run
     steps: int = 0
     frames: int = 0  # in a recording of it
     errors: Errors | None = None
+    spent: float = 0.0  # s of CPU time, after which it was stopped
 
     @property
     def cost(self) -> float:
@@ -89,6 +99,10 @@ class Study:
         Whether to replace an existing study.
     advice
         Advice in the message if the folder contains another study.
+    limit
+        s of CPU time, after which a run is stopped, and s after which no reference begins.
+    bounded
+        Whether each setting is stopped after a number of steps, too, see `WORK`: for settings that nobody chose.
 
     Raises
     ------
@@ -97,14 +111,24 @@ class Study:
     """
 
     def __init__(
-        self, scene: Scene, folder: Path, *, threads: int | None = None, force: bool = False, advice: str = ADVICE
+        self,
+        scene: Scene,
+        folder: Path,
+        *,
+        threads: int | None = None,
+        force: bool = False,
+        advice: str = ADVICE,
+        limit: float = math.inf,
+        bounded: bool = False,
     ) -> None:
         self.scene, self.folder, self.threads = scene, folder, threads
+        self.limit, self.bounded = limit, bounded
         self._advice = advice
         self.results: list[Result] = []
         self.reference: Reference | None = None
-        self.budget = BUDGET  # s, for the reference
+        self.budget = min(BUDGET, limit)  # s, for the reference
         self.follow_engine: EngineFollower = self._followed
+        self._busy = 0.0
         output_folder(folder)
         if (folder / DOCUMENT).exists() and not force:
             self._load()
@@ -136,9 +160,10 @@ class Study:
                     result.errors = self.reference.errors(self.trajectory(result))
             self._save()
         for number, result in enumerate(results, start=1):
-            if result.status == "pending":
-                tell(f"{_count(number, results)}{result.setting.name}: errors")
-                self._follow(result)
+            if result.status == "pending" or self._may_go_on(result):
+                heading = f"{_count(number, results)}{result.setting.name}: errors"
+                tell(heading)
+                self._follow(result, lambda text: tell(heading + text))  # noqa: B023
                 self._save()
         for turn in range(repeats):
             for number, result in enumerate(results, start=1):
@@ -147,6 +172,7 @@ class Study:
                     which = _count(number, results)
                     tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
                     result.costs.append(self._cost(result))
+                    self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
                     self._save()
         return results
 
@@ -177,6 +203,7 @@ class Study:
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
             "environment": environment(self.threads or 0),
             "noise": self.noise,
+            "load": self._busy,  # of the machine while costs were measured: the largest mean of a minute
             "reference": None if self.reference is None else _reference_entry(self.reference),
             "settings": [
                 {
@@ -199,6 +226,7 @@ class Study:
             "steps": result.steps,
             "frames": result.frames,
             "costs": result.costs,
+            "spent": result.spent,
             "cost": _number(result.cost),
             "spread": result.spread,
             "errors": result.errors and _numbers(result.errors),
@@ -225,11 +253,35 @@ class Study:
     def _space(self, result: Result) -> Space:
         return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
 
-    def _follow(self, result: Result) -> None:
+    def _bound(self, result: Result) -> RunBound:
+        """Return how far a setting may go; the scene as written goes on up to the limit."""
+        if not self.bounded or not result.setting.overrides:
+            return RunBound(seconds=self.limit)
+        own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
+        return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
+
+    def _may_go_on(self, result: Result) -> bool:
+        """Tell whether a setting was stopped earlier than it would be now."""
+        bound = self._bound(result)
+        return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
+
+    def _follow(self, result: Result, tell: Teller) -> None:
         assert self.reference is not None, "the reference comes first"
         times, setting = sample_times(self.scene), result.setting
+        result.reason, units = "", self.scene.unit_system
+
+        def reached(step: int, time: float) -> None:
+            tell(f", {step} steps, t = {units.text(time, TIME)} of {units.text(self.scene.time.duration, TIME)}")
+
         try:
-            run = self.follow_engine(setting, times) if setting.engine else follow(self._space(result), times)
+            if setting.engine:
+                run = self.follow_engine(setting, times)
+            else:
+                run = follow(self._space(result), times, self._bound(result), reached)
+        except RunStoppedError as stopped:
+            result.status, result.reason = "stopped", str(stopped)
+            result.steps, result.spent = stopped.steps, stopped.seconds
+            return
         except (PhysicsError, ExperimentError) as error:
             result.status, result.reason = "failed", str(error)
             return
@@ -238,17 +290,26 @@ class Study:
         result.steps, result.frames = run.steps, run.frames
 
     def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
-        return engine_called(setting.engine).follow(self.scene, setting, times)
+        return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
 
     def _cost(self, result: Result) -> float:
-        """Run a setting once without recording; return the time it took in s."""
+        """Run a setting once without recording; return the time it took in s, with that of a look ahead.
+
+        On one thread that is CPU time, which other programs on the machine hardly change.
+        """
         if result.setting.engine:
             return engine_called(result.setting.engine).run(self.scene, result.setting)
-        space = self._space(result)
-        began = time.perf_counter()
+        threads = result.setting.threads or self.threads or cores()
+        clock = time.thread_time if threads == 1 else time.perf_counter
+        asked = result.setting.apply(self.scene)
+        began = clock()
+        scene = settled(asked, threads)
+        ahead = clock() - began
+        space = Space(scene, threads)
+        began = clock()
         for _ in space.run(schedule=at(())):
             pass
-        return time.perf_counter() - began
+        return ahead + clock() - began
 
     def _path(self, result: Result) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
@@ -266,6 +327,7 @@ class Study:
             theirs, known = kept["scene"]["toml"], kept["reference"]
             if kept["version"] == VERSION and theirs == self.scene.toml:
                 self._reopen(known, kept["settings"])
+                self._busy = kept.get("load", 0.0)
                 return
             if kept["version"] != VERSION and theirs == self.scene.toml:
                 raise ValueError("another version of carom measured it")
@@ -292,6 +354,7 @@ class Study:
             overrides = tuple(entry["overrides"])
             setting = Setting(entry["name"], overrides, entry.get("threads"), entry.get("engine", ""))
             result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
+            result.spent = entry.get("spent", 0.0)
             if result.status == "measured" and self.reference is not None:
                 result.errors = self.reference.errors(self.trajectory(result))
             elif result.status in ("refused", "measured"):  # another version may run it

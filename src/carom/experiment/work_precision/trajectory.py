@@ -7,6 +7,7 @@ the integrator has no forces at the ends, or, for a body that was struck, along 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Self
@@ -14,6 +15,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.experiment.work_precision.run_bound import RunBound, RunGuard, RunStoppedError
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
@@ -30,6 +32,13 @@ SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
 LATE = 0.9  # of the samples, from which on bodies are assumed to have come to rest
 FEW, SAMPLES_OF_FEW = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
+
+
+UNBOUNDED = RunBound()
+
+
+def _ignore(step: int, time: float) -> None:
+    """Say nothing of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,18 +97,35 @@ def sample_times(scene: Scene) -> FloatArray:
     return np.asarray(scene.time.duration * fractions)
 
 
-def follow(space: Space, times: FloatArray) -> Trajectory:
+def follow(
+    space: Space, times: FloatArray, bound: RunBound = UNBOUNDED, tell: Callable[[int, float], None] = _ignore
+) -> Trajectory:
     """Run a space to its end and collect its data; this does not change the steps.
+
+    Parameters
+    ----------
+    times
+        (K,) s, at which it is sampled.
+    bound
+        How far it may go.
+    tell
+        Called with the step and the time in s now and then.
 
     Raises
     ------
     PhysicsError
         If the state is no longer finite.
+    RunStoppedError
+        If it goes beyond its bound.
     """
-    watch = _Watch(space, times)
+    guard = RunGuard(bound, tell)
+    watch = _Watch(space, times, guard)
     frames = space.run(schedule=watch)
     next(frames)  # the start
     for frame in frames:
+        if watch.is_over:
+            reached = space.scene.unit_system.text(space.time, TIME)
+            raise RunStoppedError(space.step, guard.seconds, reached, by_limit=guard.is_late)
         watch.sample(frame)
     watch.see_contacts(space.time)
     if len(watch.position) < len(times):
@@ -128,11 +154,12 @@ def follow(space: Space, times: FloatArray) -> Trajectory:
 class _Watch:
     """A schedule that asks for a frame after each step that passes a time, and keeps the state before it."""
 
-    def __init__(self, space: Space, times: FloatArray) -> None:
+    def __init__(self, space: Space, times: FloatArray, guard: RunGuard) -> None:
+        self.is_over = False  # whether the run was stopped at its bound
         self.position: list[FloatArray] = []
         self.velocity: list[FloatArray] = []
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
-        self._space, self._times = space, times
+        self._space, self._times, self._guard = space, times, guard
         self._recorded = every(frame_interval(space.scene))
         self._frames, self._last_recorded = 1, True  # the start
         self._ends = len(space.state) + len(space.planes)
@@ -156,6 +183,9 @@ class _Watch:
         self._frames += self._last_recorded
         done = len(self.position)
         passes = done < len(self._times) and time >= self._times[done]
+        if time < self._times[-1] and self._guard.is_over(step, time):
+            self.is_over = True
+            self._space.stop()
         if passes:
             state = self._space.state
             self._before = (before, state.position.copy(), state.velocity.copy(), state.acceleration.copy())

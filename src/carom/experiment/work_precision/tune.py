@@ -10,7 +10,7 @@ from typing import Any
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.coordinate_descent import Search, excess, loses_frames, unsure
 from carom.experiment.work_precision.error_measures import NAMES
-from carom.experiment.work_precision.settings_grid import Setting
+from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting
 from carom.experiment.work_precision.tradeoff import Result, Study, Teller
 from carom.scene.data.moved import toml_for
 from carom.scene.error import SceneError
@@ -107,7 +107,7 @@ def tuned(
         search.run(repeats)
         tried = search.results
     else:
-        tried = study.measure([Setting("as written", ()), *settings], repeats, tell)
+        tried = study.measure([AS_WRITTEN, *settings], repeats, tell)
     distinct = {(result.setting.overrides, result.setting.threads): result for result in tried}
     return Tuning(study, limits, tried[0], tuple(distinct.values()))
 
