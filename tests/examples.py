@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,13 +83,14 @@ def solver_of(
     law: list[float] | PairCoefficients,
     box: FloatArray | None = None,
     threads: int = 1,
+    sweeps: Literal["auto", "as-needed"] = "auto",
 ) -> ContactSolver:
     """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction of all or of pairs."""
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))
     box = np.zeros(3) if box is None else box
     spins = len(bodies.orientation) > 0
     laws = law if isinstance(law, PairCoefficients) else PairCoefficients(np.array([law]), len(bodies))
-    solver = ContactSolver(bodies, no_planes, materials_of(laws), box, spins, Team(threads))
+    solver = ContactSolver(bodies, no_planes, materials_of(laws), box, spins, Team(threads), sweeps=sweeps)
     solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     return solver
 

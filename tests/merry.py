@@ -12,7 +12,6 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline, Origin
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extreme, Extremes
-from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.event import Event
@@ -94,7 +93,6 @@ class Merry:
             scale=2 * kinetic,
         )
         orientation, spin = self.orientation(time), None if self.spin is None else self.spin.copy()
-        parts = (position, velocity, orientation, spin)
         level = "WARN" if step % 40 == 30 else "INFO"
         events = (Event(step, time, level, f"something at step {step}"),) if step % 10 == 0 else ()
         return Frame(
@@ -115,7 +113,6 @@ class Merry:
             sweeps=3 if len(contacts.pairs) else 0,
             phase="colliding" if len(contacts.pairs) else "free",
             events=events,
-            fingerprint=fingerprint_of(time, [np.ascontiguousarray(part) for part in parts if part is not None]),
             acceleration=-position,
             previous_dt=dt,
             memory=None,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -71,9 +74,10 @@ def assert_whole(folder: Path) -> None:
         assert recording.parameters["name"] == run["name"] and recording.parameters["seed"] == run["seed"]
 
 
-def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
-    """Start the command and let it run."""
-    return subprocess.Popen(
+@contextmanager
+def started(*arguments: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """Start the command and let it run; kill it and its workers when the test is done with it, or has failed."""
+    client = subprocess.Popen(
         [sys.executable, "-m", "carom", *arguments],
         cwd=cwd,
         stdout=subprocess.PIPE,
@@ -81,6 +85,12 @@ def start(*arguments: str, cwd: Path) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,  # as a shell does: its interrupt key reaches the whole group
     )
+    try:
+        yield client
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(client.pid, signal.SIGKILL)
+        client.communicate()
 
 
 def until(reached: Callable[[], bool], limit: float = 120.0) -> None:

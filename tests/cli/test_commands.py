@@ -311,8 +311,8 @@ def test_repair_is_offered_for_a_damaged_recording_and_not_for_what_never_was_on
         (["--plot", "body-3.zz"], 'there is no quantity "zz"; there are x, y, z (m)'),
         (["--plot", "nobody.z"], 'has no body "nobody"'),
         (["--plot", "3"], "expected BODY.QUANTITY"),
-        (["--view", "plot"], "--view plot shows what --plot names"),
-        (["--view", "plot", "--plot", "3.x,3.speed"], "--view plot shows one unit"),
+        (["--view", "plot"], "a view of plots shows the curves that plot names"),
+        (["--view", "plot", "--plot", "3.x,3.speed"], "a view of plots shows one unit"),
     ],
 )
 def test_a_plot_of_nothing_is_one_message(arguments: list[str], said: str, run_file: Path, tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ def test_both_courses_are_written_and_their_difference_is_told(folder: Path) -> 
     assert done.returncode == 0, done.stderr
     assert "Forked at step 5, t = 0.5 s with contact.restitution = 0" in done.stdout
     assert (folder / "run-fork.rrd").exists()
+    default = carom("fork", "run.rrd", "--at", "0.5", "--set", "contact.sweeps=20", "--force", cwd=folder)
+    assert "with contact.sweeps = 20, before auto by default" in default.stdout
     options = ("--set", "contact.restitution=0", "-o", "other.rrd", "--json")
     told = json.loads(carom("fork", "run.rrd", "--at", "0.5", *options, cwd=folder).stdout)
     assert told["step"] == 5 and told["rms"] == pytest.approx(0.5, rel=0.15)  # 0.5 m/s for about a second

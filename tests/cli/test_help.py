@@ -28,6 +28,11 @@ def test_no_help_text_loses_what_stands_in_brackets_to_markup(name: str) -> None
         assert render(text or "").plain == written
 
 
+@pytest.mark.parametrize("name", COMMANDS)
+def test_paragraphs_of_help_are_broken_where_the_terminal_ends_only(name: str) -> None:
+    assert all("\n" not in paragraph for paragraph in (COMMANDS[name].help or "").split("\n\n"))
+
+
 def test_the_help_of_a_sweep_names_the_section_of_the_scene(tmp_path: Path) -> None:
     shown = re.sub(r"[\s│]+", " ", carom("sweep", "--help", cwd=tmp_path).stdout)
     assert "[sweep] of the scene" in shown

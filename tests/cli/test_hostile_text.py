@@ -64,7 +64,7 @@ def test_no_text_of_a_recording_breaks_or_steers_a_command(entity: str, componen
     ("text", "said"),
     [
         (".".join(["a"] * 100_000) + " = 1", "nested more than 32 levels deep"),
-        ("\n".join(f"k{number} = 1" for number in range(4000)), "more keys"),
+        pytest.param("\n".join(f"k{n} = 1" for n in range(4000)), "more keys", marks=pytest.mark.slow),
     ],
     ids=["one long key", "many keys"],
 )

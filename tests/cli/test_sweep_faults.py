@@ -21,8 +21,8 @@ from sweeps import (
     done,
     fingerprints,
     manifest,
-    start,
     start_cluster,
+    started,
     until,
     write_scene,
 )
@@ -47,14 +47,14 @@ def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster
     write_scene(tmp_path)
     undisturbed, disturbed = tmp_path / "undisturbed", tmp_path / "disturbed"
     assert carom_process(*sweep_on(cluster, "undisturbed"), cwd=tmp_path).returncode == 0
-    client = start(*sweep_on(cluster, "disturbed"), cwd=tmp_path)
-    until(lambda: done(disturbed) >= 1)
-    cluster.workers[0].kill()
-    until(lambda: done(disturbed) >= 4)
-    client.kill()
-    client.communicate()
-    before = done(disturbed)
-    assert 4 <= before < RUNS
+    with started(*sweep_on(cluster, "disturbed"), cwd=tmp_path) as client:
+        until(lambda: done(disturbed) >= 1)
+        cluster.workers[0].kill()
+        until(lambda: done(disturbed) >= 4)
+        client.kill()
+        client.communicate()
+        before = done(disturbed)
+        assert 4 <= before < RUNS
     again = carom_process(*sweep_on(cluster, "disturbed"), cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     ending = json.loads(again.stdout)
@@ -67,10 +67,10 @@ def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster
 @pytest.mark.slow
 def test_a_scheduler_that_dies_leaves_the_rest_for_the_next_time(tmp_path: Path, cluster: DaskCluster) -> None:
     write_scene(tmp_path)
-    client = start(*sweep_on(cluster, "out"), cwd=tmp_path)
-    until(lambda: done(tmp_path / "out") >= 2)
-    cluster.scheduler.kill()
-    stdout, stderr = client.communicate(timeout=120)
+    with started(*sweep_on(cluster, "out"), cwd=tmp_path) as client:
+        until(lambda: done(tmp_path / "out") >= 2)
+        cluster.scheduler.kill()
+        stdout, stderr = client.communicate(timeout=120)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
     ending = json.loads(stdout)
     assert "the scheduler is gone" in ending["stopped"] and ending["left"] > 0
@@ -81,16 +81,16 @@ def test_a_scheduler_that_dies_leaves_the_rest_for_the_next_time(tmp_path: Path,
 def test_local_workers_that_are_killed_are_replaced_and_end_with_a_killed_client(tmp_path: Path) -> None:
     write_scene(tmp_path)
     out = tmp_path / "out"
-    client = start("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out", cwd=tmp_path)
-    until(lambda: done(out) >= 1)
-    os.kill(children_of(client.pid)[0], signal.SIGKILL)
-    until(lambda: done(out) >= 4)
-    orphans = children_of(client.pid)
-    assert len(orphans) >= 2
-    client.kill()
-    client.communicate()
-    until(lambda: not any(map(is_running, orphans)))
-    before = done(out)
+    with started("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out", cwd=tmp_path) as client:
+        until(lambda: done(out) >= 1)
+        os.kill(children_of(client.pid)[0], signal.SIGKILL)
+        until(lambda: done(out) >= 4)
+        orphans = children_of(client.pid)
+        assert len(orphans) >= 2
+        client.kill()
+        client.communicate()
+        until(lambda: not any(map(is_running, orphans)))
+        before = done(out)
     again = carom_process("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out", cwd=tmp_path)
     assert again.returncode == 0, again.stderr
     assert f"12 of 12 runs done, {before} of them before" in again.stdout
@@ -102,10 +102,10 @@ def test_the_interrupt_key_lets_the_runs_under_way_finish(tmp_path: Path) -> Non
     write_scene(tmp_path)
     out = tmp_path / "out"
     command = ("sweep", "spheres.toml", *VARY, *SLOW, "--workers", "2", "-o", "out")
-    client = start(*command, cwd=tmp_path)
-    until(lambda: done(out) >= 2)
-    os.killpg(client.pid, signal.SIGINT)  # workers get it, too
-    _, stderr = client.communicate(timeout=120)
+    with started(*command, cwd=tmp_path) as client:
+        until(lambda: done(out) >= 2)
+        os.killpg(client.pid, signal.SIGINT)  # workers get it, too
+        _, stderr = client.communicate(timeout=120)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
     assert "Waiting for 2 runs under way" in stderr and "run the same command again to continue" in stderr
     assert 4 <= done(out) < RUNS
@@ -119,15 +119,17 @@ def test_the_interrupt_key_twice_ends_at_once(tmp_path: Path) -> None:
     write_scene(tmp_path)
     out = tmp_path / "out"
     endless = ("--set", "time.fixed_dt=1e-9")
-    client = start("sweep", "spheres.toml", "--seeds", "3", *endless, "--workers", "2", "-o", "out", cwd=tmp_path)
-    until(lambda: (out / "partial").exists() and len(list((out / "partial").iterdir())) >= 2)
-    os.killpg(client.pid, signal.SIGINT)
-    assert client.stderr is not None
-    while "Waiting for" not in client.stderr.readline():
-        assert client.poll() is None
-    time.sleep(2 * SAME_PRESS)  # what follows sooner is the same press, passed on by a wrapper
-    os.killpg(client.pid, signal.SIGINT)
-    _, stderr = client.communicate(timeout=60)
+    with started(
+        "sweep", "spheres.toml", "--seeds", "3", *endless, "--workers", "2", "-o", "out", cwd=tmp_path
+    ) as client:
+        until(lambda: (out / "partial").exists() and len(list((out / "partial").iterdir())) >= 2)
+        os.killpg(client.pid, signal.SIGINT)
+        assert client.stderr is not None
+        while "Waiting for" not in client.stderr.readline():
+            assert client.poll() is None
+        time.sleep(2 * SAME_PRESS)  # what follows sooner is the same press, passed on by a wrapper
+        os.killpg(client.pid, signal.SIGINT)
+        _, stderr = client.communicate(timeout=60)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
     assert [run["status"] for run in manifest(out)["runs"]] == ["pending"] * 3
     assert not list((out / "partial").iterdir())

@@ -68,7 +68,7 @@ def test_a_port_in_use_is_one_sentence_with_the_remedy(run: Path) -> None:
         port = str(taken.getsockname()[1])
         done = carom("view", "run.rrd", "--web", "--port", port, cwd=run.parent)
     assert done.returncode == 2
-    assert done.stderr == f"carom: port {port} is in use; name another with --port, or leave it out\n"
+    assert done.stderr == f"carom: port {port} is in use; name another, or leave it out\n"
 
 
 def test_a_moment_that_is_not_in_the_recording_is_refused(run: Path) -> None:

@@ -33,7 +33,7 @@ def record(path: Path, change: Change = lambda t: 0.0, dt: float = 0.05, frames:
             moved = change(frame.time)
             if moved:
                 position = frame.position + moved * PATTERN
-                frame = replace(frame, position=position, fingerprint=frame.fingerprint ^ 1)  # noqa: PLW2901
+                frame = replace(frame, position=position)  # noqa: PLW2901
             recorder.put(frame)
         recorder.finish("completed")
     return Recording.open(path)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import carom
-from carom.experiment.replay import replay
+from carom.experiment.replay import Difference, replay
 from carom.experiment.run import simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
@@ -25,6 +25,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
+from carom.scene.units.system import UnitSystem
 from crafted import changed, mapped
 from examples import cloud
 
@@ -124,9 +125,18 @@ def test_the_first_frame_body_and_quantity_that_differ_are_named(tmp_path: Path)
     result = replay(spoiled(tmp_path / "shifted.rrd", shift))
     assert not result.same and result.difference is not None
     assert (result.difference.step, result.difference.body) == (51, alone[0])
-    assert result.difference.quantity == "y (m, as drawn)"
+    assert (result.difference.quantity, result.difference.unit) == ("y (as drawn)", "m")
     assert result.difference.by == pytest.approx(-1e-3, abs=1e-6)  # what was recorded is ahead; drawn in float32
     assert result.compared == 52, "frames 0 to 51"
+
+
+def test_a_difference_is_told_in_the_units_of_the_scene() -> None:
+    found = Difference(3, 3600.0, "x (as drawn)", 0, 1000.0, 1250.0, "left", "m")
+    units = UnitSystem.of_table({"length": "km", "time": "h"})
+    told = 'step 3, t = 1 h: x (as drawn) of body 0 "left", recorded 1.0 km, replayed 1.25 km, off by 0.25 km'
+    assert found.text(units) == told
+    impacts = Difference(3, 3600.0, "impacts", None, 2, 3)
+    assert impacts.text(units).endswith("impacts, recorded 2, replayed 3, off by 1")
 
 
 def test_one_bit_of_one_velocity_is_enough(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ def test_a_clip_too_large_to_attach_gets_fewer_frames(
 def test_a_run_that_differs_says_so_in_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
     recording = carom.run(cloud(), tmp_path / "cloud.rrd")
-    monkeypatch.setattr("carom.physics.space.fingerprint", lambda bodies, time: 1)
+    monkeypatch.setattr("carom.physics.frame.fingerprint_of", lambda time, arrays: 1)
     made = report(recording, tmp_path / "cloud.zip")
     assert "it differs" in made.replayed
 

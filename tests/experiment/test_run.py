@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,6 +20,7 @@ from carom.experiment.expectation import judge
 from carom.experiment.resume import resumable_run
 from carom.experiment.run import Outcome, simulate
 from carom.physics.diagnostics.extremes import Extreme, Extremes
+from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
@@ -50,6 +52,18 @@ def test_a_missing_folder_and_a_folder_are_refused_before_anything_runs(tmp_path
         carom.run(pair(), tmp_path / "nowhere" / "x.rrd")
     with pytest.raises(RecordingError, match="a folder; name a file"):
         carom.run(pair(), tmp_path)
+
+
+def test_python_seeks_garbage_seldom_during_a_run_and_as_before_after_it(tmp_path: Path) -> None:
+    class Watched(Space):
+        def run(self, *arguments: Any, **options: Any) -> Iterator[Frame]:
+            thresholds.append(gc.get_threshold())
+            yield from super().run(*arguments, **options)
+
+    before, thresholds = gc.get_threshold(), list[tuple[int, int, int]]()
+    simulate(Watched(pair()), tmp_path / "pair.rrd")
+    assert thresholds == [(max(100_000, before[0]), *before[1:])]
+    assert gc.get_threshold() == before
 
 
 def test_recording_changes_no_bit_of_the_run(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def diff(
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Of impacts, those are compared that both recorded, by their numbers.
+    Impacts that both recorded are compared by their numbers.
     """
     import json
 

@@ -31,7 +31,7 @@ def fork(
     perturb: Annotated[
         str | None,
         typer.Option(
-            "--perturb", metavar="ULPS", help="Move every coordinate by so many units in the last place: 1ulp."
+            "--perturb", metavar="ULPS", help="Move every coordinate by some units in the last place, such as 1ulp."
         ),
     ] = None,
     seeds: Annotated[
@@ -42,7 +42,7 @@ def fork(
         typer.Option(
             "--outcome",
             metavar="CONDITION",
-            help="Count the forks that end so: an expression on `carom inspect --json`, or x_3, speed_3 of body 3.",
+            help="Count the forks that end so, such as 'x_3 > 1': x_3, speed_3 or a name of `carom inspect --json`.",
         ),
     ] = None,
     times: Annotated[
@@ -52,7 +52,7 @@ def fork(
             metavar="N",
             min=1,
             max=MOST_TIMES,
-            help="Fork at N times from T on, for the probability of the --outcome over the time of the fork; 1: at T.",
+            help="Fork at N times from T on, to show how the probability of the --outcome depends on it.",
         ),
     ] = 8,
     when: Annotated[
@@ -65,10 +65,10 @@ def fork(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on from a moment of a recording, under other parameters or from a state that differs in the last bits.
+    """Continue from a moment of a recording, under other parameters or from a state that differs in the last bits.
 
-    Only the steps after the moment are run. Both courses and their difference are written into one file; with --seeds,
-    the band of many.
+    Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
+    the band that all forks span.
     """
     import json
 

@@ -30,9 +30,7 @@ def hunt(
         int | None, typer.Option("--seed", metavar="N", help="Draw the same scenes again. Default: new ones.", min=0)
     ] = None,
     first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
-    scenes: Annotated[
-        int | None, typer.Option("--scenes", metavar="N", help="Judge so many scenes at most.", min=1)
-    ] = None,
+    scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Judge at most N scenes.", min=1)] = None,
     folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for what is found.")] = Path(
         "recordings/hunt"
     ),

@@ -78,7 +78,7 @@ def replay(
         say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
-        say(json.dumps(_document(result), indent=2))
+        say(json.dumps(_document(result, units), indent=2))
     else:
         _print(result, units)
     if not result.same:
@@ -114,8 +114,10 @@ def _print(result: Replay, units: UnitSystem) -> None:
         say(f"Every step: {result.dense}")
 
 
-def _document(result: Replay) -> dict[str, Any]:
+def _document(result: Replay, units: UnitSystem) -> dict[str, Any]:
     from dataclasses import asdict
 
-    dense = None if result.dense is None else str(result.dense)
-    return {**asdict(result), "dense": dense, "same": result.same}
+    found = {**asdict(result), "dense": None if result.dense is None else str(result.dense), "same": result.same}
+    if result.difference:
+        found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
+    return found

@@ -42,7 +42,7 @@ def shrink(
         typer.Option(
             "--while",
             metavar="CONDITION",
-            help="What the scene has to show. Default: the error that ends the run, or the promise of \\[expect] that "
+            help="The failure to keep. Default: the error that ends the run, or the promise of \\[expect] that "
             'it misses. Otherwise expect.NAME, PhysicsError, "replay differs", "impact of A and B", "warning KIND", or '
             'an expression such as "energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
         ),
@@ -72,7 +72,7 @@ def shrink(
             "--workers",
             metavar="N",
             min=1,
-            help="Processes that try several smaller scenes at a time, where these take long. Default: one per core, "
+            help="Processes that try smaller scenes at the same time, if these take long. Default: one per core, "
             "and 1 with --while-command.",
         ),
     ] = None,

@@ -31,7 +31,10 @@ def why(
     body: Annotated[
         str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
     ] = None,
-    at: Annotated[Seconds, typer.Option("--at", parser=seconds, metavar="T", help="When. Default: at the end.")] = None,
+    at: Annotated[
+        Seconds,
+        typer.Option("--at", parser=seconds, metavar="T", help="Time to ask about. Default: the end."),
+    ] = None,
     event: Annotated[
         str | None,
         typer.Option(
@@ -46,7 +49,7 @@ def why(
     ] = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="WHY.rrd", help="Write what is behind it for the viewer."),
+        typer.Option("-o", "--output", metavar="WHY.rrd", help="Write a recording of the causes for the viewer."),
     ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,

@@ -195,7 +195,7 @@ class FrameCheck:
             replayed = _as_many(replayed, recorded.batch)
         times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
         if times[0] != times[1]:
-            return Mismatch(step, f"sim_time of /{path} (ns)", *times)
+            return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
         for name in compared:
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is not there"] = None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +23,7 @@ from carom.recording.read.tables import Column, flat
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_frames import orientations_at, positions_at
@@ -83,6 +86,7 @@ class ImpactCheck:
         steps = recording.fingerprints()[STEP]
         self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
+        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # a clip has that of the run
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
         if self._leaves_out and self._plan is None:
@@ -115,7 +119,8 @@ class ImpactCheck:
             return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
         numbers = count - found + 1 + np.arange(len(impacts))
         interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
-        return self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
+        other = self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
+        return other or self._counts_differ(frame.step, count)
 
     def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
         recorded = _within(self._numbers, interval)
@@ -178,6 +183,16 @@ class ImpactCheck:
             for path, numbers in ((paths.IMPACTS, self._numbers), (f"{paths.BODIES} at impacts", self._drawn_at)):
                 if len(numbers) and numbers[-1] > count:
                     return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
+        return None
+
+    def _counts_differ(self, step: int, count: int) -> Mismatch | None:
+        """Compare the numbers of impacts in the outcome with the rows, after the last frame."""
+        if step == self._last_step:
+            for name, found in asdict(RecordedImpacts(len(self._numbers), count - len(self._numbers))).items():
+                said = self._closing.get(f"impacts.{name}")
+                if said is not None and not np.array_equal(said, found):
+                    shown = said if isinstance(said, int | float) else str(said)
+                    return Mismatch(step, f"impacts.{name} of the property outcome", shown, found)
         return None
 
     def _count_at(self, step: int) -> int | None:

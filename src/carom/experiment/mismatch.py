@@ -10,8 +10,20 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.recording.schema import paths
+from carom.recording.schema.series import SERIES
 
 Value = float | str
+
+_UNITS = {  # of the components of checkpoints and of impacts
+    "approach_speed": "m/s",
+    "energy_lost": "J",
+    "position": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "angular_velocity": "rad/s",
+    "time": "s",
+    "previous_dt": "s",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +35,7 @@ class Mismatch:
     recorded: Value
     replayed: Value
     body: int | None = None
+    unit: str = ""  # of both values, in SI; empty: none is known
 
 
 def same(recorded: pa.Array, replayed: pa.Array) -> bool:
@@ -49,7 +62,16 @@ def different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.
         return Mismatch(step, quantity, bytes(one[0]).decode(), bytes(other[0]).decode())
     k = int(np.flatnonzero(one.view(np.uint8) != other.view(np.uint8))[0]) // one.itemsize
     body = k // 3 if name in paths.CENTRES else None
-    return Mismatch(step, quantity, one[k].item(), other[k].item(), body)
+    return Mismatch(step, quantity, one[k].item(), other[k].item(), body, _unit(path, name))
+
+
+def _unit(path: str, name: str) -> str:
+    """Name the SI unit of the numbers of a component; empty if they have none, or several."""
+    if name in paths.CENTRES:
+        return "m"
+    if path == paths.CHECKPOINT and name.startswith("energy_"):
+        return "J"
+    return _UNITS.get(name) or next((series.unit for series in SERIES if series.path == path), "")
 
 
 def _flat(row: pa.Array) -> NDArray[np.generic]:

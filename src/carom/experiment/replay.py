@@ -26,7 +26,7 @@ from carom.recording.write.recorder import Recorder
 from carom.scene.data.sources import changed_files
 from carom.scene.forces import FORCES
 from carom.scene.names import body_called
-from carom.scene.units.dimension import TIME
+from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
@@ -45,6 +45,7 @@ class Difference:
     recorded: Value
     replayed: Value
     name: str = ""  # of the body
+    unit: str = ""  # of both values, in SI; empty if they have none
 
     @property
     def by(self) -> float | None:
@@ -57,10 +58,17 @@ class Difference:
         return self.text(SI)
 
     def text(self, units: UnitSystem) -> str:
-        """Say what differs, in the units of the recorded numbers; the time in those that are printed."""
+        """Say what differs, in the units that are printed."""
+        dimension = OF_UNIT.get(self.unit)
+
+        def shown(value: Value, form: str = "") -> str:
+            if dimension is None or isinstance(value, str):
+                return f"{value:{form}}" if form else repr(value)
+            return units.text(value, dimension, form)
+
         what = self.quantity + ("" if self.body is None else f" of {body_called(self.body, self.name)}")
-        off = "" if self.by is None else f", off by {self.by:.3g}"
-        values = f"recorded {self.recorded!r}, replayed {self.replayed!r}"
+        off = "" if self.by is None else f", off by {shown(self.by, '.3g')}"
+        values = f"recorded {shown(self.recorded)}, replayed {shown(self.replayed)}"
         return f"step {self.step}, t = {units.text(self.time, TIME, '.9g')}: {what}, {values}{off}"
 
 
@@ -215,7 +223,9 @@ class _Comparison:
     def _other(self, found: Mismatch) -> Difference:
         time = self._times.get(found.step, np.nan)
         name = "" if found.body is None else self._recording.bodies.name[found.body]
-        return Difference(found.step, time, found.quantity, found.body, found.recorded, found.replayed, name)
+        return Difference(
+            found.step, time, found.quantity, found.body, found.recorded, found.replayed, name, found.unit
+        )
 
     def left(self, step: int) -> int:
         """Return the number of remaining steps."""
@@ -232,7 +242,7 @@ class _Comparison:
 def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
     """Find the largest difference in the first quantity that differs: time, positions, then energies."""
     if frame.time != time:
-        return Difference(frame.step, time, f"time{_in(recording, 's')}", None, time, frame.time)
+        return Difference(frame.step, time, "time", None, time, frame.time, unit="s")
     recorded = recording.drawn_positions(frame.step)
     if recorded is not None and len(recorded) == len(frame.position):
         shown = (frame.position - recording.origin).astype(np.float32)
@@ -240,23 +250,14 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
         if off.max() > 0.0:
             body = int(off.argmax())
             axis = int(np.abs(shown[body] - recorded[body]).argmax())
-            name = f"{'xyz'[axis]}{_in(recording, 'm', ', as drawn')}"
             values = float(recorded[body, axis]), float(shown[body, axis])
-            return Difference(frame.step, time, name, body, *values, recording.bodies.name[body])
+            name = f"{'xyz'[axis]} (as drawn)"
+            return Difference(frame.step, time, name, body, *values, recording.bodies.name[body], "m")
     energy = recording.energy()
     rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
     row = int(rows[0]) if len(rows) else 0
     for name in ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential)):
         if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
-            return Difference(
-                frame.step, time, f"{name} energy{_in(recording, 'J')}", None, value, frame.energy.term(name)
-            )
+            return Difference(frame.step, time, f"{name} energy", None, value, frame.energy.term(name), unit="J")
     return Difference(frame.step, time, "bits that show in neither drawn positions nor energies", None, 0.0, 0.0)
-
-
-def _in(recording: Recording, si: str, more: str = "") -> str:
-    """Return the unit of recorded numbers in brackets, by its name in SI."""
-    unit = recording.units.recorded_unit(si)
-    words = more.removeprefix(", ") if unit == "1" else f"{unit}{more}"
-    return f" ({words})" if words else ""

@@ -57,7 +57,10 @@ def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher |
 
 def text_of(start: Start, found: Diff) -> str:
     """Say when a branch left its recording, what is other in it, and how far they are apart at the end."""
-    changes = ", ".join(f"{key} = {other}, before {one}" for key, (one, other) in found.scene.items())
+    changes = ", ".join(
+        f"{key} = {_value(found, key, other)}, before {_value(found, key, one)}"
+        for key, (one, other) in found.scene.items()
+    )
     what = f" with {changes}" if changes else ""
     curve, first, units = found.curve, found.verdict.first, start.scene.unit_system
     forked = f"forked at step {start.checkpoint.step}, t = {units.text(start.checkpoint.time, TIME, '.9g')}{what}"
@@ -68,6 +71,14 @@ def text_of(start: Start, found: Diff) -> str:
         f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at the end counterparts are "
         f"{units.text(apart, LENGTH, '.3g')} apart (rms), in a system of {units.text(size, LENGTH, '.3g')}"
     )
+
+
+def _value(found: Diff, key: str, written: object) -> str:
+    """Return the value of a scene's key, or its default where the scene does not have it."""
+    if written is not None:
+        return str(written)
+    default = found.defaults.get(key)
+    return "not given" if default is None else f"{default} by default"
 
 
 def write_ensemble(start: Start, found: Ensemble, text: str, out: Path) -> None:

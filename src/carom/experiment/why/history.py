@@ -78,7 +78,8 @@ class History:
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         before, began, found = space.state.velocity.copy(), space.time, [history.impacts]
         for frame in space.run(schedule=every(0.0)):
-            if history.differs is None and recorded.get(frame.step, frame.fingerprint) != frame.fingerprint:
+            bits = recorded.get(frame.step)
+            if history.differs is None and bits is not None and bits != frame.fingerprint:
                 history.differs = frame.step
             if frame.step > begin.step:
                 kicks = [kick[list(bodies)] for kick in space.kicks()]
