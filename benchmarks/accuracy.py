@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.work_precision.settings_grid import Point, knobs
 from carom.physics.error import PhysicsError
-from carom.physics.look_ahead import settled
+from carom.physics.look_ahead.settle import settled
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at, every
 from carom.physics.space import Space

@@ -84,7 +84,7 @@ def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSo
     bodies = Bodies.at_start(start, spins=True, torques=True)
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))
     materials = materials_of(PairCoefficients(np.array([[0.5, 0.6, 0.4]]), n))
-    solver = ContactSolver(bodies, no_planes, materials, OPEN, True, team)
+    solver = ContactSolver(bodies, no_planes, materials, OPEN, True, team, sweeps=SWEEPS)
     pairs = HierarchicalGrid(radius, OPEN).pairs(position)
     solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     solver.rest_speed[:] = np.inf
@@ -97,7 +97,7 @@ def holding(solver: ContactSolver) -> Callable[[], object]:
     def hold() -> None:
         for name in IMPULSES:
             solver.contacts[name] = 0.0
-        if solver.hold(1.0, 1.0, 0.0, 0.0, SWEEPS, refines=False) != SWEEPS:
+        if solver.hold(1.0, 1.0, 0.0, 0.0, SWEEPS) != SWEEPS:
             raise RuntimeError("the sweeps ended early: that is no measurement")
 
     return hold

@@ -1,15 +1,16 @@
 """What recording every step costs other engines: 1000 spheres that pile up, or that pull each other.
 
-python benchmarks/engine_recorder.py [ENGINE …]
+python benchmarks/engine_recorder.py [--every N] [ENGINE …]
 
-CPU time, which other work on the machine hardly changes. "frame" is what the engine's own thread spends on reading and
-handing over a state: it is what a run gets longer by where another core is free. "threads" is what the recorder's
-threads spend on the frame besides, on the audit, the encoding and the file.
+CPU time of the engine's own thread, which other work on the machine changes less than the time on the clock: a run gets
+longer by it where another core is free. "read" is what the engine takes to hand over its state, "recorder" is the rest
+of `frame`. Each is a median, and in brackets the least tenth of the calls, as on a machine that is quiet. "threads" is
+what the recorder's threads spend on the frame besides, on the audit, the encoding and the file.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import tempfile
 import time
 from collections.abc import Callable
@@ -20,11 +21,12 @@ from typing import Any
 import numpy as np
 
 import carom
+from carom.recording.source.snapshot import BulkSource
 
 BODIES = 1000
 RADIUS = 0.1  # m
 SETTLING = 150  # steps before the first measurement
-MEASURED = 40  # steps
+MEASURED = 100  # frames
 
 Stepper = tuple[Callable[[], None], Callable[[], Any]]  # one step; the source
 
@@ -114,35 +116,67 @@ def newton() -> Stepper:
 ENGINES = {"rebound": rebound, "mujoco": mujoco, "pybullet": pybullet, "box3d": box3d, "newton": newton}
 
 
-def measured(begin: Callable[[], Stepper], folder: Path) -> tuple[float, float, float]:
-    """Return the medians of a step and of `frame` in the engine's thread, and what others spend on a frame, in s."""
-    step, source = begin()
+class Clocked:
+    """A source whose reading is timed."""
+
+    def __init__(self, source: Any) -> None:
+        self.model, self.taken = source.model, list[float]()
+        self.state = self._timed(source.state)
+        if isinstance(source, BulkSource):
+            self.memory, self.read = source.memory, self._timed(source.read)
+
+    def _timed(self, call: Callable[..., Any]) -> Callable[..., Any]:
+        def timed(*arguments: Any) -> Any:
+            began = time.thread_time()
+            result = call(*arguments)
+            self.taken.append(time.thread_time() - began)
+            return result
+
+        return timed
+
+
+def measured(begin: Callable[[], Stepper], every: int, folder: Path) -> tuple[list[list[float]], float]:
+    """Return the times of steps, reading and the rest of `frame` in the engine's thread, and those of others, in s."""
+    step, make = begin()
     for _ in range(SETTLING):
         step()
-    steps, frames = [], []
-    with carom.record.Recorder(source(), folder / "run.rrd", force=True) as recorder:
+    source, steps, frames = Clocked(make()), list[float](), list[float]()
+    with carom.record.Recorder(source, folder / "run.rrd", force=True) as recorder:
         step()
         recorder.frame()
         time.sleep(2.0)  # kernels are loaded
+        source.taken.clear()
         whole, own = time.process_time(), time.thread_time()
         for _ in range(MEASURED):
             began = time.thread_time()
-            step()
+            for _ in range(every):
+                step()
             stepped = time.thread_time()
             recorder.frame()
             frames.append(time.thread_time() - stepped)
-            steps.append(stepped - began)
+            steps.append((stepped - began) / every)
     own = time.thread_time() - own
-    return median(steps), median(frames), (time.process_time() - whole - own) / MEASURED
+    reads = [read / every for read in source.taken]
+    rest = [frame / every - read for frame, read in zip(frames, reads, strict=True)]
+    return [steps, reads, rest], (time.process_time() - whole - own) / MEASURED
 
 
 def main() -> None:
-    print(f"{'engine':10}{'step':>12}{'frame':>12}{'share':>8}{'threads':>12}")
+    options = argparse.ArgumentParser()
+    options.add_argument("--every", type=int, default=1, help="record each so many steps")
+    options.add_argument("engines", nargs="*", default=[*ENGINES])
+    asked = options.parse_args()
+    print(f"{'engine':10}{'step':>12}{'read':>24}{'recorder':>24}{'share':>16}{'threads':>12}")
     with tempfile.TemporaryDirectory() as folder:
-        for name in sys.argv[1:] or ENGINES:
-            step, frame, threads = measured(ENGINES[name], Path(folder))
-            share = frame / step
-            print(f"{name:10}{step * 1e3:9.3f} ms{frame * 1e3:9.3f} ms{share:8.1%}{threads * 1e3:9.3f} ms", flush=True)
+        for name in asked.engines:
+            (steps, reads, rest), threads = measured(ENGINES[name], asked.every, Path(folder))
+            step, shares, row = median(steps), [0.0, 0.0], f"{name:10}{median(steps) * 1e3:9.3f} ms"
+            for times in (reads, rest):
+                usual, least = median(times), sorted(times)[len(times) // 10]
+                shares = [shares[0] + usual / step, shares[1] + least / step]
+                row += f"{usual * 1e6:10.0f} ({least * 1e6:.0f}) µs".rjust(24)
+            row += f"{shares[0]:8.1%} ({shares[1]:.1%})".rjust(16)
+            print(f"{row}{threads * 1e3:9.3f} ms", flush=True)
 
 
 if __name__ == "__main__":
