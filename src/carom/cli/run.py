@@ -87,7 +87,8 @@ def telling_of(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        say(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
+        if path.exists():  # an interrupt before the first step finds no file
+            say(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
         raise
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 import time
 from types import FrameType, TracebackType
 from typing import Any, Self
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a terminal that is closed
+AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks, which are told of each kernel, take microseconds
 SAME_PRESS = 0.3  # s; wrappers such as `uv run` forward an interrupt that the terminal has already sent
 
 _received: list[int] = []  # signals that were raised as KeyboardInterrupt
@@ -19,6 +21,7 @@ def raise_signals() -> None:
     for number in (signal.SIGINT, *ENDING):
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
             signal.signal(number, _raise)
+    sys.unraisablehook = _raise_later
 
 
 def received() -> int:
@@ -29,6 +32,16 @@ def received() -> int:
 def _raise(number: int, frame: FrameType | None) -> None:
     _received.append(number)
     raise KeyboardInterrupt
+
+
+def _raise_later(lost: sys.UnraisableHookArgs) -> None:
+    """Raise an interrupt again that C code dropped, since it arrived within a callback from there."""
+    if lost.exc_type is not KeyboardInterrupt or not received():
+        sys.__unraisablehook__(lost)
+        return
+    later = threading.Timer(AFTER_CALLBACK, signal.pthread_kill, (threading.main_thread().ident, received()))
+    later.daemon = True
+    later.start()
 
 
 class Interrupts:
