@@ -12,9 +12,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from carom import errors
-
 if TYPE_CHECKING:
+    from carom import errors as errors
     from carom import record as record
     from carom.experiment.run import run as run
     from carom.physics.space import Space as Space
@@ -37,8 +36,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name on its first use: a person who asks for help does not wait for compilers and viewers."""
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("carom")
-    if name == "record":
-        return importlib.import_module("carom.record")
+    if name in ("errors", "record"):
+        return importlib.import_module(f"carom.{name}")
     if name not in _HOMES:
         raise AttributeError(f"module 'carom' has no attribute {name!r}")
     return getattr(importlib.import_module(_HOMES[name]), name)

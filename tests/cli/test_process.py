@@ -62,7 +62,7 @@ def test_a_signal_that_ends_processes_closes_the_recording(number: signal.Signal
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [0.1, 0.5, 1.2, 2.5])
+@pytest.mark.parametrize("after", [0.3, 0.5, 1.2, 2.5])  # on a busy machine 0.1 s is before carom's first line
 def test_an_interrupt_while_the_command_starts_is_one_line(after: float, tmp_path: Path) -> None:
     run = start(tmp_path, *LONG)
     time.sleep(after)
