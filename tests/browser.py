@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, TimeoutError, sync_playwright
 
 CHROMIUM = "/usr/bin/chromium"  # Debian's; Playwright's own browser is not downloaded
 OPTIONS = (
@@ -17,7 +17,7 @@ OPTIONS = (
     *("--disable-background-networking", "--disable-component-update"),
     *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # WebGL in software
 )
-LOADED = 120_000  # ms; it takes 5 s on an idle machine
+LOADED = 240_000  # ms; it takes 5 s on an idle machine, and 45 s beside five other processes
 PAINTED = 60_000  # ms
 
 
@@ -33,6 +33,25 @@ def chromium(width: int = 800, height: int = 500) -> Iterator[tuple[Page, list[s
             yield page, errors
         finally:
             browser.close()
+
+
+def wait_until_loaded(page: Page, errors: list[str]) -> None:
+    """Wait until the viewer shows the recording; or else fail with what the page says."""
+    try:
+        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+    except TimeoutError as error:
+        raise AssertionError(f"not loaded: {page.inner_text('#progress')!r}, {errors}") from error
+
+
+def settled(page: Page) -> NDArray[np.int64]:
+    """Take a picture of the page once it has stopped changing, or after a minute, (height, width, 3)."""
+    now = pixels_of(page)
+    for _ in range(20):
+        page.wait_for_timeout(3000)
+        before, now = now, pixels_of(page)
+        if np.array_equal(before, now):
+            break
+    return now
 
 
 def pixels_of(page: Page) -> NDArray[np.int64]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
-from browser import LOADED, chromium, pixels_of
+from browser import chromium, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
@@ -195,9 +195,8 @@ def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> 
         widths = page.eval_on_selector_all("img", "images => images.map((image) => image.naturalWidth)")
         assert widths == [1600, 1600]
         page.click("figure:nth-of-type(2) a")
-        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
-        page.wait_for_timeout(3000)
-        shown = pixels_of(page)
+        wait_until_loaded(page, errors)
+        shown = settled(page)
         assert page.url.endswith("viewer.html#at=2000000000&show=moment-2")
     assert not errors
     bodies = shown[75:250, :440]

@@ -11,11 +11,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
-from numpy.typing import NDArray
 from playwright.sync_api import Page
 
 import carom
-from browser import LOADED, chromium, pixels_of
+from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.presentation import presentation
@@ -101,14 +100,12 @@ def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
 def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:
     with chromium() as (page, errors):
         page.goto(link)
-        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
-        page.wait_for_timeout(3000)
-        first, second = pixels_of(page), pixels_of(page)
+        wait_until_loaded(page, errors)
+        first, second = settled(page), pixels_of(page)
         page.goto(link.replace("at=2000000000", "at=3000000000"))
         page.wait_for_selector("body:not([data-state])", state="attached", timeout=LOADED)
-        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
-        page.wait_for_timeout(3000)
-        later = pixels_of(page)
+        wait_until_loaded(page, errors)
+        later = settled(page)
     assert not errors
     height, width, _ = first.shape
     bodies = (slice(int(0.15 * height), int(0.5 * height)), slice(0, int(0.55 * width)))
@@ -124,7 +121,7 @@ def test_arrow_keys_step_from_impact_to_impact(tmp_path: Path) -> None:
     at = recording.impacts()["time"][0].as_py()
     with hosted(recording, at, presentation(recording, at).supplement) as address, chromium() as (page, errors):
         page.goto(address)
-        page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
+        wait_until_loaded(page, errors)
         moment = settled(page)
         choose_the_timeline_of_impacts(page)
         pictures = [settled(page)]
@@ -148,9 +145,3 @@ def choose_the_timeline_of_impacts(page: Page) -> None:
     for up in (14, 90):
         page.mouse.click(183, bottom - up)
         page.wait_for_timeout(2000)
-
-
-def settled(page: Page) -> NDArray[np.int64]:
-    """Take a picture of the page after it has had the time to paint."""
-    page.wait_for_timeout(3000)
-    return pixels_of(page)

@@ -4,6 +4,7 @@
 "use strict";
 
 const PATIENCE = 200; // ms between two looks at what the viewer has loaded
+const UNANSWERED = 5000; // ms after which a request to the viewer is made again
 const progress = document.getElementById("progress");
 
 // Rerun asks its makers' hosts for news and sends them usage data. A recording stays where it is: nothing leaves this
@@ -120,7 +121,8 @@ async function load(viewer) {
 
 async function goThere(viewer) {
   try {
-    await pauseAt(viewer, time);
+    const late = new Promise((_, reject) => setTimeout(reject, UNANSWERED));
+    await Promise.race([pauseAt(viewer, time), late]);
     return true;
   } catch {
     return false;
