@@ -65,7 +65,7 @@ def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with
 def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounce: Recording) -> None:
     shown = presentation(bounce, bounce.moment())
     step = bounce.closing["moments.impact.step"]
-    for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN):
+    for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN, close_up.LABELS):
         (rows,) = rows_of(path, list(shown.supplement.rows))
         assert rows.steps[0] == step and len(rows.steps) == 2, "they vanish at the next frame"
 

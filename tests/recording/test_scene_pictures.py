@@ -75,6 +75,13 @@ def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) ->
         assert of_hue(shown, colour) > 200, "the trail of each planet"
 
 
+@pytest.mark.slow
+def test_no_box_of_the_mouse_pointer_covers_a_close_up_in_the_light_theme(tmp_path: Path) -> None:
+    pixels = picture(Scene.load("rack-break", ["time.duration=0.06"]), tmp_path, view="close-up", theme="light")
+    white = np.mean(pixels.min(axis=2) > 250)
+    assert white < 0.01, "labels cover 0.2 % of the picture; the box that says what the pointer is on covers 2 %"
+
+
 GRAINS = """
 title = "Grains of a millimetre"
 [time]

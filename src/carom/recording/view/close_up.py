@@ -36,7 +36,7 @@ FloatArray = NDArray[np.float64]
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
-FOLLOWED = f"{ROOT}/followed"
+FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
@@ -47,7 +47,7 @@ _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_SPIN_COLOUR = 0x5CE0B0FF  # labels in the palette's green are hardly legible
+_SPIN_COLOUR = 0x5CE0B0FF  # the palette's green is hardly seen on the bodies
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
@@ -61,6 +61,22 @@ class Contact:
     approach_speed: float  # m/s
     impulse: FloatArray  # (3,) N s, on j
     edge: FloatArray  # (2, 3) m
+
+
+@dataclass(frozen=True, slots=True)
+class _Arrows:
+    """Arrows of one entity, of which the first few have labels."""
+
+    path: str
+    origins: FloatArray  # (n, 3) m
+    vectors: FloatArray  # (n, 3) m
+    labels: list[str]
+    along: float = 1.0  # where the labels stand, from 0 at the origins to 1 at the tips
+
+    def places(self) -> FloatArray:
+        """Return where the labels stand, (labels, 3) m."""
+        count = len(self.labels)
+        return self.origins[:count] + self.along * self.vectors[:count]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +95,7 @@ class CloseUp:
 
     def view(self, header: Header) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
-        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, paths.BODIES, *entities.surroundings(header)]
+        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *entities.surroundings(header)]
         return rrb.Spatial3DView(
             name=f"Close-up: {self.names}",
             origin=space_of(self.eye),
@@ -105,9 +121,11 @@ class CloseUp:
         )
         yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
-        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE, show_labels=True)
-        yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW, show_labels=True)
-        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=_SPIN_COLOUR, show_labels=True)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE)
+        yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW)
+        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=_SPIN_COLOUR)
+        # white is legible on the grounds of labels in both themes; on the arrows themselves they had their colours
+        yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.WHITE, show_labels=True)
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
@@ -161,50 +179,46 @@ class CloseUp:
         )
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
-        """Draw edge, normal, impulse and spins at the step; clear them at the next frame."""
-        small = float(header.radius[list(self.bodies)].min())
-        speed = header.units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
+        """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
         yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
-        yield self._once(
-            NORMAL,
-            rr.Arrows3D.columns(
-                vectors=[(_NORMAL * small * contact.normal).astype(np.float32)],
-                origins=[contact.point.astype(np.float32)],
-                labels=[f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"],
-            ),
-            1,
-        )
-        yield from self._impulses(contact.impulse, header)
-        if self.spin is not None:
-            yield from self._spins(self.spin, small, header.units)
+        small = float(header.radius[list(self.bodies)].min())
+        labelled = [
+            self._normal(contact, small, header.units),
+            self._impulses(contact.impulse, header),
+            self._spins(small, header.units),
+        ]
+        for arrows in labelled:
+            if len(arrows.vectors):
+                columns = rr.Arrows3D.columns(
+                    vectors=arrows.vectors.astype(np.float32), origins=arrows.origins.astype(np.float32)
+                )
+                yield self._once(arrows.path, columns, len(arrows.vectors))
+        texts = [text for arrows in labelled for text in arrows.labels]
+        places = np.concatenate([arrows.places() for arrows in labelled]).astype(np.float32)
+        yield self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
-    def _impulses(self, impulse: FloatArray, header: Header) -> Iterable[Rows]:
-        """Draw the impulse on each body from its centre; if one is many times larger, only on the smaller."""
+    def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
+        speed = units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
+        label = f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"
+        return _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5)
+
+    def _impulses(self, impulse: FloatArray, header: Header) -> _Arrows:
+        """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
         size = float(np.linalg.norm(impulse))
-        if size == 0.0:
-            return
         radius = header.radius[list(self.bodies)]
+        drawn = (radius <= _MOST_UNLIKE * radius.min()) & (size > 0.0)
         signs = np.array([-1.0, 1.0])[: len(radius)]
-        drawn = radius <= _MOST_UNLIKE * radius.min()
-        vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / size
-        origins = self.step.position[list(self.bodies)][drawn]
-        labels = [header.units.text(size, dimension.IMPULSE, ".3g"), *[""] * (len(origins) - 1)]
-        columns = rr.Arrows3D.columns(
-            vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
-        )
-        yield self._once(IMPULSE, columns, len(origins))
+        vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / (size or 1.0)
+        labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
+        return _Arrows(IMPULSE, self.step.position[list(self.bodies)][drawn], vectors, labels)
 
-    def _spins(self, spin: FloatArray, small: float, units: UnitSystem) -> Iterable[Rows]:
+    def _spins(self, small: float, units: UnitSystem) -> _Arrows:
+        spin = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
         speed = np.linalg.norm(spin, axis=1)
         turning = speed > 0.0
-        if turning.any():
-            vectors = _SPIN * small * spin[turning] / speed.max()
-            origins = self.step.position[list(self.bodies)][turning]
-            labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
-            columns = rr.Arrows3D.columns(
-                vectors=vectors.astype(np.float32), origins=origins.astype(np.float32), labels=labels
-            )
-            yield self._once(SPIN, columns, len(labels))
+        vectors = _SPIN * small * spin[turning] / (speed.max() or 1.0)
+        labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
+        return _Arrows(SPIN, self.step.position[list(self.bodies)][turning], vectors, labels)
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Rows:
         """Return a row at the step, and an empty one at the next step that the viewer has."""

@@ -48,9 +48,11 @@ def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
 
 @contextlib.contextmanager
 def _screen(program: str, size: tuple[int, int]) -> Iterator[str]:
-    """Start a virtual screen; yield its name once it is there."""
+    """Start a virtual screen around a window of this size; yield its name once it is there."""
     reads, writes = os.pipe()
-    geometry = f"{size[0]}x{size[1]}x24"
+    # The pointer starts in the middle of the screen: beyond the window, where it hovers over nothing.
+    width, height = 2 * (size[0] + 1), 2 * (size[1] + 1)
+    geometry = f"{width}x{height}x24"
     process = subprocess.Popen(
         [program, "-displayfd", str(writes), "-screen", "0", geometry, "-nolisten", "tcp"],
         stdout=subprocess.DEVNULL,
