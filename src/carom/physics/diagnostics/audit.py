@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -15,6 +16,7 @@ from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
+from carom.physics.diagnostics.motion import Motion
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.scene.names import Names
@@ -110,11 +112,11 @@ class Audit:
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
         """Return the energy of the present state, given the potential energies of the forces in joules."""
-        return self._energy.balance(self._bodies, potentials, self.ledger)
+        return self._energy.balance(Motion.of(self._bodies), potentials, self.ledger)
 
     def momentum_now(self, time: float) -> Momentum:
         """Return the momentum of the present state, at a time in seconds."""
-        return self._momentum.balance(self._bodies, time)
+        return self._momentum.balance(Motion.of(self._bodies), time)
 
     def take_stock(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes) -> None:
         """Compute energy and momentum, and update the extremes of the run with their errors.
@@ -124,11 +126,12 @@ class Audit:
         PhysicsError
             If the energy is no longer finite.
         """
-        self.energy = self.energy_now(potentials)
-        if not np.isfinite(self.energy.total):
+        motion = Motion.of(self._bodies)
+        self.energy = self._energy.balance(motion, potentials, self.ledger)
+        if not math.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
         extremes.see_energy(step, time, self.energy)
-        self.momentum = self.momentum_now(time)
+        self.momentum = self._momentum.balance(motion, time)
         extremes.see_momentum(step, time, self.momentum)
         self.step = step
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
-from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.parallel.jit import kernel
+from carom.physics.diagnostics.motion import Motion, internal_energy
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 
 FloatArray = NDArray[np.float64]
@@ -117,22 +116,22 @@ class EnergyAccount:
     """
 
     def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
+        self._bodies = bodies
         self._anchored = anchored
         self._constant = constant
         self._lift = float(np.sqrt(field @ field) * (bodies.mass @ bodies.radius))  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
-    def balance(self, bodies: Bodies, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
+    def balance(self, motion: Motion, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
         """Return the energy, given the potential energies of the forces in joules. The first call sets the start."""
-        translational, internal, rotational = _terms(
-            bodies.velocity, bodies.angular_velocity, bodies.mass, bodies.inertia
-        )
+        translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)
         gravitational, of_field = others.pop(_PULL, 0.0), others.pop(_FIELD, 0.0)
         external = of_field + sum(others.values()) if others else of_field
         total = translational + rotational + gravitational + external
         if self.baseline is None:
-            moving, binding = translational if self._anchored else internal, gravitational - self._constant
+            moving = translational if self._anchored else internal_energy(self._bodies)
+            binding = gravitational - self._constant
             conserved, cancelling = moving + binding, moving + abs(binding)
             if abs(conserved) < CANCELLED * cancelling:
                 conserved = cancelling
@@ -159,24 +158,3 @@ class EnergyAccount:
             scale=self.baseline.scale,
             others=tuple(others.items()),
         )
-
-
-@kernel
-def _terms(
-    velocity: FloatArray,
-    angular_velocity: FloatArray,
-    mass: FloatArray,
-    inertia: FloatArray,
-) -> tuple[float, float, float]:
-    """Return the kinetic energy, that relative to the centre of mass, and the rotational energy, in J."""
-    Vx, Vy, Vz = centre_velocity(velocity, mass)
-    translational, internal, rotational = 0.0, 0.0, 0.0
-    for i in range(len(mass)):
-        vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
-        translational += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
-        vx, vy, vz = vx - Vx, vy - Vy, vz - Vz
-        internal += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
-    for i in range(len(angular_velocity)):
-        wx, wy, wz = angular_velocity[i, 0], angular_velocity[i, 1], angular_velocity[i, 2]
-        rotational += 0.5 * inertia[i] * (wx * wx + wy * wy + wz * wz)
-    return translational, internal, rotational

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import kernel
-from carom.physics.vector import square, vector
+from carom.physics.diagnostics.motion import Motion
 
 FloatArray = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ class MomentumAccount:
         self._has_field = bool(field.any())
         self._periodic = periodic
         self._anchored = anchored
-        self._linear, self._angular, self._linear_scale, self._angular_scale = _sums(bodies)
+        self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = Motion.of(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass @ bodies.position) / self._mass
         self._baseline: MomentumBaseline | None = None  # None where it has changed since it was last asked for
@@ -79,9 +78,9 @@ class MomentumAccount:
         self._linear, self._angular = self._linear + linear, self._angular + angular
         self._baseline = None
 
-    def balance(self, bodies: Bodies, time: float) -> Momentum:
+    def balance(self, motion: Motion, time: float) -> Momentum:
         """Return the momenta at a time since the start, in seconds."""
-        linear, angular, linear_scale, angular_scale = _sums(bodies)
+        linear, angular, linear_scale, angular_scale, *_ = motion
         if linear_scale > self._linear_scale or angular_scale > self._angular_scale:
             self._linear_scale = max(self._linear_scale, linear_scale)
             self._angular_scale = max(self._angular_scale, angular_scale)
@@ -90,10 +89,10 @@ class MomentumAccount:
         return Momentum(
             linear=linear,
             angular=angular,
-            linear_error=None if self._anchored else _relative(linear - expected_linear, self._linear_scale),
+            linear_error=None if self._anchored else _relative(linear, expected_linear, self._linear_scale),
             angular_error=None
             if self._periodic or self._anchored
-            else _relative(angular - expected_angular, self._angular_scale),
+            else _relative(angular, expected_angular, self._angular_scale),
         )
 
     def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:
@@ -104,55 +103,5 @@ class MomentumAccount:
         return self._linear + weight * time, self._angular + np.cross(path, weight)
 
 
-def _relative(difference: FloatArray, scale: float) -> float:
-    return math.sqrt(difference @ difference) / scale if scale > 0.0 else 0.0
-
-
-def _sums(bodies: Bodies) -> tuple[FloatArray, FloatArray, float, float]:
-    linear, angular, velocities = np.zeros(3), np.zeros(3), (bodies.velocity, bodies.angular_velocity)
-    scales = _add_momentum(bodies.position, *velocities, bodies.mass, bodies.inertia, linear, angular)
-    return linear, angular, *scales
-
-
-@kernel
-def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, float, float]:
-    """Return the velocity of the centre of mass, m/s."""
-    M, px, py, pz = 0.0, 0.0, 0.0, 0.0
-    for i in range(len(mass)):
-        M += mass[i]
-        vx, vy, vz = vector(velocity, i)
-        px, py, pz = px + mass[i] * vx, py + mass[i] * vy, pz + mass[i] * vz
-    return px / M, py / M, pz / M
-
-
-@kernel
-def _add_momentum(
-    x: FloatArray,
-    v: FloatArray,
-    omega: FloatArray,
-    mass: FloatArray,
-    inertia: FloatArray,
-    linear: FloatArray,
-    angular: FloatArray,
-) -> tuple[float, float]:
-    """Add p and L of all bodies to two vectors, (3,); return Σ m |v| and Σ (m |x| |v| + I |ω|)."""
-    linear_scale, angular_scale = 0.0, 0.0
-    for i in range(len(mass)):
-        m = mass[i]
-        px, py, pz = vector(x, i)
-        vx, vy, vz = vector(v, i)
-        linear[0] += m * vx
-        linear[1] += m * vy
-        linear[2] += m * vz
-        angular[0] += m * (py * vz - pz * vy)
-        angular[1] += m * (pz * vx - px * vz)
-        angular[2] += m * (px * vy - py * vx)
-        speed = np.sqrt(vx * vx + vy * vy + vz * vz)
-        linear_scale += m * speed
-        angular_scale += m * speed * np.sqrt(px * px + py * py + pz * pz)
-    for i in range(len(omega)):
-        I = inertia[i]  # noqa: E741 - the symbol of the equation
-        for k in range(3):
-            angular[k] += I * omega[i, k]
-        angular_scale += I * np.sqrt(square(omega, i))
-    return linear_scale, angular_scale
+def _relative(found: FloatArray, expected: FloatArray, scale: float) -> float:
+    return math.dist(found, expected) / scale if scale > 0.0 else 0.0

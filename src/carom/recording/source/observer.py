@@ -17,6 +17,7 @@ from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumAccount
+from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
@@ -76,8 +77,9 @@ class Observer:
         potentials, pull = self._potentials()
         seen, contacts = self._judge(step, before or now, now, state.contacts, pull)
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken)
-        energy = self._energies.balance(self.bodies, potentials, self._ledger)
-        momentum = self._momenta.balance(self.bodies, now.time - self._began)
+        motion = Motion.of(self.bodies)
+        energy = self._energies.balance(motion, potentials, self._ledger)
+        momentum = self._momenta.balance(motion, now.time - self._began)
         faults = seen.faults
         error = energy.integration_error
         drift = self.audit.drifted(step, now.time, error, energy.relative(error))

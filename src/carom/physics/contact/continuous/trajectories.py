@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.diagnostics.momentum import centre_velocity
+from carom.physics.diagnostics.motion import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
 from carom.physics.vector import add, along, vector
 
