@@ -128,7 +128,8 @@ class ContactTap:
     def see_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
         """Note the impacts found at the end of the step, before contacts are held once more."""
         rows = self._room.take(len(pairs))
-        count = _pick_impacts(_found(pairs, solver), self._ends, self._step, self._ended, rows)
+        position, box = self._ends.position, self._ends.box
+        count = _pick_impacts(_found(pairs, solver), position, box, self._step, self._ended, rows)
         if count:
             self._impacts.add(raw(rows[:count]).copy().view(CONTACT_ROW))
 
@@ -208,7 +209,9 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        return self._parts[0] if len(self._parts) == 1 else joined(self._parts, CONTACT_ROW)
+        if len(self._parts) > 1:
+            return joined(self._parts, CONTACT_ROW)
+        return self._parts[0] if self._parts else _NO_ROWS
 
     def _leave_out(self) -> None:
         """Keep those with the largest normal impulses; of equal ones the first."""
@@ -232,10 +235,9 @@ def _found(pairs: IntArray, solver: ContactSolver) -> _Found:
 
 
 @long_kernel
-def _pick_impacts(found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
+def _pick_impacts(found: _Found, position: FloatArray, box: FloatArray, step: int, ended: float, rows: Records) -> int:
     """Write the contacts that closed faster than their rest speed and were resolved; return how many."""
     pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
-    position, box = ends.position, ends.box
     count = 0
     for k in range(len(pairs)):
         c = place[k]
