@@ -28,7 +28,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
 from carom.scene.materials import PairCoefficients
-from carom.scene.placement import Start
+from carom.scene.start import Start
 from measurement import medians, save
 
 FloatArray = NDArray[np.float64]

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 from measurement import forget_peak, medians, peak_megabytes, save
 
 FloatArray = NDArray[np.float64]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from carom.__main__ import main
-from carom.scene.placement import initial_state
-from carom.scene.placement.start import Start
+from carom.physics.placement import initial_state
 from carom.scene.schema import Group
+from carom.scene.start import Start
 
 SCENE = """
 time = {{ duration = 0.01, fixed_dt = 1e-3 }}

@@ -14,13 +14,14 @@ from carom.experiment.why.answer import Answer
 from carom.experiment.why.history import History
 from carom.experiment.why.question import Question, question_of
 from carom.experiment.why.why import answer_from, why
+from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.view import causes
 from carom.recording.view.causes import CauseEdge
-from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 from examples import cloud, pair, scene_of
 
 ROUNDING = 1e-12  # some 1000 impulses of 1e-16 each

@@ -18,12 +18,12 @@ from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.integrators.radau_twin import part
 from carom.physics.look_ahead.settle import settled
 from carom.physics.look_ahead.trial_run import TrialRun
+from carom.physics.placement import place
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 from examples import scene_of
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.contact.contact_table import SLIDING, STICKING
+from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.materials import PairCoefficients, kinds_of_contacts, pair_coefficients
-from carom.scene.placement import place
 from carom.scene.schema import Coefficients, Scene
 from carom.scene.schema.material import combined
 from examples import random_bodies, scene_of, solver_of

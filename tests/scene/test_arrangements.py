@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.physics.placement import place
+from carom.physics.placement.lattice import CELLS
 from carom.scene.error import SceneError
 from carom.scene.neighbours import overlapping_pairs
-from carom.scene.placement import Start, place
-from carom.scene.placement.lattice import CELLS
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 Section = dict[str, Any]
@@ -116,6 +117,24 @@ def test_compressed_spheres_keep_clear_of_planes_and_of_bodies_before_them() -> 
     group = {"count": 130, "radius": {"min": 0.4, "max": 0.7}, "arrangement": "compressed", "region": region}
     start = placed(group, body=[{"radius": 2.0}], plane=[{"point": [0.0, 0.0, -3.5]}])
     assert (start.position[1:, 2] - start.radius[1:] >= -3.5).all()
+
+
+@pytest.mark.parametrize("count", [8, 12])
+def test_compressed_spheres_meet_no_image_of_each_other_in_a_box_of_a_few_radii(count: int) -> None:
+    side = float((count * 4.0 / 3.0 * math.pi / 0.45) ** (1 / 3))
+    group = {"count": count, "radius": 1.0, "arrangement": "compressed", "region": {"shape": "box", "size": [side] * 3}}
+    domain = {"boundary": "periodic", "size": [side] * 3}
+    x = place(Scene.from_dict({"seed": 3, "gravity": {"constant": 0.0}, "domain": domain, "group": [group]})).position
+    images = side * np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
+    i, j = np.triu_indices(count, 1)
+    assert np.linalg.norm((x[j] - x[i])[:, None] + images, axis=2).min() >= 2.0
+
+
+def test_spheres_that_jam_are_refused_at_the_size_that_they_have() -> None:
+    # a box is as dense as a periodic one only far from its sides, and this one is two diameters wide
+    group = {"count": 9, "radius": 1.0, "arrangement": "compressed", "region": {"shape": "box", "size": [4.0] * 3}}
+    with pytest.raises(SceneError, match=r"group\.0: spheres jam at 0\.\d+ of their radius; enlarge the region"):
+        place(Scene.from_dict({"group": [group]}))
 
 
 def test_plummer_spheres_have_the_mass_profile_of_the_model_up_to_the_cut() -> None:

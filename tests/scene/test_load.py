@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
+from carom.physics.placement import place
 from carom.plan.limits import refuse_impossible
 from carom.scene.bundled import bundled_scenes, starter
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"

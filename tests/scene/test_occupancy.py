@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.physics.placement import occupancy, place
 from carom.scene.neighbours import overlapping_pairs
-from carom.scene.placement import occupancy, place
 from carom.scene.schema import Scene
 
 CROWDED: dict[str, dict[str, Any]] = {

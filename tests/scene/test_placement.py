@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carom.physics.placement import packing_fraction, place
 from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.neighbours import overlapping_pairs, squared_distance
-from carom.scene.placement import packing_fraction, place
 from carom.scene.schema import Scene
 
 

@@ -29,6 +29,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.forces.gravity.direct import FEW
 from carom.physics.frame import FrameStore
 from carom.physics.parallel.thread_team import SOLO, load_helpers
+from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.recording.schema import palette
@@ -36,7 +37,6 @@ from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 from carom.scene.units.system import SI
 

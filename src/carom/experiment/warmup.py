@@ -92,6 +92,10 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"restitution": 1.0},
         "time": {"duration": 3.0, "max_dt": 1.0, "integrator": "gauss-radau15"},
     },
+    "spheres that grow to a packing": {
+        "group": [_CROWD[0] | {"arrangement": "compressed", "region": {"radius": 0.8}}],
+        "time": {"duration": 0.02, "max_dt": 0.02},
+    },
     "planets that pass each other": {
         "body": [
             {"position": [0.0, 0.0, 0.0], "mass": 1.0},

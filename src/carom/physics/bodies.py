@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.placement import Start
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

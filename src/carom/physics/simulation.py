@@ -30,8 +30,8 @@ from carom.physics.world import World
 from carom.plan.auto import frame_interval, holding, integrator
 from carom.plan.features import require
 from carom.plan.step_limits import StepLimits, step_limits, wider_limits
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]

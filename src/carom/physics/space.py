@@ -14,13 +14,14 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.event import Event
 from carom.physics.look_ahead.settle import settled
+from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy
 from carom.physics.schedule import at
 from carom.physics.simulation import Simulation
 from carom.physics.stepper import Goal
 from carom.plan.limits import refuse_impossible
-from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -18,8 +18,8 @@ from carom.plan.features import Requirements, require
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.names import Names
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

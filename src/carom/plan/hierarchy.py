@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from carom.plan import contacts, pulls
 from carom.scene.materials import made_of
+from carom.scene.matter import body_mass, mean_mass
 from carom.scene.names import body_called
-from carom.scene.placement import body_mass, mean_mass
 from carom.scene.schema import Scene
 
 DOMINANT = 0.99  # share of the mass from which a body dominates

@@ -25,10 +25,10 @@ from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.tradeoff import Result, Study
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
 from carom.physics.error import PhysicsError
+from carom.physics.placement import place
 from carom.recording.errors import RecordingError
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 
 DOCUMENT = "crosscheck.json"

@@ -21,6 +21,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.run_bound import RunStoppedError
 from carom.experiment.work_precision.settings_grid import STEPS, Setting
 from carom.experiment.work_precision.trajectory import FloatArray, IntArray, Trajectory
+from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.hierarchy import DOMINANT
@@ -28,7 +29,6 @@ from carom.recording.source.adapters.rebound import rebound as record
 from carom.recording.source.source import Source, State
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.experiment.error import ExperimentError
+from carom.physics.placement import place
 from carom.plan.features import require
 from carom.recording.source.source import SPHERE
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import pair_coefficients
-from carom.scene.placement import Start, place
 from carom.scene.schema import Coefficients, Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -21,6 +21,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.shrink.literal import BODIES, Document, with_value
 from carom.experiment.shrink.observation import Observation, said_by
 from carom.physics.error import PhysicsError
+from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.features import require
@@ -28,7 +29,6 @@ from carom.scene.conversion import rescaled
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.nearest import suggestion
-from carom.scene.placement import place
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import BASE, Dimension
 

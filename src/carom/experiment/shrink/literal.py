@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from carom.physics.frame import Frame
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import body_materials
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
 from carom.scene.schema.material import DEFAULT
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it

@@ -18,9 +18,10 @@ from carom.experiment.shrink.smallest import Smallest
 from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_time
 from carom.experiment.shrink.trials import Trials
 from carom.experiment.shrink.workers import Workers
+from carom.physics.placement import place
 from carom.physics.space import Space
-from carom.scene.placement import Start, place
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
 

@@ -29,8 +29,8 @@ from carom.physics.integrators.radau_step import (
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]

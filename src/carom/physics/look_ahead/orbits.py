@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.integrators.wisdom_holman import WisdomHolman
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.periodic_box import minimum_images
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -29,13 +29,14 @@ from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.look_ahead.twins import APART, EPS, Twins, displaced
+from carom.physics.placement import place
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
 from carom.scene.error import SceneError
 from carom.scene.integrators import AUTO, INTEGRATORS
-from carom.scene.placement import Start, place
 from carom.scene.schema import Promise, Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

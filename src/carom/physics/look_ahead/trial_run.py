@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from carom.physics.error import PhysicsError
 from carom.physics.simulation import Simulation
 from carom.plan.auto import integrator
-from carom.scene.placement import Start
 from carom.scene.schema import Expect, Promise, Scene
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.look_ahead.error_curve import with_start
-from carom.scene.placement import Start
+from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from carom.recording.read.recording import Recording
 from carom.scene.data.sources import Found, Wanted
 from carom.scene.error import SceneError
 from carom.scene.load import longest_text, scene_from_text
-from carom.scene.placement import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 
 
 def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:

@@ -27,7 +27,7 @@ from carom.recording.source.proximity import Moment, Proximity
 from carom.recording.source.source import LARGEST, Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.names import Names
-from carom.scene.placement import Start
+from carom.scene.start import Start
 from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]

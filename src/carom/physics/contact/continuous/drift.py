@@ -26,6 +26,7 @@ from carom.physics.contact.continuous.trajectories import (
     Neighbours,
     Trajectories,
     begin,
+    both_ways,
     finish,
     write_reaches,
 )
@@ -241,7 +242,7 @@ class EventDrivenDrift:
     def _resolve(self, pairs: IntArray, T: Trajectories) -> Impacts:
         n = len(self._bodies)
         ends, others = np.zeros(n + 1, dtype=np.int64), np.empty(2 * len(pairs), dtype=np.int64)
-        _both_ways(pairs, ends, others)
+        both_ways(pairs, ends, others)
         neighbours = Neighbours(ends[:-1], ends[1:], others)
         logs: list[Records] = []
         again = True
@@ -261,18 +262,3 @@ def _fill_queue(T: Trajectories) -> int:
             size = put(i, size, T.queue, T.body)
     T.drift[0].queued = size
     return size
-
-
-@kernel
-def _both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
-    """List the neighbours of each body, i's at ``others[ends[i]:ends[i + 1]]``."""
-    for c in range(len(pairs)):
-        ends[pairs[c, 0]] += 1
-        ends[pairs[c, 1]] += 1
-    for i in range(1, len(ends)):
-        ends[i] += ends[i - 1]
-    for c in range(len(pairs)):
-        for end in range(2):
-            i = pairs[c, end]
-            ends[i] -= 1
-            others[ends[i]] = pairs[c, 1 - end]

@@ -157,3 +157,18 @@ def finish(lo: int, hi: int, T: Trajectories) -> None:
     for i in range(lo, hi):
         vx, vy, vz = vector(T.v, i)
         add(T.x, i, dt - T.body[i].now, vx, vy, vz)
+
+
+@kernel
+def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
+    """List the neighbours of each body, i's at ``others[ends[i]:ends[i + 1]]``."""
+    for c in range(len(pairs)):
+        ends[pairs[c, 0]] += 1
+        ends[pairs[c, 1]] += 1
+    for i in range(1, len(ends)):
+        ends[i] += ends[i - 1]
+    for c in range(len(pairs)):
+        for end in range(2):
+            i = pairs[c, end]
+            ends[i] -= 1
+            others[ends[i]] = pairs[c, 1 - end]

@@ -11,8 +11,8 @@ from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces
 from carom.scene.names import body_called, body_key
 from carom.scene.neighbours import overlapping_pairs, squared_distance
-from carom.scene.placement.start import Start
 from carom.scene.schema import Scene
+from carom.scene.start import Start
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 

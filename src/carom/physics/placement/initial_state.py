@@ -9,35 +9,35 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.body_names import NumberedNames
-from carom.scene.data.columns import BodyColumns
-from carom.scene.error import SceneError
-from carom.scene.half_space import half_spaces
-from carom.scene.materials import made_of
-from carom.scene.neighbours import overlapping_pairs
-from carom.scene.placement.check import (
+from carom.physics.placement.check import (
     key_of,
     refuse_immersion,
     refuse_overflow,
     refuse_overlaps,
     refuse_unresolved,
 )
-from carom.scene.placement.compression import DENSEST, compressed, shrunken
-from carom.scene.placement.lattice import lattice
-from carom.scene.placement.matter import drawn_radii, mass_of, mean_volume
-from carom.scene.placement.plummer import drawn_velocities, mass_within
-from carom.scene.placement.random_placement import positions
-from carom.scene.placement.region import (
+from carom.physics.placement.growth import DENSEST, grown, shrunken
+from carom.physics.placement.lattice import lattice
+from carom.physics.placement.plummer import drawn_velocities, mass_within
+from carom.physics.placement.random_placement import positions
+from carom.physics.placement.region import (
     default_region,
     half_extent,
     packing_fraction,
     plummer_lengths,
     refuse_too_large,
 )
-from carom.scene.placement.start import Start, join
-from carom.scene.placement.surroundings import Surroundings
+from carom.physics.placement.surroundings import Surroundings
+from carom.scene.body_names import NumberedNames
+from carom.scene.data.columns import BodyColumns
+from carom.scene.error import SceneError
+from carom.scene.half_space import half_spaces
+from carom.scene.materials import made_of
+from carom.scene.matter import drawn_radii, mass_of, mean_volume
+from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Body, Group, Region, Scene
 from carom.scene.schema.group import LATTICES
+from carom.scene.start import Start, join
 from carom.scene.units.system import SI, UnitSystem
 
 FloatArray = NDArray[np.float64]
@@ -196,9 +196,9 @@ def _arranged(
     refuse_too_large(index, region, radius, units)
     if group.arrangement == "random":
         return positions(index, region, radius, around, rng)
-    small = shrunken(radius, packing_fraction(group))
-    loose = positions(index, region, small, around, rng)
-    return compressed(index, region, loose, radius, around)
+    packing = packing_fraction(group)
+    loose = positions(index, region, shrunken(radius, packing), around, rng)
+    return grown(index, region, loose, radius, packing, around, rng)
 
 
 def _refuse_full_region(index: int, group: Group) -> None:
