@@ -23,7 +23,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "body": _PAIR,
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "gravity": {"constant": 1.0, "uniform": [0.0, 0.0, -1.0]},
-        "contact": {"allow_overlap": True, "sweeps": 1},
+        "contact": {"allow_overlap": True, "sweeps": 1, "sleep": {"speed": 0.01}},
         "time": {"duration": 0.2, "max_dt": 0.02},
         "expect": {"contact_audit": 1e-12},
         "record": {"every": "step", "check_every": 2},

@@ -288,13 +288,26 @@ class KickDriftStepper:
         if world.needs.torque.modelled:
             contact.turn(dt)
             world.profile.mark("torque")
+        if contact.sleeps:
+            audit, bodies = self._books.impulse_audit, world.bodies
+            before = (bodies.velocity.copy(), bodies.angular_velocity.copy()) if audit else None
+            contact.fall_asleep(dt)
+            if audit and before is not None:
+                audit.see_sleep(*before)
+            world.profile.mark("sleep")
 
     def _kick(self, dt: float) -> None:
         """Kick for a time in s."""
         bodies = self._world.bodies
         kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
-        if self._books.impulse_audit:
-            self._books.impulse_audit.see_kick(bodies.acceleration, dt)
+        audit, contact = self._books.impulse_audit, self._world.contact
+        if audit:
+            audit.see_kick(bodies.acceleration, dt)
+        if contact and contact.sleeps:
+            before = bodies.velocity.copy() if audit else None
+            contact.keep_asleep()
+            if audit and before is not None:
+                audit.see_change(before)
 
     def _exchange(self, damping: Damping, act: Callable[[DampedStep], Exchange], damped: DampedStep) -> None:
         """Let drag act on the velocities before or after the drift."""

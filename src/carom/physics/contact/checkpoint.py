@@ -12,6 +12,16 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
+class SleepCheckpoint:
+    """Which bodies sleep, and their contacts; its arrays are never written to."""
+
+    calm: FloatArray  # (n,) s, for which each body has been slow; -1 if it sleeps
+    reference: FloatArray  # (n, 3) m/s², accelerations of the sleepers when they fell asleep
+    pairs: IntArray  # (k, 2) of sleepers and fixed ends, sorted
+    force: FloatArray  # (k, 4) N, along the normal and tangential
+
+
+@dataclass(frozen=True, slots=True)
 class ContactCheckpoint:
     """The contacts of a step that the next one needs, and the impulses of its last kick.
 
@@ -24,8 +34,10 @@ class ContactCheckpoint:
     held_pairs: IntArray  # (k, 2), sorted; mostly the same as ``pairs``
     impulse: FloatArray  # (k, 4) N s: λ_n, λ_t
     kick: float  # s, length of that kick
+    sleep: SleepCheckpoint | None = None  # None where no body can sleep
 
     @property
     def highest(self) -> int:
         """The highest index of a body or plane in it, -1 if it is empty."""
-        return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs) if len(pairs)), default=-1)
+        slept = self.held_pairs[:0] if self.sleep is None else self.sleep.pairs
+        return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs, slept) if len(pairs)), default=-1)

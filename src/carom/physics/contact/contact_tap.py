@@ -24,6 +24,7 @@ from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.law import IMPULSES, LAW, Materials, material_index
+from carom.physics.contact.sleep import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.periodic_box import minimum_image
@@ -118,6 +119,10 @@ class ContactTap:
         """
         self._held = _Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 
+    def see_waking(self) -> None:
+        """Copy the records of the held contacts, which the solver will overwrite."""
+        self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(CONTACT))
+
     def see_drift(self, impacts: Impacts) -> None:
         """Note the impacts on the way through the step."""
         self._drift = impacts
@@ -138,10 +143,13 @@ class ContactTap:
         taken, self._impacts = self._impacts, ImpactStore()
         return taken.rows(), taken.left_out
 
-    def rows(self, pairs: IntArray, solver: ContactSolver, room: Room | None = None) -> Records:
+    def rows(
+        self, pairs: IntArray, solver: ContactSolver, room: Room | None = None, slept: SleepingContacts = NO_SLEEPERS
+    ) -> Records:
         """Return what the contacts of this step did, (m,) `CONTACT_ROW`, by pair; in ``room``, or a copy of its own.
 
-        These are the contacts of the graph, and those that gave an impulse and are open by now.
+        These are the contacts of the graph, and those that gave an impulse and are open by now. ``slept`` are those of
+        sleepers, which carry what they did when they fell asleep.
         """
         struck = _NO_ROWS
         if len(self._drift):
@@ -154,7 +162,15 @@ class ContactTap:
         if count >= len(rows):  # more contacts than ever before in this room
             rows = room.take(count + 1)
             _merge(*merged, rows)
-        return rows[:count]
+        return self._with_sleepers(rows[:count], slept) if len(slept.pairs) else rows[:count]
+
+    def _with_sleepers(self, rows: Records, slept: SleepingContacts) -> Records:
+        """Add the rows of sleepers."""
+        found = _Found(*slept.records(self._ended - self._began))
+        more = np.empty(len(slept.pairs) + 1, CONTACT_ROW)
+        count = _merge(_NOT_HELD, _NO_ROWS, found, self._ends, self._step, self._ended, more)
+        merged = joined((rows, more[:count]), CONTACT_ROW)
+        return picked(merged, np.lexsort((merged["j"], merged["i"])))
 
     def impulses(self, solver: ContactSolver) -> Iterator[Impulses]:
         """Yield all impulses of the step, in the order in which they were given."""

@@ -30,6 +30,7 @@ from carom.physics.contact.islands import largest_values
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of
 from carom.physics.contact.plane_guard import PlaneGuard
+from carom.physics.contact.sleep import NO_SLEEPERS, NOTHING_LOST, Sleepers
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
@@ -120,12 +121,19 @@ class ContactPipeline:
             drift = (friction, self._has_statics, requirements.resting.modelled)
             self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._search, team)
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
+        self._sleepers = Sleepers(contact.sleep, bodies, planes, box) if contact.sleep and self._lasts else None
         self._compile()
 
     def forget(self) -> None:
         """Return to the state before the first step."""
         self._hold = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
+        self._fell_asleep = False  # whether contacts of this step sleep from the next one on
+        self._slept = NO_SLEEPERS  # contacts that slept in this step
+        self._lost = NOTHING_LOST  # J, the ledger of what woke in this step or fell asleep after it
+        self._first_kick = 0.0  # s, of the step
+        if self._sleepers:
+            self._sleepers.forget()
         if self._needs.torque.modelled:
             self._torques.remember()
         self.held = NOTHING_HELD  # J, the ledger of the first kick, in sums over pieces
@@ -142,14 +150,24 @@ class ContactPipeline:
         """A copy of the state that the next step needs; None if no contact can last."""
         if not self._lasts:
             return None
-        hold = self._hold
-        rest_speed, impulse = self._solver.rest_speeds_by_pair(), hold.impulse
-        return ContactCheckpoint(self._pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
+        hold, sleepers = self._hold, self._sleepers
+        pairs, rest_speed, impulse = self._pairs, self._solver.rest_speeds_by_pair(), hold.impulse
+        if sleepers is None:
+            return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
+        awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
+        kept = pairs[awake], rest_speed[awake], self._dt, hold.pairs[held], impulse[held], hold.kick
+        return ContactCheckpoint(*kept, sleepers.memory)
 
     @property
     def borne(self) -> FloatArray:
         """(n + p,) m/s², the part of each acceleration that contacts bore in the last kick; empty if none did."""
-        return borne(self._hold, self._bodies.ends.inverse_mass)
+        inverse_mass = self._bodies.ends.inverse_mass
+        by_awake = borne(self._hold, inverse_mass)
+        if not (self._sleepers and self._sleepers.any) or self._fell_asleep:
+            return by_awake
+        slept = self._sleepers.contacts
+        by_sleepers = borne(ImpulseCache(slept.pairs, slept.place, slept.contacts, 1.0), inverse_mass)
+        return by_sleepers + by_awake if len(by_awake) else by_sleepers
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
         """Restore the state of `memory`; the bodies must already be in their positions of that step."""
@@ -157,10 +175,17 @@ class ContactPipeline:
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
                 raise PhysicsError("the checkpoint has contacts of bodies that the scene does not have")
-            self._order_contacts(memory.pairs, memory.dt)
-            self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
-            self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
-            self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
+            if self._sleepers:
+                self._sleepers.recall(memory.sleep)
+                self._slept = self._sleepers.contacts
+            self._recall_contacts(memory)
+
+    def _recall_contacts(self, memory: ContactCheckpoint) -> None:
+        """Restore the contacts that are computed."""
+        self._order_contacts(memory.pairs, memory.dt)
+        self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
+        self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
+        self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
     def begin(self, dt: float) -> None:
         """Find the contacts at the start of a run whose first step is about dt s."""
@@ -183,6 +208,8 @@ class ContactPipeline:
         if self._needs.torque.modelled:
             self._torques.remember()
         self.held = NOTHING_HELD
+        self._first_kick = kick
+        self._leave_out_sleepers()
         if self._guard:
             self._guard.remember()
         if self._is_at_rest():
@@ -199,6 +226,9 @@ class ContactPipeline:
         ``along`` is the rate at which velocities change during the drift, (n + p, 3) m/s² (default: the accelerations).
         """
         assert self._event_drift is not None, "the scene asks for times of impact"
+        if self._sleepers and self._sleepers.all:
+            self.impacts = NO_IMPACTS
+            return
         self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
         if self.tap:
             self.tap.see_drift(self.impacts)
@@ -206,7 +236,8 @@ class ContactPipeline:
     @property
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step and nothing is held as the next one begins."""
-        return not (len(self._pairs) or self.statistics.contacts or len(self._hold.pairs) or self._is_at_rest())
+        touches = len(self._pairs) or self.statistics.contacts or len(self._hold.pairs)
+        return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     def rest(self) -> None:
         """Note steps in which nothing touched, after a step that was quiet."""
@@ -239,7 +270,7 @@ class ContactPipeline:
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
         self._was_crossed = self._guard is not None and self._guard.stop()
-        pairs = self._near(dt)
+        pairs = self._near_awake(dt, self._sleepers) if self._sleepers else self._near(dt)
         profile.mark("search")
         if len(pairs) == 0 and len(self._pairs) == 0:
             return
@@ -269,9 +300,39 @@ class ContactPipeline:
             self._hold = ImpulseCache.empty()
         self._seen = None
         self.statistics = self._solver.statistics() if len(self._pairs) else NO_CONTACTS
+        if len(self._slept.pairs):
+            self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
             self._seen = self._snapshot(dt)
             self.statistics = self.statistics.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
+
+    @property
+    def sleeps(self) -> bool:
+        """Whether bodies may sleep."""
+        return self._sleepers is not None
+
+    def keep_asleep(self) -> None:
+        """Take from sleepers what a kick gave them."""
+        assert self._sleepers is not None, "the scene has contact.sleep"
+        self._sleepers.stop()
+
+    def fall_asleep(self, dt: float) -> None:
+        """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
+        assert self._sleepers is not None, "the scene has contact.sleep"
+        lost = self._sleepers.tire(self._pairs, self._hold, dt)
+        self._fell_asleep = len(lost) > 0
+        self._lost = np.concatenate((self._lost, lost))
+        if len(self._lost):
+            self.held = np.concatenate((self.held, self._lost))
+
+    def _leave_out_sleepers(self) -> None:
+        """Begin a step without the contacts of what fell asleep after the last one."""
+        self._lost = NOTHING_LOST
+        if self._fell_asleep:
+            memory = self.memory
+            assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
+            self._recall_contacts(memory)
+            self._fell_asleep, self._slept = False, self._sleepers.contacts
 
     def turn(self, dt: float) -> None:
         """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
@@ -280,7 +341,7 @@ class ContactPipeline:
     def rows(self, room: Room | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.rows(self._pairs, self._solver, room)
+        return self.tap.rows(self._pairs, self._solver, room, self._slept)
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
@@ -290,7 +351,7 @@ class ContactPipeline:
     def work(self) -> FloatArray:
         """Return the ledger of the last step's contacts and of bodies stopped at planes, (k, 3) J."""
         assert self.tap is not None, "contacts are recorded"
-        work = self.tap.work(self._solver)
+        work = np.concatenate((self.tap.work(self._solver), self._lost))
         return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
     def limits_reached(self) -> list[tuple[str, str]]:
@@ -318,6 +379,17 @@ class ContactPipeline:
         scale, skin = self._nearness(dt)
         pairs = self._search.pairs(position, scale, skin)
         return self._plane_search.merged(pairs, position, scale, skin) if self._has_statics else pairs
+
+    def _near_awake(self, dt: float, sleepers: Sleepers) -> IntArray:
+        """Find the pairs of which an end is awake, after waking the islands that are disturbed."""
+        if sleepers.all and not sleepers.is_disturbed():
+            return empty_graph().pairs
+        pairs = self._near(dt)
+        self._hold, self._lost = sleepers.wake(pairs, self._hold, self._first_kick, dt)
+        if self.tap and len(self._lost):
+            self.tap.see_waking()
+        self._slept = sleepers.contacts
+        return sleepers.awake(pairs)
 
     def _nearness(self, dt: float) -> tuple[float, float]:
         """Return scale and skin (in m): a pair is near if its distance is at most ``(r_i + r_j) scale + skin``."""
@@ -397,7 +469,8 @@ class ContactPipeline:
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
         """Keep the ledger of this step; the function returns that of each contact seen, (m, 3) J, at any later time."""
-        seen, place, late, struck = self.seen, self._seen_place, self._solver.ledger.copy(), self.impacts.ledger
+        seen, place, struck = self.seen, self._seen_place, self.impacts.ledger
+        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is of sleepers
         return lambda: seen.sums(late[place], struck)
 
     def _snapshot(self, dt: float) -> ContactSnapshot:
@@ -405,6 +478,9 @@ class ContactPipeline:
         solver = self._solver
         found = (solver.order.place, solver.contacts, solver.states, solver.found_normals)
         late, self._seen_place = late_contacts(self._pairs, self._colours, self._body_colours, *found)
+        if len(self._slept.pairs):
+            late, place = late.joined(self._slept.graph(), self._bodies.ends.inverse_mass)
+            self._seen_place = np.append(self._seen_place, -1)[place]
         return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
 
     def _compile(self) -> None:

@@ -32,6 +32,24 @@ class ContactSnapshot:
         """Describe the contacts found at the end of a step."""
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
+    def joined(self, others: CollisionGraph, inverse_mass: FloatArray) -> tuple[ContactSnapshot, IntArray]:
+        """Add contacts at rest of other pairs, which keep no colour; return each contact's place, -1 for those."""
+        graph, m = self.graph, len(self.graph)
+        pairs = np.concatenate((graph.pairs, others.pairs))
+        order = np.lexsort((pairs[:, 1], pairs[:, 0]))
+        fill = np.zeros(len(others))
+        colours, body_colours = self._colours(pairs[order], order, order.astype(np.float64), inverse_mass)
+        seen = CollisionGraph(
+            pairs[order],
+            np.concatenate((graph.normals, others.normals))[order],
+            np.concatenate((graph.overlaps, others.overlaps))[order],
+            colours,
+            body_colours,
+        )
+        approach = np.concatenate((self.approach, fill))[order]
+        rest_speed = np.concatenate((self.rest_speed, fill))[order]
+        return ContactSnapshot.of(seen, approach, rest_speed), np.where(order < m, order, -1)
+
     def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
         """Add the impacts during a step of dt, in s; ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
 

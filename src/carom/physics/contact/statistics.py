@@ -67,6 +67,12 @@ class ContactStatistics(NamedTuple):
             deepest_pair=(int(deep_i), int(deep_j)),
         )
 
+    def plus(self, others: ContactStatistics) -> ContactStatistics:
+        """Add contacts that are no impacts, of other pairs."""
+        mine, theirs = (self.deepest, self.deepest_pair), (others.deepest, others.deepest_pair)
+        first = max(mine, theirs, key=lambda found: (found[0], -found[1][0], -found[1][1]))
+        return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])
+
     def with_impacts(self, snapshot: ContactSnapshot, ledger: FloatArray, ends: Ends) -> ContactStatistics:
         """Return the statistics of a step with impacts during its drift.
 

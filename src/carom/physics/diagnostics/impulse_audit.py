@@ -57,6 +57,11 @@ class ImpulseAudit:
         """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
         self._force(self._bodies.velocity - before)
 
+    def see_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
+        """Add what falling asleep took from velocities in m/s and spins in rad/s, which were so before."""
+        self.see_change(velocity)
+        self._spin = self._spin + (self._bodies.angular_velocity - spin)
+
     def _force(self, change: FloatArray) -> None:
         self._kicks.append(change)
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))

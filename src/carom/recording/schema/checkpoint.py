@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.checkpoint import ContactCheckpoint
+from carom.physics.contact.checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
@@ -50,6 +50,8 @@ _FULL = 7  # contacts per body in a dense packing, near ones included
 def size(frame: Frame) -> int:
     """Bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
+    if frame.memory is not None and frame.memory.sleep is not None:  # and 4 numbers a body
+        contacts += len(frame.memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
     return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + _carried_size(frame)
 
@@ -169,6 +171,16 @@ def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
         "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
         "held_impulse": memory.impulse.ravel(),
         "held_kick": np.array([memory.kick]),
+        **({} if memory.sleep is None else _sleep_of(memory.sleep)),
+    }
+
+
+def _sleep_of(sleep: SleepCheckpoint) -> dict[str, Values]:
+    return {
+        "sleep_calm": sleep.calm,
+        "sleep_reference": sleep.reference.ravel(),
+        "sleep_pairs": sleep.pairs.ravel().astype(np.uint32),
+        "sleep_force": sleep.force.ravel(),
     }
 
 
@@ -276,6 +288,14 @@ class _Row:
             held_pairs=held,
             impulse=impulse.reshape(-1, 4),
             kick=self.number("held_kick"),
+            sleep=self.sleep() if "sleep_calm" in self._stored else None,
+        )
+
+    def sleep(self) -> SleepCheckpoint:
+        pairs = self._pairs("sleep_pairs")
+        force = self._finite("sleep_force", 4 * len(pairs)).reshape(-1, 4)
+        return SleepCheckpoint(
+            self._finite("sleep_calm", self._bodies), self.vectors("sleep_reference", 3), pairs, force
         )
 
     def _pairs(self, name: str) -> NDArray[np.int64]:

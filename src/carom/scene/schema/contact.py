@@ -7,7 +7,17 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from carom.scene.schema.material import Coefficients
-from carom.scene.schema.quantity import AnyReal, Count, Friction, Section
+from carom.scene.schema.quantity import AnyReal, Count, Friction, Positive, Section
+from carom.scene.units.dimension import TIME, VELOCITY
+
+
+class Sleep(Section):
+    """[contact.sleep]: islands at rest are not computed until something disturbs them."""
+
+    speed: Annotated[Positive, VELOCITY] = Field(
+        description="m/s; bodies that move at most this fast, and turn at most ten times as fast, may fall asleep"
+    )
+    after: Annotated[Positive, TIME] = Field(0.5, description="s, for which all bodies of an island must be so slow")
 
 
 class Contact(Section):
@@ -46,6 +56,10 @@ class Contact(Section):
         description="solver iterations in a step: until the impulses converge (auto), only until no contact changes by "
         "3e-6 of a radius, which makes heaps at rest cheaper (as-needed), or at most this many",
     )
+    sleep: Sleep | None = Field(
+        None,
+        description="skip islands that lie still on something fixed until something disturbs them; none by default",
+    )
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"
     )
@@ -69,6 +83,14 @@ class Contact(Section):
             raise ValueError(
                 f"kinetic_friction = {self.kinetic_friction:g} is above static_friction = {self.static_friction:g}; "
                 "a sliding contact cannot resist more than a sticking one, so kinetic_friction must be the smaller"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _only_lasting_contacts_sleep(self) -> Self:
+        if self.sleep is not None and self.solver != "lasting":
+            raise ValueError(
+                f'sleep needs impulses that last; leave it out, or set solver = "lasting" for "{self.solver}"'
             )
         return self
 

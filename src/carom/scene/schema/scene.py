@@ -216,6 +216,12 @@ class Scene(Forces, Heading):
         return self
 
     @model_validator(mode="after")
+    def _nothing_drags_sleepers(self) -> Self:
+        if self.contact.sleep is not None and self.drag is not None:
+            raise ValueError("contact.sleep with a [drag]: a medium may move what sleeps; remove one of them")
+        return self
+
+    @model_validator(mode="after")
     def _promises_what_was_asked(self) -> Self:
         if self.promise is not None and self.time.accuracy is None:
             raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")

@@ -160,7 +160,7 @@ class ContactSolver:
         )
         self._system.recorded.view(np.float64)[:] = 0.0
         self.found_normals = self._normals.take(m)
-        self._team.divide(m, MIN_PER_TASK, _lay, *self._geometry(), rounding, self.found_normals)
+        self._team.divide(m, MIN_PER_TASK, lay, *self._geometry(), rounding, self.found_normals)
 
     @property
     def contacts(self) -> Records:
@@ -350,7 +350,7 @@ def _gather_rest_speeds(place: IntArray, states: Records, found: FloatArray) -> 
 
 
 @long_kernel
-def _lay(
+def lay(
     lo: int,
     hi: int,
     pairs: IntArray,

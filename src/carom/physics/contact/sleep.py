@@ -1,0 +1,436 @@
+"""Sleep: islands at rest on something fixed are not computed until something disturbs them.
+
+A body is slow while |v| ≤ s and |ω| r ≤ 10 s, with s = `contact.sleep.speed`. An island whose bodies have all been slow
+for `contact.sleep.after` falls asleep if a contact presses it against something fixed. Its velocities become 0, and its
+contacts keep the forces of the last kick. Forces do not move sleepers; pairs of sleepers are left out of the contacts.
+
+An island wakes as a whole when an impact in the drift has moved one of its bodies, when a body that is awake comes near
+it, or when the acceleration of one of its bodies has changed by more than s / after. Its contacts then start from the
+forces that they had.
+
+Rejected: sleep of single bodies (the bodies above them would wake them in the next step).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.contact.checkpoint import SleepCheckpoint
+from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED
+from carom.physics.contact.snapshot import late_contacts
+from carom.physics.contact.solver.contact_solver import lay
+from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
+from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
+from carom.physics.contact.union_find import join, root_of
+from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
+from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.thread_team import SOLO
+from carom.scene.half_space import HalfSpaces
+from carom.scene.schema.contact import Sleep
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+Records = NDArray[np.void]
+
+SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
+ASLEEP = -1.0  # in place of the time for which a body has been slow
+NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
+
+
+@dataclass(frozen=True, slots=True)
+class SleepingContacts:
+    """The contacts between sleepers, and of sleepers with fixed ends; sorted by pair and never written to."""
+
+    pairs: IntArray  # (k, 2)
+    force: FloatArray  # (k, 4) N, the normal and the tangential force
+    contacts: Records  # (k,) CONTACT, with the impulses of one second
+    states: Records  # (k,) CONTACT_STATE
+    normals: FloatArray  # (k, 3)
+    statistics: ContactStatistics
+
+    @property
+    def place(self) -> IntArray:
+        """(k,) index of each one's record."""
+        return np.arange(len(self.pairs))
+
+    def graph(self) -> CollisionGraph:
+        """Return the contacts that touch or carry a force."""
+        colours = np.zeros(len(self.pairs), dtype=np.int64)
+        found = self.pairs, colours, None, self.place, self.contacts, self.states, self.normals
+        return late_contacts(*found)[0].graph
+
+    def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
+        """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
+        contacts = self.contacts.copy()
+        impulses_of(contacts)[:] = dt * self.force
+        return self.pairs, self.place, contacts, self.states, np.zeros(len(self.pairs), RECORDED)
+
+
+NO_SLEEPERS = SleepingContacts(
+    empty_graph().pairs,
+    np.empty((0, 4)),
+    np.empty(0, CONTACT),
+    np.empty(0, CONTACT_STATE),
+    np.empty((0, 3)),
+    NO_CONTACTS,
+)
+
+
+class _Surroundings(NamedTuple):
+    """What the geometry of contacts is found from."""
+
+    position: FloatArray
+    radius: FloatArray
+    box: FloatArray
+    surface: FloatArray
+    offset: FloatArray
+
+
+class Sleepers:
+    """Decides which bodies sleep, and keeps their contacts.
+
+    Parameters
+    ----------
+    sleep
+        The scene's section.
+    bodies, planes
+        The possible ends of a contact.
+    box
+        Size of the periodic box, (3,) m; zeros in open space.
+    """
+
+    def __init__(self, sleep: Sleep, bodies: Bodies, planes: HalfSpaces, box: FloatArray) -> None:
+        self._sleep, self._bodies = sleep, bodies
+        self._around = _Surroundings(bodies.position, bodies.radius, box, planes.normal, planes.offset)
+        self._fixed = bodies.ends.inverse_mass == 0.0
+        self._movable = int(np.count_nonzero(~self._fixed[: len(bodies)]))
+        self._compile()
+        self.forget()
+
+    def _compile(self) -> None:
+        """Call every kernel without sleepers, so that the first one does not wait for a compiler."""
+        self.forget()
+        ends, nobody = self._bodies.ends, np.zeros(len(self._bodies), dtype=np.bool_)
+        pairs, shape = empty_graph().pairs, (ends.velocity, ends.angular_velocity, ends.inverse_mass)
+        _stop(self._calm, *shape[:2])
+        self._disturbed(pairs)
+        self.have_awake_end(pairs)
+        _spread(pairs, ends.inverse_mass, nobody, nobody.copy())
+        _kick_energy(nobody, ends.acceleration, ends.inverse_mass, 0.0)
+        _fall_asleep(pairs, np.empty((0, 4)), *shape, ends.inverse_inertia, np.inf, self._calm, nobody)
+        self.tire(pairs, ImpulseCache.empty(), 0.0)
+        self._keep(pairs, np.empty((0, 4)))
+        self.contacts.graph()
+
+    def forget(self) -> None:
+        """Wake all bodies, as before the first step."""
+        n = len(self._bodies)
+        self._calm = np.zeros(n)  # s, for which each body has been slow, or `ASLEEP`
+        self._still = self._fixed.copy()  # (n + p,) fixed ends and sleepers
+        self._reference = np.zeros((n, 3))  # m/s², accelerations of the sleepers when they fell asleep
+        self._count = 0
+        self.contacts = NO_SLEEPERS
+
+    @property
+    def any(self) -> bool:
+        """Whether a body sleeps."""
+        return self._count > 0
+
+    @property
+    def all(self) -> bool:
+        """Whether every body sleeps or is fixed."""
+        return self._count == self._movable
+
+    @property
+    def memory(self) -> SleepCheckpoint:
+        """A copy of the state that the next step needs."""
+        return SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)
+
+    def recall(self, memory: SleepCheckpoint | None) -> None:
+        """Restore the state of `memory`; the bodies must already be in their positions of that step."""
+        self.forget()
+        if memory is not None:
+            self._calm, self._reference = memory.calm.copy(), memory.reference.copy()
+            self._count_sleepers()
+            self._keep(memory.pairs, memory.force)
+
+    def stop(self) -> None:
+        """Take from the sleepers what a kick gave them."""
+        if self._count:
+            ends = self._bodies.ends
+            _stop(self._calm, ends.velocity, ends.angular_velocity)
+
+    def awake(self, pairs: IntArray) -> IntArray:
+        """Return the pairs of which an end is awake, and their contacts are computed."""
+        return pairs[self.have_awake_end(pairs)] if self._count else pairs
+
+    def have_awake_end(self, pairs: IntArray) -> Flags:
+        """Tell of which pairs an end is neither fixed nor asleep."""
+        return _has_awake_end(pairs, self._still)
+
+    def is_disturbed(self) -> bool:
+        """Tell whether a sleeper has been struck or is pulled otherwise than when it fell asleep."""
+        return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
+
+    def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
+        """Wake the islands that are disturbed or near bodies that are awake.
+
+        Parameters
+        ----------
+        pairs
+            All pairs that are near.
+        cache
+            The impulses of the contacts that are awake.
+        kick, dt
+            s, lengths of the first kick of the step, and of the step.
+
+        Returns
+        -------
+        cache
+            The impulses from which the next kick starts: those given, and those of the woken contacts.
+        lost
+            (k, 3) J, what contacts took out after the first kick, by term: -½ m (a h)². The energy audit books the
+            same of bodies that lie still, and the opposite after the last kick.
+        """
+        disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
+        if not disturbed.any():
+            return cache, NOTHING_LOST
+        ends, slept, n = self._bodies.ends, self.contacts, len(self._bodies)
+        woken = np.zeros(n, dtype=np.bool_)
+        _spread(slept.pairs, ends.inverse_mass, disturbed, woken)
+        self._calm[woken] = 0.0
+        self._count_sleepers()
+        awake = self.have_awake_end(slept.pairs)
+        self._keep(slept.pairs[~awake], slept.force[~awake])
+        length = cache.kick if cache.kick > 0.0 else dt
+        joined = np.concatenate((cache.pairs, slept.pairs[awake]))
+        impulse = np.concatenate((cache.impulse, length * slept.force[awake]))
+        order = np.lexsort((joined[:, 1], joined[:, 0]))
+        lost = np.zeros((1, len(TERMS)))
+        lost[0, RESTITUTION] = -_kick_energy(woken, ends.acceleration, ends.inverse_mass, kick)
+        return ImpulseCache.of(joined[order], impulse[order], length), lost
+
+    def tire(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
+        """Let islands fall asleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
+
+        Parameters
+        ----------
+        pairs
+            (m, 2), the contacts of the step, near ones included.
+        cache
+            Their impulses in the last kick; of other contacts, or of none, if they are not held.
+        """
+        bodies, ends = self._bodies, self._bodies.ends
+        seen = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
+        tired = _tire(*seen, self._sleep.speed, dt, self._sleep.after, self._calm)
+        if not tired or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
+            return NOTHING_LOST
+        impulse = cache.impulse
+        slept = np.zeros(len(self._calm), dtype=np.bool_)
+        energy = _fall_asleep(
+            pairs,
+            impulse,
+            ends.velocity,
+            ends.angular_velocity,
+            ends.inverse_mass,
+            ends.inverse_inertia,
+            self._sleep.after,
+            self._calm,
+            slept,
+        )
+        if not slept.any():
+            return NOTHING_LOST
+        self._reference[slept] = ends.acceleration[: len(slept)][slept]
+        self._count_sleepers()
+        self.stop()
+        kept = ~_has_awake_end(pairs, self._still)
+        joined = np.concatenate((self.contacts.pairs, pairs[kept]))
+        force = np.concatenate((self.contacts.force, impulse[kept] / cache.kick))
+        order = np.lexsort((joined[:, 1], joined[:, 0]))
+        self._keep(joined[order], force[order])
+        lost = np.zeros((1, len(TERMS)))
+        lost[0, FRICTION] = energy
+        return lost
+
+    def _disturbed(self, pairs: IntArray) -> Flags:
+        """Return which sleepers are disturbed, (n,)."""
+        ends, limit = self._bodies.ends, self._sleep.speed / self._sleep.after
+        found = np.zeros(len(self._calm), dtype=np.bool_)
+        _look(pairs, self._still, self._calm, ends.velocity, ends.acceleration, self._reference, limit, found)
+        return found
+
+    def _count_sleepers(self) -> None:
+        asleep = self._calm == ASLEEP
+        self._still = self._fixed.copy()
+        self._still[: len(asleep)] |= asleep
+        self._count = int(np.count_nonzero(asleep))
+
+    def _keep(self, pairs: IntArray, force: FloatArray) -> None:
+        """Keep the contacts of the sleepers."""
+        k, around = len(pairs), self._around
+        contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
+        shapes = (around.position, around.radius, around.box, around.surface, around.offset)
+        lay(0, k, pairs, *shapes, contacts, states, 0.0, normals)
+        impulses_of(contacts)[:] = force
+        statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)
+        self.contacts = SleepingContacts(
+            pairs, force, contacts, states, normals, statistics._replace(work=NOTHING_LOST)
+        )
+
+
+@kernel
+def _stop(calm: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
+    """Set the velocities of the sleepers to 0."""
+    for i in range(len(calm)):
+        if calm[i] < 0.0:
+            for k in range(3):
+                velocity[i, k] = 0.0
+            if len(spin):
+                for k in range(3):
+                    spin[i, k] = 0.0
+
+
+@kernel
+def _has_awake_end(pairs: IntArray, still: Flags) -> Flags:
+    """Tell of which pairs an end is neither fixed nor asleep."""
+    found = np.empty(len(pairs), dtype=np.bool_)
+    for c in range(len(pairs)):
+        found[c] = not (still[pairs[c, 0]] and still[pairs[c, 1]])
+    return found
+
+
+@kernel
+def _look(
+    pairs: IntArray,
+    still: Flags,
+    calm: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    reference: FloatArray,
+    limit: float,
+    disturbed: Flags,
+) -> None:
+    """Mark sleepers that move, whose acceleration has changed by more than a limit, or that are near an awake body."""
+    n = len(calm)
+    for i in range(n):
+        if calm[i] < 0.0:
+            moves, change = False, 0.0
+            for k in range(3):
+                moves = moves or velocity[i, k] != 0.0
+                da = acceleration[i, k] - reference[i, k]
+                change += da * da
+            disturbed[i] = moves or change > limit * limit
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if still[i] != still[j]:
+            sleeper = i if still[i] else j
+            if sleeper < n and calm[sleeper] < 0.0:
+                disturbed[sleeper] = True
+
+
+@kernel
+def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: Flags, woken: Flags) -> None:
+    """Mark all bodies of the islands of disturbed ones."""
+    n = len(disturbed)
+    parent = np.arange(n)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join(parent, i, j)
+    for i in range(n):
+        if disturbed[i]:
+            woken[root_of(parent, i)] = True
+    for i in range(n):
+        if woken[root_of(parent, i)]:
+            woken[i] = True
+
+
+@kernel
+def _kick_energy(who: Flags, acceleration: FloatArray, inverse_mass: FloatArray, kick: float) -> float:
+    """Return Σ ½ m (a h)² of some bodies, in J."""
+    energy = 0.0
+    for i in range(len(who)):
+        if who[i]:
+            a2 = 0.0
+            for k in range(3):
+                a2 += acceleration[i, k] * acceleration[i, k]
+            energy += 0.5 * kick * kick * a2 / inverse_mass[i]
+    return energy
+
+
+@kernel
+def _tire(
+    velocity: FloatArray,
+    spin: FloatArray,
+    radius: FloatArray,
+    inverse_mass: FloatArray,
+    speed: float,
+    dt: float,
+    after: float,
+    calm: FloatArray,
+) -> bool:
+    """Add dt to the times for which bodies have been slow; tell whether one that is awake has been for long enough."""
+    tired = False
+    for i in range(len(calm)):
+        if calm[i] < 0.0 or inverse_mass[i] == 0.0:
+            continue
+        v2, w2 = 0.0, 0.0
+        for k in range(3):
+            v2 += velocity[i, k] * velocity[i, k]
+        if len(spin):
+            for k in range(3):
+                w2 += spin[i, k] * spin[i, k]
+        slow = v2 <= speed * speed and w2 * radius[i] * radius[i] <= SPIN * SPIN * speed * speed
+        calm[i] = calm[i] + dt if slow else 0.0
+        tired = tired or calm[i] >= after
+    return tired
+
+
+@kernel
+def _fall_asleep(
+    pairs: IntArray,
+    impulse: FloatArray,
+    velocity: FloatArray,
+    spin: FloatArray,
+    inverse_mass: FloatArray,
+    inverse_inertia: FloatArray,
+    after: float,
+    calm: FloatArray,
+    slept: Flags,
+) -> float:
+    """Mark the bodies of islands that fall asleep, also in ``calm``; return their kinetic energy in J."""
+    n = len(calm)
+    parent, restless, pressed = np.arange(n), np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join(parent, i, j)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if impulse[c, 0] > 0.0 and (inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0):
+            pressed[root_of(parent, i if inverse_mass[i] > 0.0 else j)] = True
+    for i in range(n):
+        if inverse_mass[i] > 0.0 and calm[i] < after:
+            restless[root_of(parent, i)] = True
+    energy = 0.0
+    for i in range(n):
+        island = root_of(parent, i)
+        if inverse_mass[i] == 0.0 or calm[i] < 0.0 or restless[island] or not pressed[island]:
+            continue
+        slept[i], calm[i] = True, ASLEEP
+        v2, w2 = 0.0, 0.0
+        for k in range(3):
+            v2 += velocity[i, k] * velocity[i, k]
+        energy += 0.5 * v2 / inverse_mass[i]
+        if len(spin) and inverse_inertia[i] > 0.0:
+            for k in range(3):
+                w2 += spin[i, k] * spin[i, k]
+            energy += 0.5 * w2 / inverse_inertia[i]
+    return energy
