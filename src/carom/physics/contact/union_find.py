@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.atomics import atomic_replace
-from carom.physics.parallel.jit import inner
+from carom.physics.parallel.jit import inner, kernel
 
 IntArray = NDArray[np.int64]
 
@@ -33,3 +33,23 @@ def join_shared(parent: IntArray, i: int, j: int) -> None:
     i, j = root_of(parent, i), root_of(parent, j)
     while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
         i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
+
+
+@kernel
+def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
+    """Write the number of the set of each body, where pairs join sets; return how many there are.
+
+    Sets are numbered in the order of their lowest bodies.
+    """
+    for i in range(len(label)):
+        label[i] = i
+    for c in range(len(first)):
+        join(label, first[c], second[c])
+    count = 0
+    for i in range(len(label)):
+        if label[i] == i:
+            label[i] = count
+            count += 1
+        else:  # the parent is lower, so it has its number
+            label[i] = label[label[i]]
+    return count

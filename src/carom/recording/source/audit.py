@@ -18,9 +18,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from carom.physics.contact.union_find import number_sets
 from carom.physics.event import Event
 from carom.recording.source.proximity import Moment, Near
 from carom.recording.source.source import Setup
@@ -197,12 +196,9 @@ class Audit:
         if whole:
             label, count = np.zeros(n, dtype=np.int64), 1
             anchored |= setup.fixed.any()
-        elif loose.any():
-            links = coo_array((np.ones(int(loose.sum()), np.int8), (i[loose], j[loose])), shape=(n, n))
-            count, found = connected_components(links, directed=False)
-            label = found.astype(np.int64)
         else:
-            label, count = np.arange(n), n
+            label = np.empty(n, dtype=np.int64)
+            count = number_sets(i[loose], j[loose], label)
         strange = np.bincount(label, ~setup.judged, count) > 0
         held = np.bincount(label, anchored | setup.fixed, count) > 0
         return _Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)

@@ -44,10 +44,6 @@ class Near:
     relative_before: FloatArray  # (k, 3) m/s, velocity of j relative to i
     relative_now: FloatArray  # (k, 3) m/s
 
-    def chosen(self, which: NDArray[np.bool_]) -> Near:
-        """Return some of the pairs."""
-        return Near(*(column[which] for column in _columns(self)))
-
     def __len__(self) -> int:
         return len(self.pairs)
 
@@ -74,22 +70,21 @@ class Proximity:
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
         """Return the contacts of a moment: those that the engine names, else all pairs near enough."""
-        if known is not None:
-            near = self._named(near, known)
-        if known is None:
-            near = near.chosen(near.gap_now <= TOUCH * near.small)
-        if len(near) == 0:
+        which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
+        touching = np.flatnonzero(which)
+        if len(touching) == 0:
             return empty_graph()
-        order = np.lexsort((near.pairs[:, 1], near.pairs[:, 0]))
-        colours = np.zeros(len(near), dtype=np.int64)
-        return CollisionGraph(near.pairs[order], near.normal[order], -near.gap_now[order], colours)
+        pairs = near.pairs[touching]
+        touching = touching[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        colours = np.zeros(len(touching), dtype=np.int64)
+        return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
 
-    def _named(self, near: Near, known: IntArray) -> Near:
-        """Choose the pairs that the engine names, of those that are near."""
+    def _is_named(self, near: Near, known: IntArray) -> NDArray[np.bool_]:
+        """Tell which of the pairs that are near the engine names."""
         total = len(self._setup) + len(self._setup.planes)
         keys = near.pairs[:, 0] * total + near.pairs[:, 1]
         ordered = np.sort(known, axis=1)
-        return near.chosen(np.isin(keys, ordered[:, 0] * total + ordered[:, 1]))
+        return np.isin(keys, ordered[:, 0] * total + ordered[:, 1])
 
     def _bodies(self, before: Moment, now: Moment, travel: FloatArray) -> Near:
         assert self._grid is not None
@@ -98,11 +93,12 @@ class Proximity:
         i, j = pairs.T
         apart = self._image(now.position[j] - now.position[i])
         reach = radius[i] + radius[j]
-        gap = _lengths(apart) - reach
+        distance = _lengths(apart)
+        gap = distance - reach
         small = np.minimum(radius[i], radius[j])
-        close = gap <= MARGIN * small + 2.0 * (travel[i] + travel[j])
+        close = np.flatnonzero(gap <= MARGIN * small + 2.0 * (travel[i] + travel[j]))
         i, j, apart, reach = i[close], j[close], apart[close], reach[close]
-        earlier, distance = self._image(before.position[j] - before.position[i]), _lengths(apart)
+        earlier, distance = self._image(before.position[j] - before.position[i]), distance[close]
         return Near(
             pairs=pairs[close],
             reach=reach,
@@ -110,7 +106,7 @@ class Proximity:
             before=earlier,
             now=apart,
             gap_before=_lengths(earlier) - reach,
-            gap_now=distance - reach,
+            gap_now=gap[close],
             normal=apart / np.where(distance > 0.0, distance, 1.0)[:, None],
             relative_before=before.velocity[j] - before.velocity[i],
             relative_now=now.velocity[j] - now.velocity[i],
