@@ -6,8 +6,8 @@
 
 Each scene runs with each request, on one thread. The error is the largest rms distance from a reference over the size
 of the system, up to the horizon that the run names. The reference is that of `impact_reference`, which uses nothing of
-carom's physics. Where bodies come to rest, it ends, and a run whose steps are four times finer takes its place. The
-measured horizon is the time at which the distance exceeds the request.
+carom's physics. Where bodies come to rest, it ends, and a run whose steps are four times finer takes its place, for the
+settings as well. The measured horizon is the time at which the distance exceeds the request.
 
 The cost is the CPU time of the run with its look ahead, over that of the cheapest of the settings among which `carom
 tune` searches that keeps the request as far: integrators and steps that differ by factors of two, impacts at their own
@@ -226,6 +226,7 @@ class Case:
             beyond = follow(with_step(found, FINER * found.promise.refinement), self.times).path
             longer = self.apart(path, beyond)
             error = np.maximum.accumulate(np.concatenate((error, longer[len(error) :])))
+            reference = np.concatenate((reference, beyond[len(reference) :]))
         inside = self.times[: len(error)] <= kept
         worst = float(error[inside].max()) if inside.any() else 0.0
         over = np.flatnonzero(error > request)

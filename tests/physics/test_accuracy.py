@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from carom.physics.integrators.radau_twin import part
 from carom.physics.look_ahead.settle import settled
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.placement import place
-from carom.physics.schedule import at
+from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.scene.error import SceneError
@@ -426,3 +427,60 @@ def test_a_look_ahead_notices_contacts_that_come_to_rest_after_its_last_but_one_
     run = TrialRun(scene, 1.0, 1, place(scene), np.array([0.4, 0.8, 1.2, 1.6]))  # at rest from 3 √(2 / 10) = 1.34 s
     assert run.at(2) is not None and run.rests_from == np.inf
     assert run.at(3) is not None and run.rests_from == 1.2
+
+
+def struck_pair(**time: Any) -> Scene:
+    """Return two spheres that their own pull holds together, and a third that strikes one of them and parts them."""
+    return scene_of(
+        [
+            {"position": [-0.5, 0.0, 0.0], "velocity": [0.0, -0.3, 0.0], "radius": 0.5, "mass": 1.0},
+            {"position": [0.5, 0.0, 0.0], "velocity": [0.0, 0.3, 0.0], "radius": 0.5, "mass": 1.0},
+            {"position": [-0.7, -4.0, 0.0], "velocity": [0.0, 3.0, 0.0], "radius": 0.2, "mass": 0.8},
+        ],
+        time={"duration": 2.0, **time},
+        gravity={"constant": 1.0},
+        contact=ELASTIC,
+    )
+
+
+def test_an_impact_on_bodies_at_rest_keeps_the_second_order() -> None:
+    scene = struck_pair(accuracy=1e-6)
+
+    def end(refinement: float) -> FloatArray:
+        run = TrialRun(scene, refinement, 1, place(scene), np.array([2.0]))
+        found = run.at(0)
+        assert found is not None
+        return found
+
+    ends = [end(refinement) for refinement in (2.0, 4.0, 8.0, 16.0)]
+    apart = [float(np.abs(one - other).max()) for one, other in pairwise(ends)]
+    # a fourth each; 1/2 with an impact in the middle of a step, by the impulse of the contact for the whole of it
+    assert apart[1] <= 0.3 * apart[0]
+    assert apart[2] <= 0.3 * apart[1]
+
+
+def test_gauss_radau_goes_on_once_contacts_at_rest_have_parted() -> None:
+    space = Space(struck_pair(accuracy=1e-4))
+    frames = list(space.run(schedule=every(0.0)))
+    limits = [frame.dt_limit for frame in frames]
+    parted = max(k for k, frame in enumerate(frames) if frame.dt_limit not in ("error", "end"))
+    assert frames[0].events or frames[1].events  # at rest from the start
+    assert "error" in limits[parted:]
+    assert frames[parted].time < 1.5
+    for k in (parted - 2, parted, parted + 1):
+        space.restore(frames[k].checkpoint)
+        assert [f.fingerprint for f in space.run(schedule=every(0.0))] == [f.fingerprint for f in frames[k:]]
+
+
+def test_a_run_ahead_shows_bodies_at_rest_at_the_times_that_were_asked_for() -> None:
+    scene = scene_of(
+        [{"position": [0.0, 0.0, 0.1], "velocity": [1.0, 0.0, 0.0], "radius": 0.1}],
+        time={"duration": 2.0, "accuracy": 1e-4},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        plane=[{"point": [0.0, 0.0, 0.0]}],
+        contact=ELASTIC,
+    )
+    times = np.array([0.31, 0.94, 1.7])
+    run = TrialRun(scene, 1.0, 1, place(scene), times)
+    found = [run.at(k) for k in range(3)]
+    assert [each[0, 0] for each in found if each is not None] == pytest.approx(times.tolist(), abs=1e-12)  # 1 m/s

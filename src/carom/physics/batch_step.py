@@ -14,7 +14,7 @@ from carom.physics.event import Event
 from carom.physics.integrators.batch import Batch, BatchIntegrator
 from carom.physics.integrators.checkpoint import HELD, IntegratorCheckpoint
 from carom.physics.rotation import rotate
-from carom.physics.schedule import quiet
+from carom.physics.schedule import Pause, quiet
 from carom.physics.step import KickDriftStepper
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
@@ -22,6 +22,7 @@ from carom.physics.world import World
 
 FloatArray = NDArray[np.float64]
 
+FORESEEN = 2.0  # times the last step of the holder: the next one is not longer
 MOST_STRIKES = 100  # at one moment; bodies that still meet there are at rest on each other
 
 
@@ -37,7 +38,8 @@ class BatchStepper:
     timestep
         Suggests the first one.
     holder
-        Takes over when contacts come to rest, for the rest of the run; None where nothing can touch.
+        Takes over when contacts come to rest; None where nothing can touch. With an accuracy, the integrator goes on
+        once nothing touches any more; otherwise the holder takes the rest of the run.
     """
 
     def __init__(
@@ -54,6 +56,7 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
+        self._takes_back = world.scene.promise is not None  # other scenes keep the bits of earlier versions
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
@@ -78,6 +81,7 @@ class BatchStepper:
         self._integrator.advance(0.0, dt, np.inf, 1)
         if self._world.contact and self._holder:
             self._world.contact.strike(None, dt)
+            self._world.contact.step_by_impacts(dt)
             self._holder.warm_up(dt)
 
     def begin(self) -> None:
@@ -115,6 +119,7 @@ class BatchStepper:
         batch = self._fly(goal.end, until, most)
         if batch.steps == 0 and self._holder and self._held:
             return self._hold(self._holder, goal, checked)
+        self._took_last = True
         clock.advance(batch.steps, batch.before, batch.time, batch.dt, batch.limit)
         refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units)
         if turns:
@@ -159,15 +164,28 @@ class BatchStepper:
         if holder is None:
             return
         self._held = True
-        text = f"Contacts come to rest ({world.names.pair(ends)}): from now on leapfrog takes the steps and holds them."
+        since = "while they do," if self._takes_back else "from now on"
+        text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog takes the steps and holds them."
         # an event of the step that begins here: the frame of the last step may have been taken
         self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
         holder.take_over()
 
     def _hold(self, holder: KickDriftStepper, goal: Goal, checked: bool) -> bool:
-        """Let the holder take a step."""
+        """Let the holder take a step; it has no solution within its steps, so they end at a pause."""
+        contact, clock = self._world.contact, self._world.clock
         self._took_last = False
-        return holder.advance(goal, checked)
+        if isinstance(goal.schedule, Pause):
+            goal = goal._replace(end=goal.schedule.time)
+        if not (self._takes_back and contact):
+            return holder.advance(goal, checked)
+        end = clock.time + contact.step_by_impacts(FORESEEN * holder.previous_dt) if contact.holds else np.inf
+        due = holder.advance(goal if goal.end <= end else goal._replace(end=end, shows_end=False), checked)
+        if clock.time == end < goal.end:
+            clock.limit = "impact"
+        if contact.is_quiet:
+            self._held = False
+            self._integrator.begin(self.first_dt)
+        return due
 
     @property
     def has_solution(self) -> bool:

@@ -26,6 +26,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import OVERFLOW, colour_bodies, colour_contacts, empty_graph
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
+from carom.physics.contact.continuous.next_impact import step_by_impacts
 from carom.physics.contact.islands import largest_values
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of
@@ -238,6 +239,17 @@ class ContactPipeline:
         """Whether nothing touched in the last step and nothing is held as the next one begins."""
         touches = len(self._pairs) or self.statistics.contacts or len(self._hold.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
+
+    @property
+    def holds(self) -> bool:
+        """Whether contacts are held as the next step begins."""
+        return len(self._hold.pairs) > 0
+
+    def step_by_impacts(self, span: float) -> float:
+        """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
+        bodies, planes = self._bodies, self._planes
+        moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
+        return step_by_impacts(*moving, planes.normal, planes.offset, span)
 
     def rest(self) -> None:
         """Note steps in which nothing touched, after a step that was quiet."""

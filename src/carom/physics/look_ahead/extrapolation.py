@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
 FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
 TRIED = 2  # comparisons before an order is believed
-NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps
+NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps, unless that is the whole run
 FALLING = 0.7  # largest part of the distance that a halving should leave
 
 
@@ -36,7 +36,9 @@ def extrapolate(
     tried = range(-1, FARTHEST + 1)
     errors = [distance / (1.0 - 2.0**-order) / 2.0 ** (order * (halvings + 1)) for halvings in tried]
     kept = [kept_until(times, SAFETY * error, accuracy) for error in errors]
-    k = next(k for k, until in enumerate(kept) if until >= NEARLY * max(kept))
+    longest = max(kept)
+    enough = longest if longest >= times[-1] else NEARLY * longest
+    k = next(k for k, until in enumerate(kept) if until >= enough)
     return tried[k], kept[k], errors[k]
 
 

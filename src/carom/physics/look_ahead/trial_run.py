@@ -19,6 +19,7 @@ FloatArray = NDArray[np.float64]
 
 NEVER = 2**62  # steps between two checks of the energy of a run ahead
 BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
+BODIES_PER_HELD_STEP = 300  # likewise, of one in which contacts are held
 
 
 class TrialRun:
@@ -39,9 +40,10 @@ class TrialRun:
 
     @property
     def work(self) -> float:
-        """What all its steps would cost, by its steps so far: a step costs as much as `BODIES_PER_STEP` bodies more."""
+        """What all its steps would cost, by its steps so far: a step costs as much as so many bodies more."""
         steps = self._simulation.step * len(self.times) / max(len(self._positions), 1)
-        return steps * (self._simulation.scene.count + BODIES_PER_STEP)
+        more = BODIES_PER_STEP if self.rests_from == math.inf else BODIES_PER_HELD_STEP
+        return steps * (self._simulation.scene.count + more)
 
     def at(self, sample: int) -> FloatArray | None:
         """Return the positions at one of the times, (n, 3) m; None where it fails before."""
