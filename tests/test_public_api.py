@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -77,3 +78,9 @@ def test_a_notebook_shows_the_summary_of_a_recording(recorded: carom.Recording) 
     table = recorded._repr_html_()
     assert "<caption>&lt;b&gt;.rrd</caption>" in table and "<td>completed</td>" in table
     assert "801 frames, 800 steps, 4 s" in table
+
+
+def test_a_space_of_a_name_is_told_how_to_load_the_scene() -> None:
+    name: Any = "two-spheres"
+    with pytest.raises(TypeError, match=r"Space: a Scene is needed, not str; make one by Scene\.load"):
+        carom.Space(name)

@@ -62,6 +62,8 @@ class Space(Simulation):
         stride: float = 1.0,
         record_contacts: bool = False,
     ) -> None:
+        if not isinstance(scene, Scene):
+            raise TypeError(f"Space: a Scene is needed, not {type(scene).__name__}; make one by Scene.load(path)")
         refuse_impossible(scene)
         start = start or place(scene)
         super().__init__(settled(scene, threads, start), start, threads, stride, record_contacts)
