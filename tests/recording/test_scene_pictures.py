@@ -109,6 +109,35 @@ def test_grains_of_a_millimetre_are_framed_like_large_bodies(tmp_path: Path) -> 
         assert filled(view(pixels, number, SHARES)) > 0.5, ("bodies", "graph", "close-up")[number]
 
 
+PLANETS = """
+title = "Two bodies of 10⁹ m"
+[time]
+duration = 2.0
+fixed_dt = 1e-2
+[gravity]
+constant = 0.0
+[[body]]
+radius = 1e9
+position = [-2e9, 0, 0]
+velocity = [1e9, 0, 0]
+[[body]]
+radius = 1e9
+position = [2e9, 3e8, 0]
+velocity = [-15e8, 0, 0]
+"""
+
+
+@pytest.mark.slow
+def test_edges_and_arrows_are_seen_between_bodies_larger_than_planets(tmp_path: Path) -> None:
+    file = tmp_path / "planets.toml"
+    file.write_text(PLANETS)
+    pixels = picture(Scene.load(str(file)), tmp_path)
+    graph, close = (view(pixels, number, SHARES) for number in (1, 2))
+    assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 30, "the edge of the graph"
+    assert of_hue(graph, palette.ORANGE) > 100, "the arrows of the torques"
+    assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
+
+
 @pytest.mark.slow
 def test_bodies_far_smaller_than_a_pixel_are_seen_as_dots(tmp_path: Path) -> None:
     file = tmp_path / "sun.toml"

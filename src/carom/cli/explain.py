@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import JsonOption, SceneArgument, SetOption
+from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def explain(
 
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
-    console.print(f": {loaded.count} bodies, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
+    console.print(f": {counted(loaded.count, 'body')}, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
     console.print(_parts(found.parts))
     if materials:
         console.print()
@@ -63,7 +64,7 @@ def explain(
         f"\nBy a coarse look at {seen}:\n"
         f"{_steps(cost, loaded)}\n"
         f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
-        f"  about {bytes_text(cost.size)} of recording: {cost.frames} frames, each of which takes "
+        f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
         f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
     )
 

@@ -9,6 +9,7 @@ import typer
 
 from carom.cli.options import ForceOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.counted import counted
 
 
 def export(
@@ -56,4 +57,4 @@ def export(
             at = simulated_or_none(at, recording.units)
             written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
         bodies = len(recording.shown)
-    say(f"{written} written: {count} step{'s' * (count > 1)} of {bodies} bodies.")
+    say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}.")

@@ -18,6 +18,7 @@ from carom.experiment.ending import accuracy_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.command import command
+from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 
@@ -34,7 +35,7 @@ class Progress(LiveLine):
         self._restart()
         scene = self._scene
         length = simulated_text(scene.time.duration, scene.unit_system)
-        self.say(f"{self._heading}{scene.title}: {scene.count} bodies, {length}")
+        self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
         return super().__enter__()
 
     def update(self, status: StepStatus) -> None:
@@ -49,7 +50,7 @@ class Progress(LiveLine):
         at, dt = units.text(status.time, TIME, ".5g"), units.text(status.dt, TIME, ".3g")
         return (
             f"{bar(done)} {done:4.0%}  t = {at}  step {status.step} "
-            f"({status.step / spent:.0f}/s)  dt = {dt} ({status.dt_limit})  {status.contacts} contacts  "
+            f"({status.step / spent:.0f}/s)  dt = {dt} ({status.dt_limit})  {counted(status.contacts, 'contact')}  "
             f"energy error {status.energy_error:.1e}  {left} left"
         )
 
@@ -59,7 +60,9 @@ class Progress(LiveLine):
         table = Table.grid(padding=(0, 2))
         table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
         simulated = units.text(outcome.sim_time, TIME)
-        table.add_row("run", f"{outcome.steps} steps, {simulated} simulated in {duration_text(outcome.wall_time)}")
+        table.add_row(
+            "run", f"{counted(outcome.steps, 'step')}, {simulated} simulated in {duration_text(outcome.wall_time)}"
+        )
         if moments.energy_error:
             table.add_row("energy", f"integration error at most {moments.energy_error.value:.2e} of the energy scale")
         linear, angular = moments.momentum_error, moments.angular_momentum_error
@@ -69,8 +72,8 @@ class Progress(LiveLine):
             angular_text = "not conserved in a periodic box" if angular is None else f"{angular.value:.2e}"
             table.add_row("momentum", f"error at most {linear.value:.2e}, angular {angular_text}")
         if moments.overlap and moments.contacts:
-            counted = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
-            table.add_row("contacts", counted)
+            counts = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
+            table.add_row("contacts", counts)
             if outcome.impacts:
                 table.add_row("", f"impacts: {outcome.impacts}")
             deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
@@ -82,7 +85,7 @@ class Progress(LiveLine):
         for verdict in outcome.verdicts:
             kept = Text("expected" if verdict.judged else "not judged")
             table.add_row(kept if verdict.met else Text("missed", style="red"), verdict.text(units))
-        table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {outcome.frames} frames")
+        table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {counted(outcome.frames, 'frame')}")
         resumed = ("resume",) if outcome.status == "interrupted" else ()
         terminal = Terminal(file=sys.stdout)
         terminal.print(table)

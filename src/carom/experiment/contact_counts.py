@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from carom.scene.counted import counted
+
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts found at its end
 
 
-def counts_text(contact_steps: int, impacts: int | None, counted: str | None) -> str:
+def counts_text(contact_steps: int, impacts: int | None, each: str | None) -> str:
     """Describe the two numbers.
 
     Parameters
@@ -15,11 +17,11 @@ def counts_text(contact_steps: int, impacts: int | None, counted: str | None) ->
         Pairs that touched, summed over the steps.
     impacts
         Contacts that closed faster than the rest speed; None if they were not counted.
-    counted
-        `EACH`, `ONCE_A_STEP`, or None if unknown.
+    each
+        How impacts were counted: `EACH`, `ONCE_A_STEP`, or None if unknown.
     """
-    steps = f"{contact_steps} contact-steps (pairs that touch, summed over steps)"
+    steps = f"{counted(contact_steps, 'contact-step')} (pairs that touch, summed over steps)"
     if impacts is None:
         return steps
-    how = f" (counted {counted})" if counted not in (None, EACH) else ""
-    return f"{impacts} impacts{how}, {steps}"
+    how = f" (counted {each})" if each not in (None, EACH) else ""
+    return f"{counted(impacts, 'impact')}{how}, {steps}"

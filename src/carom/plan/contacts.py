@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from carom.plan.pulls import differing, pushing
+from carom.scene.counted import counted
 from carom.scene.materials import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
@@ -19,7 +20,7 @@ def contact(scene: Scene) -> Part:
     if not differing(scene) and not _moves_relatively(scene):
         return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
     if solids:
-        return Part(name, True, f"{scene.count} bodies and {solids} planes may meet")
+        return Part(name, True, f"{counted(scene.count, 'body')} and {counted(solids, 'plane')} may meet")
     return Part(name, True, f"{scene.count} bodies may meet")
 
 

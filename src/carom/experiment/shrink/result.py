@@ -13,6 +13,7 @@ from carom.experiment.shrink.reducer import Reduction, Stage
 from carom.experiment.shrink.text import commented
 from carom.experiment.whole_file import write_whole
 from carom.recording.errors import RecordingError
+from carom.scene.counted import counted
 
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
@@ -69,7 +70,7 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
 
 def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
-    left = f"Left: {_counted(reduction.bodies, 'body')} of {bodies}, {_counted(reduction.steps, 'step')} of {steps}."
+    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {counted(reduction.steps, 'step')} of {steps}."
     found = "; ".join(_told(stage) for stage in _turns(reduction.stages))
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
     return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]
@@ -86,12 +87,7 @@ def _turns(stages: list[Stage]) -> list[Stage]:
 
 
 def _told(stage: Stage) -> str:
-    return f"{stage.name}, {_counted(stage.bodies, 'body')}, {_counted(stage.steps, 'step')}"
-
-
-def _counted(count: int, noun: str) -> str:
-    plural = {"body": "bodies"}.get(noun, f"{noun}s")
-    return f"{count} {noun if count == 1 else plural}"
+    return f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
 
 
 def write(path: Path, text: str) -> None:

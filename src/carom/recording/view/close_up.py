@@ -24,6 +24,7 @@ from carom.recording.schema.timelines import STEP
 from carom.recording.view.camera import CameraFit, View
 from carom.recording.view.eye import background, eye, space_of
 from carom.recording.view.graph_view import faint_bodies
+from carom.recording.view.line_radii import line_radii
 from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
@@ -121,9 +122,9 @@ class CloseUp:
         )
         yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
-        yield NORMAL, rr.Arrows3D.from_fields(radii=_THIN * small, colors=palette.WHITE)
-        yield IMPULSE, rr.Arrows3D.from_fields(radii=_THICK * small, colors=palette.YELLOW)
-        yield SPIN, rr.Arrows3D.from_fields(radii=_THIN * small, colors=_SPIN_COLOUR)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=palette.WHITE)
+        yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=palette.YELLOW)
+        yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=_SPIN_COLOUR)
         # white is legible on the grounds of labels in both themes; on the arrows themselves they had their colours
         yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.WHITE, show_labels=True)
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.recording.view.line_radii import line_radii
+
 FloatArray = NDArray[np.float64]
 
 # Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.
@@ -22,13 +24,13 @@ REACH = 2.0  # L_max of an arrow in median body radii
 
 
 def edge_radii(radius: FloatArray) -> NDArray[np.float32]:
-    """Return the radius of an edge at each level, (8,) m."""
-    return _between(_THINNEST, _THICKEST, radius)
+    """Return the radius of an edge at each level, (8,), as `line_radii` does."""
+    return line_radii(np.linspace(_THINNEST, _THICKEST, LEVELS), float(np.median(radius)))
 
 
 def point_radii(radius: FloatArray) -> NDArray[np.float32]:
     """Return the radius of an impact's point at each level, (8,) m."""
-    return _between(_SMALLEST, _LARGEST, radius)
+    return (np.median(radius) * np.linspace(_SMALLEST, _LARGEST, LEVELS)).astype(np.float32)
 
 
 def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
@@ -36,7 +38,3 @@ def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
     s = np.cbrt(np.maximum(magnitude, 0.0) / reference)
     u = 1.0 - 1.0 / (1.0 + s)  # 1 where s is infinite
     return np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
-
-
-def _between(least: float, most: float, radius: FloatArray) -> NDArray[np.float32]:
-    return (np.median(radius) * np.linspace(least, most, LEVELS)).astype(np.float32)

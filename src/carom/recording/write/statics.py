@@ -16,6 +16,7 @@ from carom.recording.schema.given_bodies import encode
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import THIN, recorded
 from carom.recording.view import colouring
+from carom.recording.view.line_radii import line_radii
 from carom.recording.view.scene_text import scene_document
 from carom.recording.write import encoder as entities
 
@@ -147,7 +148,7 @@ def _two_tone_sphere() -> rr.Mesh3D:
 
 
 def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
-    return rr.Arrows3D.from_fields(radii=thickness * float(np.median(header.radius)), colors=colour)
+    return rr.Arrows3D.from_fields(radii=line_radii(thickness, float(np.median(header.radius))), colors=colour)
 
 
 def _series(header: Header) -> Iterable[Static]:
