@@ -82,8 +82,8 @@ def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_p
     _, stderr = run.communicate(timeout=60)
     assert_silent(stderr)
     assert run.returncode in (1, 130, -signal.SIGINT)
-    said = "carom: x.rrd was not closed; `carom repair x.rrd` closes it\ncarom: interrupted\n" in stderr
-    assert said != Recording.open(tmp_path / "x.rrd").finished
+    said = "carom: x.rrd may not be closed; `carom repair x.rrd` closes it\ncarom: interrupted\n" in stderr
+    assert said or Recording.open(tmp_path / "x.rrd").finished
 
 
 @pytest.mark.parametrize("closed", [False, True])

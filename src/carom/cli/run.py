@@ -88,7 +88,7 @@ def telling_of(path: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if path.exists():  # an interrupt before the first step finds no file
-            say(f"carom: {path} was not closed; `{command('repair', path)}` closes it", err=True)
+            say(f"carom: {path} may not be closed; `{command('repair', path)}` closes it", err=True)
         raise
 
 
