@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -84,3 +85,19 @@ def test_a_space_of_a_name_is_told_how_to_load_the_scene() -> None:
     name: Any = "two-spheres"
     with pytest.raises(TypeError, match=r"Space: a Scene is needed, not str; make one by Scene\.load"):
         carom.Space(name)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda: carom.run({}), TypeError, r"not dict; Scene\.from_dict makes one of a dict"),  # type: ignore[arg-type]
+        (lambda: carom.Scene.from_dict([1]), TypeError, "a dict of sections is needed, not list"),  # type: ignore[arg-type]
+        (lambda: carom.Space(carom.Scene.load("two-spheres"), threads=0), ValueError, "a whole number from 1 on"),
+        (lambda: carom.Space(carom.Scene.load("two-spheres"), threads="2"), ValueError, "threads = '2'"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_wrong_argument_is_named_with_what_would_be_right(
+    call: Callable[[], Any], error: type[Exception], said: str
+) -> None:
+    with pytest.raises(error, match=said):
+        call()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rerun.chunk import RrdReader
 
+import carom
 from carom.experiment.estimate import MARKS, Estimate, estimate
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, recording_space, run
@@ -78,6 +80,22 @@ def test_every_part_has_a_share_or_the_name_of_the_part_that_has_it(whole: Estim
 
 def test_every_mark_of_the_profile_belongs_to_a_part() -> None:
     assert {part for parts in MARKS.values() for part in parts} <= set(PARTS)
+    sources = [path.read_text() for path in (Path(carom.__file__).parent / "physics").rglob("*.py")]
+    marks = {mark for source in sources for mark in re.findall(r'\.mark\("([\w-]+)"\)', source)}
+    assert len(marks) > 8 and marks <= set(MARKS)
+
+
+def test_the_cost_of_a_scene_with_sleep_is_estimated() -> None:
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.0, "fixed_dt": 0.01},
+            "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            "contact": {"sleep": {"speed": 0.02}},
+            "plane": [{}],
+            "body": [{"radius": 0.5, "position": [0.0, 0.0, 1.0]}],
+        }
+    )
+    assert sum(part.share or 0.0 for part in estimate(scene).parts) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_every_entity_has_its_share_of_the_bytes(whole: Estimate) -> None:

@@ -45,6 +45,7 @@ MARKS = {
     "stabilisation": ("stabilisation", "contact"),
     **{kind.short_name: (kind.name, "integrator") for kind in FORCES},
     "resting": ("resting-contacts", "contact"),
+    "sleep": ("resting-contacts", "contact"),
     "response": ("contact", "integrator"),
     "torque": ("torque", "contact"),
     "ledger": ("energy", "energy"),

@@ -64,6 +64,10 @@ class Space(Simulation):
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"Space: a Scene is needed, not {type(scene).__name__}; make one by Scene.load(path)")
+        if threads is not None and not (isinstance(threads, int) and threads >= 1):
+            raise ValueError(
+                f"Space: threads = {threads!r}: must be a whole number from 1 on, or None for one per core"
+            )
         refuse_impossible(scene)
         start = start or place(scene)
         super().__init__(settled(scene, threads, start), start, threads, stride, record_contacts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -102,6 +103,9 @@ class Scene(Forces, Heading):
     @classmethod
     def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
         """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
+        if not isinstance(source, str | PathLike):
+            made = "; Scene.from_dict makes one of a dict" if isinstance(source, dict) else ""
+            raise TypeError(f"a scene is the path of a file or a bundled name, not {type(source).__name__}{made}")
         from carom.scene.load import load_scene  # noqa: PLC0415 - load needs Scene
 
         return load_scene(source, overrides or [])
@@ -109,6 +113,8 @@ class Scene(Forces, Heading):
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Scene:
         """Build a scene from the same keys as a TOML file; raises `SceneError` like `load`."""
+        if not isinstance(data, dict):
+            raise TypeError(f"Scene.from_dict: a dict of sections is needed, not {type(data).__name__}")
         from carom.scene.load import scene_from_dict  # noqa: PLC0415 - load needs Scene
 
         return scene_from_dict(data)
