@@ -101,8 +101,11 @@ def test_planes_and_boxes_are_refused() -> None:
 
 
 def test_a_sample_at_the_moment_of_a_contact_has_the_velocities_after_it() -> None:
-    # gap 2 m at 2 m/s: contact at 1 s, which is the fourth of eight samples; exact in binary
+    # gap 2 m at 2 m/s: contact at 1 s but for the rounding of SciPy's sums, which depends on the processor
     scene = pair(time={"duration": 2.0}, contact={"restitution": 1.0, "static_friction": 0.0})
-    exact = solve(Space(scene), np.arange(1, 9) / 4)
-    assert exact.time == [1.0]
+    samples = np.arange(1, 9) / 4
+    [samples[3]] = solve(Space(scene), samples).time
+    assert samples[3] == pytest.approx(1.0, rel=0.0, abs=1e-14)
+    exact = solve(Space(scene), samples)
+    assert exact.time == [samples[3]]
     assert exact.trajectory.velocity[:, 0, 0].tolist() == [1.0] * 3 + [-1.0] * 5

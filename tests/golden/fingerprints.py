@@ -6,8 +6,8 @@
 A case is a scene with some of its keys overridden, and a number of steps. Every frame of the run goes into hashes, one
 for each part of it, so that a failure says which part moved: the state itself, the energy, the ledger, the steps, the
 contacts, what turns the bodies. Values are hashed as plain 64-bit numbers in a fixed order, so that classes, fields and
-modules of carom may be renamed. The energy scale is left out: it is a dot product of BLAS, which rounds differently on
-other processors.
+modules of carom may be renamed. The energy scale is left out: it was a dot product of BLAS, which rounds differently
+on other processors.
 
 The file holds each combination of methods that a scene admitted when it was written. The test runs these cases, so a
 combination that is refused later is a failure.

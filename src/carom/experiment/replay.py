@@ -136,7 +136,7 @@ def replay(
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
     records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")
-    space = space_of(recording, scene, checkpoint, threads, checkpoint.step > 0, records)
+    space = space_of(recording, scene, checkpoint, threads, record_contacts=records)
     run = _Comparison(recording, header_of(space), checkpoint.step, end, dense is None)
     began = clock.perf_counter()
     with ExitStack() as stack:

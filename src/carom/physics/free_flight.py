@@ -92,7 +92,7 @@ class FreeFlight:
         plan["softening_squared"] = pull.softening * pull.softening
         plan["is_uniform"], plan["ends_with_forces"] = pull.is_uniform, chosen.ends_with_forces
         plan["touches"] = world.contact is not None
-        plan["field"] = np.sqrt(pull.uniform @ pull.uniform)
+        plan["field"] = np.sqrt((pull.uniform**2).sum())
         moved = bodies.position, bodies.velocity, bodies.acceleration, bodies.orientation, bodies.angular_velocity
         kept = bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field
         around = world.box, planes.normal, planes.offset

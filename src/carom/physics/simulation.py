@@ -138,6 +138,12 @@ class Simulation:
         self._books.take_stock(self._world.forces.potentials(), checked=False)
         self._publish()
 
+    def begin_as(self, start: Checkpoint) -> None:
+        """Measure errors against the references of a recorded start, which may be rounded otherwise."""
+        if self._books.refer_to(start.books):
+            self._books.take_stock(self._world.forces.potentials(), checked=False)
+            self._publish()
+
     def run(
         self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
     ) -> Iterator[Frame]:

@@ -34,7 +34,7 @@ class HalfSpaces:
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
         """Return how deep spheres reach into each half-space, (n, p) m; negative if they do not."""
-        return np.asarray(radius[:, None] - (position @ self.normal.T - self.offset))
+        return np.asarray(radius[:, None] - ((position[:, None] * self.normal).sum(axis=2) - self.offset))
 
 
 def planes_of(scene: Scene) -> HalfSpaces:
@@ -43,7 +43,7 @@ def planes_of(scene: Scene) -> HalfSpaces:
     return HalfSpaces(
         name=[plane.name or f"plane {index}" for index, plane in enumerate(scene.plane)],
         normal=np.array(normals).reshape(-1, 3),
-        offset=np.array([n @ np.array(plane.point) for n, plane in zip(normals, scene.plane, strict=True)]),
+        offset=np.array([(n * np.array(plane.point)).sum() for n, plane in zip(normals, scene.plane, strict=True)]),
     )
 
 
@@ -62,4 +62,4 @@ def half_spaces(scene: Scene) -> HalfSpaces:
 def _unit(direction: tuple[float, float, float]) -> FloatArray:
     """Scale to length 1; dividing by the largest component first avoids overflow."""
     scaled = np.array(direction) / np.max(np.abs(direction))
-    return np.asarray(scaled / np.sqrt(scaled @ scaled))
+    return np.asarray(scaled / np.sqrt((scaled * scaled).sum()))

@@ -94,7 +94,7 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
     goal = time - tolerance(time)
     if checkpoint.time >= goal:
         return checkpoint
-    space = space_of(recording, scene, checkpoint, None, checkpoint.step > 0, recording.records_contacts)
+    space = space_of(recording, scene, checkpoint, record_contacts=recording.records_contacts)
     for frame in space.run(schedule=lambda step, before, now: now >= goal):
         if frame.time >= goal:
             return frame.checkpoint

@@ -72,7 +72,7 @@ class History:
         RecordingError, SceneError
             If it cannot be run again.
         """
-        space = space_of(recording, _audited(recorded_scene(recording)), begin, None, begin.step > 0, True)
+        space = space_of(recording, _audited(recorded_scene(recording)), begin, record_contacts=True)
         history = cls(begin, space.state.ends.inverse_mass.copy())
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))

@@ -92,6 +92,10 @@ class Bookkeeper:
         if checkpoint.time > self.kept_until:
             self.kept_until = np.inf  # known already
 
+    def refer_to(self, books: Books) -> bool:
+        """Take over the references of a recorded start; return whether they were others."""
+        return self.audit.refer_to(books)
+
     def begin_step(self, checked: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
         if checked:

@@ -119,7 +119,8 @@ class EnergyAccount:
         self._bodies = bodies
         self._anchored = anchored
         self._constant = constant
-        self._lift = float(np.sqrt(field @ field) * (bodies.mass @ bodies.radius))  # J, of every body by its radius
+        lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
+        self._lift = float(lift)  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(self, motion: Motion, potentials: Mapping[str, float], ledger: Ledger) -> Energy:

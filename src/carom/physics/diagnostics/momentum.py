@@ -56,7 +56,7 @@ class MomentumAccount:
         self._anchored = anchored
         self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = Motion.of(bodies)
         self._mass = float(bodies.mass.sum())
-        self._centre = (bodies.mass @ bodies.position) / self._mass
+        self._centre = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0) / self._mass
         self._baseline: MomentumBaseline | None = None  # None where it has changed since it was last asked for
 
     @property
@@ -104,4 +104,5 @@ class MomentumAccount:
 
 
 def _relative(found: FloatArray, expected: FloatArray, scale: float) -> float:
-    return math.dist(found, expected) / scale if scale > 0.0 else 0.0
+    x, y, z = (found - expected).tolist()
+    return math.sqrt(x * x + y * y + z * z) / scale if scale > 0.0 else 0.0

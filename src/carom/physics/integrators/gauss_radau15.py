@@ -176,10 +176,11 @@ class GaussRadau15:
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
         b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
         k = np.arange(TERMS)
-        turned = dt * ((1.0 - h) * a + b @ ((1.0 - h ** (k + 2)) / (k + 2)))
+        powers = np.cumprod(np.full(TERMS + 2, h))  # h, h²…; matrix products and powers differ between processors
+        turned = dt * ((1.0 - h) * a + (b * ((1.0 - powers[1:-1]) / (k + 2))).sum(axis=-1))
         v = self._arrival - turned
-        begin = self._arrival - dt * (a + b @ (1.0 / (k + 2)))
-        bent = 0.5 * (1.0 - h * h) * a + b @ ((1.0 - h ** (k + 3)) / ((k + 2) * (k + 3)))
+        begin = self._arrival - dt * (a + (b / (k + 2)).sum(axis=-1))
+        bent = 0.5 * (1.0 - h * h) * a + (b * ((1.0 - powers[2:]) / ((k + 2) * (k + 3)))).sum(axis=-1)
         return motion.position - (earlier * begin + dt * dt * bent), v
 
     @property

@@ -76,7 +76,7 @@ def space_of(
     scene: Scene,
     checkpoint: Checkpoint,
     threads: int | None = None,
-    restored: bool = True,
+    continued: bool = True,
     record_contacts: bool = False,
 ) -> Space:
     """Build a space in the state of a checkpoint.
@@ -85,9 +85,9 @@ def space_of(
 
     Parameters
     ----------
-    restored
-        Whether to restore the rest of the checkpoint besides positions and velocities. At the start of a run a space
-        already has the rest, and the contacts of frame 0.
+    continued
+        Whether the run goes on as it was recorded; otherwise the bodies of the checkpoint start another run. At the
+        start of a run a space already has what a checkpoint restores, and the contacts of frame 0.
     record_contacts
         Whether frames carry what contacts did.
 
@@ -103,8 +103,10 @@ def space_of(
         needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
         if (needs.spin.modelled, needs.orientation.modelled) != kept:
             raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
-        if restored:
+        if continued and checkpoint.step > 0:
             space.restore(checkpoint)
+        elif continued:
+            space.begin_as(checkpoint)
     except PhysicsError as error:
         raise RecordingError(f"{recording.path} cannot be resumed from step {checkpoint.step}: {error}") from None
     return space

@@ -60,7 +60,7 @@ class Window:
             scene = recorded_scene(recording)
         except SceneError as error:
             raise RecordingError(f"{recording.path} cannot be run again: {error}") from error
-        self._space = space_of(recording, scene, checkpoint, threads, checkpoint.step > 0, contacts)
+        self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
 
     @property
     def source(self) -> str:
