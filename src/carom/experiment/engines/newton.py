@@ -7,6 +7,7 @@ makes the mean its own. A contact moves bodies only once they overlap.
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -47,8 +48,12 @@ class Newton(SteppedEngine):
 
     def begin(self, scene: Scene, setting: Setting) -> Simulation:
         """Build a scene at its start."""
+        _compile()
+        return self._build(scene, dt_of(setting))
+
+    def _build(self, scene: Scene, dt: float) -> Simulation:
         engine, warp = engine_package(self.package), engine_package("warp", "warp-lang")
-        problem, dt = problem_of(self.name, scene), dt_of(setting)
+        problem = problem_of(self.name, scene)
         start, law = problem.start, problem.between
         builder = engine.ModelBuilder(gravity=problem.field.tolist())
         for k in range(len(start.mass)):
@@ -82,6 +87,16 @@ class Newton(SteppedEngine):
             steps[0] += 1
 
         return Simulation(source_of(model, lambda: (states[0], steps[0] * dt)), step, dt)
+
+
+@cache
+def _compile() -> None:
+    """Take a step, for which Warp compiles its kernels: half a minute, once on a machine, and no part of a run."""
+    ball = {"mass": 1.0, "radius": 0.5}
+    bodies = [ball | {"position": [0.0, 0.0, height]} for height in (0.5, 1.5)]
+    plane = {"normal": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0]}
+    document = {"body": bodies, "plane": [plane], "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}}
+    Newton()._build(Scene.from_dict(document), 0.001).step()
 
 
 def _config(engine: Any, law: Coefficients, collides: bool) -> Any:

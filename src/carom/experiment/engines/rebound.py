@@ -171,7 +171,8 @@ def _refuse(scene: Scene) -> None:
     """Refuse a scene that has more than smooth spheres that pull and strike each other."""
     parts, start = require(scene), place(scene)
     lacks = {
-        "friction (contact.static_friction = 0 leaves it out)": parts.contact.modelled and parts.friction.modelled,
+        "friction (contact.static_friction = 0 and contact.kinetic_friction = 0 leave it out)": parts.contact.modelled
+        and parts.friction.modelled,
         "planes": bool(len(half_spaces(scene))),
         "bodies of several materials": len(pair_coefficients(scene).places) > 0,
         "a periodic box": scene.domain.boundary == "periodic",
