@@ -2,6 +2,8 @@
 
 python benchmarks/engine_recorder.py [--every N] [ENGINE …]
 
+Each so many steps are recorded, by default as many as the source says; the column "every" has their number.
+
 CPU time of the engine's own thread, which other work on the machine changes less than the time on the clock: a run gets
 longer by it where another core is free. "read" is what the engine takes to hand over its state, "recorder" is the rest
 of `frame`. Each is a median, and in brackets the least tenth of the calls, as on a machine that is quiet. "threads" is
@@ -135,13 +137,14 @@ class Clocked:
         return timed
 
 
-def measured(begin: Callable[[], Stepper], every: int, folder: Path) -> tuple[list[list[float]], float]:
-    """Return the times of steps, reading and the rest of `frame` in the engine's thread, and those of others, in s."""
+def measured(begin: Callable[[], Stepper], every: int | None, folder: Path) -> tuple[int, list[list[float]], float]:
+    """Return the steps of a frame, and in s what steps, reading, the rest of `frame`, and other threads take."""
     step, make = begin()
     for _ in range(SETTLING):
         step()
     source, steps, frames = Clocked(make()), list[float](), list[float]()
-    with carom.record.Recorder(source, folder / "run.rrd", force=True) as recorder:
+    every = every or source.model.every
+    with carom.record.Recorder(source, folder / "run.rrd", every=1, force=True) as recorder:
         step()
         recorder.frame()
         time.sleep(2.0)  # kernels are loaded
@@ -158,19 +161,19 @@ def measured(begin: Callable[[], Stepper], every: int, folder: Path) -> tuple[li
     own = time.thread_time() - own
     reads = [read / every for read in source.taken]
     rest = [frame / every - read for frame, read in zip(frames, reads, strict=True)]
-    return [steps, reads, rest], (time.process_time() - whole - own) / MEASURED
+    return every, [steps, reads, rest], (time.process_time() - whole - own) / MEASURED
 
 
 def main() -> None:
     options = argparse.ArgumentParser()
-    options.add_argument("--every", type=int, default=1, help="record each so many steps")
+    options.add_argument("--every", type=int, default=None, help="record each so many steps")
     options.add_argument("engines", nargs="*", default=[*ENGINES])
     asked = options.parse_args()
-    print(f"{'engine':10}{'step':>12}{'read':>24}{'recorder':>24}{'share':>16}{'threads':>12}")
+    print(f"{'engine':10}{'every':>6}{'step':>12}{'read':>24}{'recorder':>24}{'share':>16}{'threads':>12}")
     with tempfile.TemporaryDirectory() as folder:
         for name in asked.engines:
-            (steps, reads, rest), threads = measured(ENGINES[name], asked.every, Path(folder))
-            step, shares, row = median(steps), [0.0, 0.0], f"{name:10}{median(steps) * 1e3:9.3f} ms"
+            every, (steps, reads, rest), threads = measured(ENGINES[name], asked.every, Path(folder))
+            step, shares, row = median(steps), [0.0, 0.0], f"{name:10}{every:6}{median(steps) * 1e3:9.3f} ms"
             for times in (reads, rest):
                 usual, least = median(times), sorted(times)[len(times) // 10]
                 shares = [shares[0] + usual / step, shares[1] + least / step]

@@ -122,6 +122,32 @@ def test_a_source_that_counts_the_time_is_right_where_not_every_frame_is_recorde
     assert times == [0.0, 4 * DT, 8 * DT]
 
 
+def test_a_source_says_how_many_calls_make_a_frame_unless_the_recorder_is_told(tmp_path: Path) -> None:
+    times = {}
+    for every in (None, 1):
+        toy = Toy()
+        toy.model = replace(toy.model, every=4)
+        with carom.record.Recorder(toy, tmp_path / f"{every}.rrd", every=every) as recorder:
+            for _ in range(8):
+                toy.step()
+                recorder.frame()
+        times[every] = Recording.open(tmp_path / f"{every}.rrd").trajectory(0)["time"].to_pylist()
+    assert times == {None: [0.0, 4 * DT, 8 * DT], 1: [step * DT for step in range(9)]}
+
+
+def test_pybullet_is_read_seldom_where_it_has_many_bodies() -> None:
+    engine = engine_package("pybullet")
+    client = engine.connect(engine.DIRECT)
+    ball = engine.createCollisionShape(engine.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    found = {}
+    for bodies in range(1, 1201):
+        engine.createMultiBody(1.0, ball, basePosition=[bodies, 0.0, 0.0], physicsClientId=client)
+        if bodies in (249, 250, 1200):
+            found[bodies] = carom.record.pybullet(client=client).model.every
+    engine.disconnect(client)
+    assert found == {249: 1, 250: 2, 1200: 4}
+
+
 @pytest.fixture(scope="module")
 def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("toy") / "toy.rrd"

@@ -57,7 +57,8 @@ class Recorder:
         Keep only so many frames, in memory. They are written when a state is not finite, when an exception leaves the
         context, and by `write`; otherwise no file is written.
     every
-        Record each so many calls of `frame`.
+        Record each so many calls of `frame`; by default as many as the source says, which is 1 but for PyBullet with
+        250 bodies and more.
     title
         Of the recording; by default the name of the engine.
     duration
@@ -85,7 +86,7 @@ class Recorder:
         path: str | Path,
         *,
         last: int | None = None,
-        every: int = 1,
+        every: int | None = None,
         title: str | None = None,
         duration: float = 0.0,
         exact: bool = True,
@@ -95,7 +96,7 @@ class Recorder:
     ) -> None:
         if last is not None and last < 1:
             raise RecordingError(f"last = {last}: keep at least one frame")
-        if every < 1:
+        if every is not None and every < 1:
             raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
         try:
             named = units or source.model.units
@@ -104,7 +105,8 @@ class Recorder:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_output(self.path, force)
-        self._source, self._every, self._exact, self._force = source, every, exact, force
+        self.every = source.model.every if every is None else every
+        self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
         self._title, self._duration = title, duration
@@ -136,7 +138,7 @@ class Recorder:
         call, self._calls = self._calls, self._calls + 1
         if call and self._stepped is not None:
             self._stepped()
-        if self._ended or call % self._every:
+        if self._ended or call % self.every:
             return not self._ended
         setup = self._setup
         if setup is None:

@@ -62,6 +62,9 @@ class Model:
         s, the shortest step to expect; 0 if unknown.
     units
         Of all numbers, as in `Recorder`; empty: SI.
+    every
+        Calls of `Recorder.frame` for one frame, unless the recorder is told: more than 1 where the engine takes long
+        to hand over a state.
     """
 
     engine: str
@@ -79,6 +82,7 @@ class Model:
     collides: bool = True
     time_step: float = 0.0
     units: str = ""
+    every: int = 1
 
 
 @dataclass(slots=True)
