@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
+from carom.experiment.crosscheck.crosscheck import Crosscheck
+from carom.experiment.crosscheck.runs import Followed, Runs, Task
+from carom.experiment.engines.engine import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.bundled import crosscheck_scenes
 from carom.scene.schema import Scene
@@ -91,6 +95,35 @@ def test_the_same_command_measures_nothing_twice(checked: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert [len(run["costs"]) for run in json.loads(done.stdout)["runs"]] == [1] * 5
     assert before == {path.name: path.stat().st_mtime_ns for path in (checked / "out").glob("mujoco*.rrd")}
+
+
+class InterruptedRuns(Runs):
+    """Follows runs in this process, and is interrupted in place of following one more than it may."""
+
+    def __init__(self, allowed: int) -> None:
+        super().__init__(1)
+        self.allowed, self.followed = allowed, list[str]()
+
+    def result(self, task: Task) -> Followed:
+        if len(self.followed) == self.allowed:
+            raise KeyboardInterrupt
+        self.followed.append(task.setting.name)
+        return super().result(task)
+
+
+def test_an_interruption_loses_only_the_run_that_is_being_followed(tmp_path: Path) -> None:
+    scene = tmp_path / "pair.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    engines = engines_called(["rebound", "mujoco"])
+    followed = []
+    for allowed in (1, 2, 9):
+        runs = InterruptedRuns(allowed)
+        check = Crosscheck(Scene.load(scene), engines, tmp_path / "out", runs=runs)
+        with nullcontext() if allowed == 9 else pytest.raises(KeyboardInterrupt):
+            check.follow(lambda text: None)
+        followed.append(runs.followed)
+    assert [len(names) for names in followed] == [1, 2, 1]
+    assert len({name for names in followed for name in names}) == 4  # of each engine the two steps
 
 
 def test_what_an_engine_cannot_represent_is_named_before_anything_runs(tmp_path: Path) -> None:

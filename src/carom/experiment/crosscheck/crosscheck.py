@@ -92,7 +92,7 @@ class Crosscheck:
             raise ExperimentError("; ".join(self.refused.values()))
         self.engines = able
         self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit)
-        self.study.follow_engine = self._follow
+        self.study.follow_engine, self.study.examine = self._follow, self._examine
         if not self.force:
             self._load()
 
@@ -110,15 +110,8 @@ class Crosscheck:
 
     def follow(self, tell: Teller) -> None:
         """Follow and examine the runs that are not yet; nothing is timed."""
-        self.study.measure(self._settings(), 0, tell)
-        asked = {engine.name for engine in self.engines} | {OWN.engine}
-        for result in self.results:
-            name = result.setting.name
-            if name in self.examinations or result.setting.engine not in asked:
-                continue
-            tell(f"{name}: laws")
-            self.examinations[name] = self._examined(result)
-            self._save()
+        for result in self.study.measure(self._settings(), 0, tell):
+            self._examine(result, tell)  # what an interruption kept from it
 
     def time(self, repeats: int, tell: Teller) -> None:
         """Time each run so many times, in turns."""
@@ -155,6 +148,14 @@ class Crosscheck:
         if followed.trajectory is None:
             raise ExperimentError(followed.reason)
         return followed.trajectory
+
+    def _examine(self, result: Result, tell: Teller) -> None:
+        """Examine a run that was followed, unless it has been, and save the result."""
+        name = result.setting.name
+        if name not in self.examinations:
+            tell(f"{name}: laws")
+            self.examinations[name] = self._examined(result)
+            self._save()
 
     def _examined(self, result: Result) -> Examination:
         """Look at a run that is measured."""

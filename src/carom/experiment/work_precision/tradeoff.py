@@ -53,6 +53,7 @@ MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, a
 
 Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
+Examiner = Callable[["Result", Teller], None]  # of a run that was followed
 
 
 @dataclass
@@ -128,6 +129,7 @@ class Study:
         self.reference: Reference | None = None
         self.budget = min(BUDGET, limit)  # s, for the reference
         self.follow_engine: EngineFollower = self._followed
+        self.examine: Examiner = _leave
         self._busy = 0.0
         output_folder(folder)
         if (folder / DOCUMENT).exists() and not force:
@@ -165,6 +167,7 @@ class Study:
                 tell(heading)
                 self._follow(result, lambda text: tell(heading + text))  # noqa: B023
                 self._save()
+                self.examine(result, tell)
         for turn in range(repeats):
             for number, result in enumerate(results, start=1):
                 if result.status == "measured" and len(result.costs) <= turn:
@@ -398,6 +401,10 @@ def _reference_entry(reference: Reference) -> dict[str, Any]:
 
 def _numbers(errors: Errors) -> dict[str, float | None]:
     return {name: _number(value) for name, value in asdict(errors).items()}
+
+
+def _leave(result: Result, tell: Teller) -> None:
+    """Examine nothing besides the errors."""
 
 
 def _number(value: float) -> float | None:
