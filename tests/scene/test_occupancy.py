@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.placement import occupancy, place
+from carom.physics.placement import occupancy, place, random_placement
 from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 
@@ -40,6 +40,17 @@ def test_a_start_has_the_same_bits_with_grids_and_without(name: str, monkeypatch
     scene = Scene.from_dict({"seed": 5, **CROWDED[name]})
     fast = place(scene)
     monkeypatch.setattr(occupancy.Occupancy, "pays", staticmethod(lambda *_: False))
+    assert place(scene).position.tobytes() == fast.position.tobytes()
+
+
+def test_a_start_inside_a_periodic_box_has_the_same_bits_as_if_images_were_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    domain = {"boundary": "periodic", "size": [14.0] * 3}
+    group = {"count": 400, "radius": 0.7, "region": {"shape": "box", "size": [14.0] * 3}}
+    scene = Scene.from_dict({"seed": 5, "gravity": {"constant": 0.0}, "domain": domain, "group": [group]})
+    fast = place(scene)
+    monkeypatch.setattr(random_placement, "_is_inside", lambda *_: False)
     assert place(scene).position.tobytes() == fast.position.tobytes()
 
 

@@ -86,7 +86,10 @@ def test_a_dense_region_is_filled_and_one_too_dense_is_refused() -> None:
 
 def test_what_finds_no_room_is_an_error_not_an_endless_loop() -> None:
     # Below the limit on paper, but whole spheres must lie inside: the room left for centres is far smaller.
-    with pytest.raises(SceneError, match="found no room within"):
+    with pytest.raises(
+        SceneError,
+        match=r"found no room within .* lower count or radius, or set group\.0\.arrangement = \"compressed\"",
+    ):
         placed(count=6, radius=1.0, region={"radius": 2.55})
 
 

@@ -57,7 +57,8 @@ def _place_class(
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
-    corners, box = bounds(region), around.box
+    corners = bounds(region)
+    box = None if around.box is None or _is_inside(corners, around.box) else around.box
     occupied = Occupancy(*corners, radius) if box is None and Occupancy.pays(*corners, radius) else None
     drawn = 0
     for _ in range(MOST_ROUNDS):
@@ -87,10 +88,17 @@ def _place_class(
     if len(in_the_way):
         names = " and ".join(around.solids.name[plane] for plane in in_the_way)
         raise SceneError(f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it")
+    denser = "" if region.shape == "plummer" else f', or set group.{index}.arrangement = "compressed"'
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
-        f"placement (packing fraction {packing:.3g}); enlarge the region or lower count or radius"
+        f"placement (packing fraction {packing:.3g}); enlarge the region, lower count or radius{denser}"
     )
+
+
+def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
+    """Tell whether a region is inside a periodic box: spheres in it then touch none of each other's images."""
+    low, high = corners
+    return bool((low >= -0.5 * box).all() and (high <= 0.5 * box).all())
 
 
 def _clean(
