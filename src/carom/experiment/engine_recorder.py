@@ -58,7 +58,7 @@ class Recorder:
         context, and by `write`; otherwise no file is written.
     every
         Record each so many calls of `frame`; by default as many as the source says, which is 1 but for PyBullet with
-        250 bodies and more.
+        200 bodies and more.
     title
         Of the recording; by default the name of the engine.
     duration

@@ -14,15 +14,17 @@ from carom.recording.source.adapters.package import engine_package, named_versio
 from carom.recording.source.source import SPHERE, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
-SLOW = 250  # bodies, which take a thirtieth of a step to hand over their states
-SELDOM = 4  # steps for a frame of 1000 bodies and more: handing them over then takes 4 % of the time
+SLOW = 200  # bodies, which take a thirtieth of a step to hand over their states
+SELDOM = (
+    5  # steps for a frame of 1000 bodies: handing them over then takes 4 % of the time, a sixth if each step has one
+)
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
 class PyBullet:
     """The bodies of a physics server.
 
-    Each body takes two calls to hand over its state, so a `Recorder` takes each fourth frame of 1000 by default.
+    Each body takes two calls to hand over its state, so a `Recorder` takes each fifth frame of 1000 by default.
     PyBullet tells neither the time nor the field: give both, as they were set.
 
     Parameters
