@@ -24,7 +24,7 @@ from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.law import IMPULSES, LAW, Materials, material_index
-from carom.physics.contact.sleep import NO_SLEEPERS, SleepingContacts
+from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.periodic_box import minimum_image

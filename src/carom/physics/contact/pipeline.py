@@ -31,7 +31,8 @@ from carom.physics.contact.islands import largest_values
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of
 from carom.physics.contact.plane_guard import PlaneGuard
-from carom.physics.contact.sleep import NO_SLEEPERS, NOTHING_LOST, Sleepers
+from carom.physics.contact.sleep import NOTHING_LOST, Sleepers
+from carom.physics.contact.sleeping_contacts import NO_SLEEPERS
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver

@@ -13,7 +13,6 @@ Rejected: sleep of single bodies (the bodies above them would wake them in the n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,66 +20,27 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import SleepCheckpoint
-from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED
-from carom.physics.contact.snapshot import late_contacts
+from carom.physics.contact.constraint_graph import empty_graph
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import lay
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
-from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
+from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.contact.union_find import join, root_of
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import SOLO
+from carom.physics.vector import square, write
 from carom.scene.half_space import HalfSpaces
 from carom.scene.schema.contact import Sleep
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-Records = NDArray[np.void]
 
 SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
 ASLEEP = -1.0  # in place of the time for which a body has been slow
 NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
-
-
-@dataclass(frozen=True, slots=True)
-class SleepingContacts:
-    """The contacts between sleepers, and of sleepers with fixed ends; sorted by pair and never written to."""
-
-    pairs: IntArray  # (k, 2)
-    force: FloatArray  # (k, 4) N, the normal and the tangential force
-    contacts: Records  # (k,) CONTACT, with the impulses of one second
-    states: Records  # (k,) CONTACT_STATE
-    normals: FloatArray  # (k, 3)
-    statistics: ContactStatistics
-
-    @property
-    def place(self) -> IntArray:
-        """(k,) index of each one's record."""
-        return np.arange(len(self.pairs))
-
-    def graph(self) -> CollisionGraph:
-        """Return the contacts that touch or carry a force."""
-        colours = np.zeros(len(self.pairs), dtype=np.int64)
-        found = self.pairs, colours, None, self.place, self.contacts, self.states, self.normals
-        return late_contacts(*found)[0].graph
-
-    def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
-        """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
-        contacts = self.contacts.copy()
-        impulses_of(contacts)[:] = dt * self.force
-        return self.pairs, self.place, contacts, self.states, np.zeros(len(self.pairs), RECORDED)
-
-
-NO_SLEEPERS = SleepingContacts(
-    empty_graph().pairs,
-    np.empty((0, 4)),
-    np.empty(0, CONTACT),
-    np.empty(0, CONTACT_STATE),
-    np.empty((0, 3)),
-    NO_CONTACTS,
-)
 
 
 class _Surroundings(NamedTuple):
@@ -290,11 +250,9 @@ def _stop(calm: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
     """Set the velocities of the sleepers to 0."""
     for i in range(len(calm)):
         if calm[i] < 0.0:
-            for k in range(3):
-                velocity[i, k] = 0.0
+            write(velocity, i, 0.0, 0.0, 0.0)
             if len(spin):
-                for k in range(3):
-                    spin[i, k] = 0.0
+                write(spin, i, 0.0, 0.0, 0.0)
 
 
 @kernel
@@ -358,10 +316,7 @@ def _kick_energy(who: Flags, acceleration: FloatArray, inverse_mass: FloatArray,
     energy = 0.0
     for i in range(len(who)):
         if who[i]:
-            a2 = 0.0
-            for k in range(3):
-                a2 += acceleration[i, k] * acceleration[i, k]
-            energy += 0.5 * kick * kick * a2 / inverse_mass[i]
+            energy += 0.5 * kick * kick * square(acceleration, i) / inverse_mass[i]
     return energy
 
 
@@ -381,12 +336,8 @@ def _tire(
     for i in range(len(calm)):
         if calm[i] < 0.0 or inverse_mass[i] == 0.0:
             continue
-        v2, w2 = 0.0, 0.0
-        for k in range(3):
-            v2 += velocity[i, k] * velocity[i, k]
-        if len(spin):
-            for k in range(3):
-                w2 += spin[i, k] * spin[i, k]
+        v2 = square(velocity, i)
+        w2 = square(spin, i) if len(spin) else 0.0
         slow = v2 <= speed * speed and w2 * radius[i] * radius[i] <= SPIN * SPIN * speed * speed
         calm[i] = calm[i] + dt if slow else 0.0
         tired = tired or calm[i] >= after
@@ -425,12 +376,7 @@ def _fall_asleep(
         if inverse_mass[i] == 0.0 or calm[i] < 0.0 or restless[island] or not pressed[island]:
             continue
         slept[i], calm[i] = True, ASLEEP
-        v2, w2 = 0.0, 0.0
-        for k in range(3):
-            v2 += velocity[i, k] * velocity[i, k]
-        energy += 0.5 * v2 / inverse_mass[i]
+        energy += 0.5 * square(velocity, i) / inverse_mass[i]
         if len(spin) and inverse_inertia[i] > 0.0:
-            for k in range(3):
-                w2 += spin[i, k] * spin[i, k]
-            energy += 0.5 * w2 / inverse_inertia[i]
+            energy += 0.5 * square(spin, i) / inverse_inertia[i]
     return energy
