@@ -9,9 +9,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import carom
+from carom.experiment.mismatch import different
 from carom.experiment.replay import Difference, replay
 from carom.experiment.run import simulate
 from carom.physics.checkpoint import Checkpoint
@@ -22,7 +24,7 @@ from carom.physics.status import StepStatus
 from carom.plan.auto import frame_interval
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.schema import checkpoint
+from carom.recording.schema import checkpoint, paths
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
@@ -137,6 +139,23 @@ def test_a_difference_is_told_in_the_units_of_the_scene() -> None:
     assert found.text(units) == told
     impacts = Difference(3, 3600.0, "impacts", None, 2, 3)
     assert impacts.text(units).endswith("impacts, recorded 2, replayed 3, off by 1")
+
+
+def test_each_number_of_a_checkpoint_is_told_with_its_unit() -> None:
+    pile = {"gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}, "contact": {"static_friction": 0.5}}
+    floor = {"plane": [{"normal": [0.0, 0.0, 1.0]}], "body": [{"position": [0.0, 0.0, 0.5], "radius": 0.5}]}
+    space = Space(Scene.from_dict({"time": {"duration": 0.1}, **pile, **floor}))
+    *_, last = space.run()
+    columns = checkpoint.encode([last.checkpoint])
+    assert np.any(columns["held_impulse"][0]), "a contact rests"
+    told = {}
+    for name, (values, _) in columns.items():
+        if isinstance(values, np.ndarray) and values.dtype == np.float64:
+            row = pa.array(values)
+            found = different(1, paths.CHECKPOINT, name, row, pa.array(values + 1.0))
+            told[name] = "" if found is None else found.unit
+    assert [name for name, unit in told.items() if not unit] == ["orientation"]  # has none
+    assert (told["held_impulse"], told["ledger_friction"], told["contact_rest_speed"]) == ("N s", "J", "m/s")
 
 
 def test_one_bit_of_one_velocity_is_enough(tmp_path: Path) -> None:

@@ -21,9 +21,25 @@ _UNITS = {  # of the components of checkpoints and of impacts
     "velocity": "m/s",
     "acceleration": "m/s²",
     "angular_velocity": "rad/s",
+    "normal_impulse": "N s",
+    "tangential_impulse": "N s",
     "time": "s",
     "previous_dt": "s",
+    "contact_rest_speed": "m/s",
+    "contact_dt": "s",
+    "held_impulse": "N s",
+    "held_kick": "s",
+    "integrator_last_dt": "s",
+    "integrator_position_rest": "m",
+    "integrator_velocity_rest": "m/s",
+    "integrator_accepted": "m/s²",
+    "integrator_correction": "m/s²",
+    "orbit_near": "m",
+    "orbit_position": "m",
+    "orbit_velocity": "m/s",
+    "sleep_reference": "m/s²",
 }
+_ENERGIES = ("energy_", "ledger_")  # how those of a checkpoint begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +85,7 @@ def _unit(path: str, name: str) -> str:
     """Name the SI unit of the numbers of a component; empty if they have none, or several."""
     if name in paths.CENTRES:
         return "m"
-    if path == paths.CHECKPOINT and name.startswith("energy_"):
+    if path == paths.CHECKPOINT and name.startswith(_ENERGIES):
         return "J"
     return _UNITS.get(name) or next((series.unit for series in SERIES if series.path == path), "")
 
