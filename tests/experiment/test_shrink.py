@@ -17,9 +17,10 @@ from carom.experiment.shrink.budget import OutOfTime
 from carom.experiment.shrink.condition import condition_from
 from carom.experiment.shrink.delta_debugging import fewest
 from carom.experiment.shrink.expression import Expression, UnknownNameError
+from carom.experiment.shrink.invariance import IMAGES, INVARIANCES, FloatArray, Image, Varies
 from carom.experiment.shrink.literal import Document
 from carom.experiment.shrink.numbers import digits_of, rounded
-from carom.experiment.shrink.observation import Observation
+from carom.experiment.shrink.observation import Observation, Touches
 from carom.experiment.shrink.reducer import Reducer, Reduction
 from carom.experiment.shrink.text import commented
 from carom.experiment.shrink.trials import Trials
@@ -270,3 +271,42 @@ def test_the_backward_cone_has_what_led_to_a_contact_and_not_what_followed() -> 
 def test_rounding_finds_the_digits_that_a_number_needs() -> None:
     assert [digits_of(value) for value in (0.0, 1.0, -2.5, 0.1, 1 / 3)] == [0, 1, 2, 1, 16]
     assert rounded(1234.5, 2) == 1200.0 and rounded(-0.04, 0) == 0.0
+
+
+IN_CM = """
+[units]
+length = "cm"
+time = "ms"
+[time]
+duration = 2000
+fixed_dt = 10
+[gravity]
+constant = 0.0
+[contact]
+restitution = 1.0
+[[body]]
+position = [-300, 0, 0]
+velocity = ["1 m/s", 0, 0]
+radius = 10
+[[body]]
+position = ["0 m", "5 cm", 0]
+"""
+
+
+def said_of(name: str) -> str:
+    space = Space(scene_from_text(IN_CM, ""), threads=1)
+    return Varies(f"invariance {name}", name).said(Observation(space, 0.0, 1, [], Touches(space)))
+
+
+@pytest.mark.parametrize("name", INVARIANCES)
+def test_an_image_of_a_scene_with_units_runs_alike(name: str) -> None:
+    assert said_of(name) == ""
+
+
+def test_an_image_that_does_not_run_alike_is_told_in_the_units_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Elsewhere(Image):
+        def positions(self, position: FloatArray, time: float) -> FloatArray:
+            return position + 0.5
+
+    monkeypatch.setitem(IMAGES, "rotation", lambda space: Elsewhere(exact=False))
+    assert said_of("rotation").startswith("a position is off by 50 cm, and roundings explain ")

@@ -25,12 +25,12 @@ from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.features import require
-from carom.scene.conversion import rescaled
+from carom.scene.conversion import converted, rescaled
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
-from carom.scene.units.dimension import BASE, Dimension
+from carom.scene.units.dimension import BASE, LENGTH, Dimension
 
 FloatArray = NDArray[np.float64]
 
@@ -198,8 +198,8 @@ def applies(name: str, scene: Scene) -> bool:
     needs = require(scene)
     bounded, outside = scene.domain.boundary != "open", bool(scene.plane) or scene.anchored
     match name:
-        case "scaling":  # numbers are converted as decimals, whose digits other units change
-            return not scene.unit_system.converts
+        case "scaling":
+            return True
         case "mirror":  # a tree sorts bodies to one side of a border, a box wraps them to one, and walls have an order
             return not (scene.group or bounded or needs.tree.modelled)
         case "translation" | "boost":
@@ -232,7 +232,9 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     off = float(np.abs(there.position - position).max())
     if off <= allowed or not allowed <= KNOWN * _extent(here.position):
         return ""
-    return f"a position is off by {off:.3g} m, and roundings explain {allowed:.1g} m"
+    units = scene.unit_system
+    explained = units.text(allowed, LENGTH, ".1g")
+    return f"a position is off by {units.text(off, LENGTH, '.3g')}, and roundings explain {explained}"
 
 
 def _grown(document: Document, here: Ending, reach: float, speed: float) -> float:
@@ -294,9 +296,11 @@ def _by_arrays(scene: Scene) -> str:
 
 
 def _explicit(scene: Scene) -> Document:
-    """Return a scene as a document with the defaults that have dimensions."""
-    document: Document = tomllib.loads(scene.toml)
-    document.pop("expect", None)
+    """Return a scene as a document with the defaults that have dimensions, in the units of the simulation."""
+    quantities, units, _ = converted(tomllib.loads(scene.toml))
+    document: Document = {key: value for key, value in quantities.items() if key != "expect"}
+    if units.converts:
+        del document["units"]
     defaults = {("time", "duration"): scene.time.duration, ("time", "max_dt"): scene.time.max_dt}
     for (section, key), value in (defaults | {("gravity", "constant"): scene.gravity.constant}).items():
         if key not in document.get(section, {}):
@@ -305,6 +309,6 @@ def _explicit(scene: Scene) -> Document:
     for k, body in enumerate(document.get(BODIES, []) if start else []):
         assert start is not None
         body.setdefault("radius", float(start.radius[k]))
-        if not scene.unit_system.converts and "density" not in body:
+        if "density" not in body:
             body.setdefault("mass", float(start.mass[k]))
     return document
