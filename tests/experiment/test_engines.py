@@ -57,6 +57,13 @@ def test_steps_of_maps_for_a_dominant_body_are_parts_of_the_shortest_period() ->
     assert "rebound whfast, dt = 0.3142 s" in names
 
 
+def test_rebound_resolves_impacts_of_one_step_in_the_same_order_in_each_run() -> None:
+    scene, rebound = Scene.load("crosscheck/rebound-many-at-once"), engine_called("rebound")
+    setting, times = rebound.examined(scene)[0], sample_times(scene)
+    ends = {rebound.follow(scene, setting, times).position[-1].tobytes() for _ in range(8)}
+    assert len(ends) == 1
+
+
 def test_each_halving_of_leapfrogs_step_in_rebound_quarters_its_error(tmp_path: Path) -> None:
     scene = orbit()
     leapfrog = [s for s in engine_called("rebound").settings(scene) if "leapfrog" in s.name]
