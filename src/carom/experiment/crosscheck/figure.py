@@ -61,6 +61,10 @@ def draw(check: Crosscheck, path: Path) -> None:
                 label=result.setting.name,
             )
             _mark(ax, check.examinations.get(result.setting.name), time, shown, colour, units)
+        ends = units.shown(float(reference.trajectory.time[-1]), TIME)
+        sure = units.shown(reference.horizon, TIME)
+        if sure < ends:
+            ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("parted", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
         ax.set(
@@ -69,7 +73,10 @@ def draw(check: Crosscheck, path: Path) -> None:
             ylabel="rms distance from the reference / size",
             xlim=(0.0, None),
         )
-        ax.set_title(f"{check.scene.title}\ngrey lines: first contacts; crosses: a law is broken first", fontsize=10)
+        marks = "grey lines: first contacts; crosses: a law is broken first"
+        if sure < ends:
+            marks += "; shaded: the reference is no longer sure"
+        ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.savefig(path)

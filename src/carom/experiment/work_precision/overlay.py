@@ -28,6 +28,7 @@ def record(study: Study, path: Path) -> None:
         if result.status == "measured":
             run = study.trajectory(result)
             distance, _ = reference.scale.apart(run, reference.trajectory)
-            trajectories.append(ComparedTrajectory(result.setting.name, run.position, distance))
+            compared = ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
+            trajectories.append(compared)
             longest = run
     write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)

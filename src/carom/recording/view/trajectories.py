@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
+from carom.recording.schema.series import THICK, THIN
 from carom.recording.view.answer_layout import paused
 from carom.recording.view.blueprint import WINDOW
 from carom.recording.view.camera import CameraFit, View
@@ -39,6 +40,7 @@ class ComparedTrajectory:
     name: str
     position: FloatArray  # (K, n, 3) m
     distance: FloatArray  # (K',) of the size of the system; K' ≤ K, up to where there is a reference
+    family: str = ""  # the engine that made it, whose runs share a colour
 
 
 def write_trajectories(
@@ -55,7 +57,8 @@ def write_trajectories(
     radius
         (n,) m.
     trajectories
-        The reference first, which is drawn grey; each of the others has its own colour.
+        The reference first, which is drawn grey. Each family of the others has a colour, and each run without a family;
+        of those that share one, the first has a wide curve.
 
     Raises
     ------
@@ -65,8 +68,7 @@ def write_trajectories(
     clock = Clock.fitting(float(time[-1]), float(time[0]))
     origin = trajectories[0].position[0].mean(axis=0)
     layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
-    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
-    colours = [palette.LINES["grey"], *(hues[k % len(hues)] for k in range(len(trajectories) - 1))]
+    colours, widths = _styles(trajectories)
     names = [f"{number:02d}-{_entity(trajectory.name)}" for number, trajectory in enumerate(trajectories)]
     with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -77,8 +79,8 @@ def write_trajectories(
         }
         writer.send_property("carom", about)
         writer.send_property(PROPERTY, {"courses": "; ".join(each.name for each in trajectories)})
-        for name, trajectory, colour in zip(names, trajectories, colours, strict=True):
-            _send(writer, name, trajectory, colour, time, radius, origin, clock)
+        for name, trajectory, colour, width in zip(names, trajectories, colours, widths, strict=True):
+            _send(writer, name, trajectory, colour, width, time, radius, origin, clock)
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
@@ -88,11 +90,25 @@ def write_trajectories(
         writer.flush()
 
 
+def _styles(trajectories: list[ComparedTrajectory]) -> tuple[list[int], list[float]]:
+    """Return the colour of each run, and the width of its curve."""
+    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
+    families: dict[str, int] = {}
+    colours, widths = [palette.LINES["grey"]], [THIN]
+    for run in trajectories[1:]:
+        number = families.setdefault(run.family or run.name, len(families))
+        colour = hues[number % len(hues)]
+        widths.append(THIN if colour in colours else THICK)
+        colours.append(colour)
+    return colours, widths
+
+
 def _send(
     writer: Writer,
     name: str,
     trajectory: ComparedTrajectory,
     colour: int,
+    width: float,
     time: FloatArray,
     radius: FloatArray,
     origin: FloatArray,
@@ -108,7 +124,7 @@ def _send(
     if n <= PATHS_UP_TO:
         writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
     if len(trajectory.distance):
-        writer.log(f"distance/{name}", curve_style(trajectory.name, colour))
+        writer.log(f"distance/{name}", curve_style(trajectory.name, colour, width))
         decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
         shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
         writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))

@@ -15,9 +15,7 @@ from carom.recording.source.source import SPHERE, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
 SLOW = 200  # bodies, which take a thirtieth of a step to hand over their states
-SELDOM = (
-    5  # steps for a frame of 1000 bodies: handing them over then takes 4 % of the time, a sixth if each step has one
-)
+SELDOM = 5  # steps for a frame of 1000 bodies: reading it takes a sixth of one step
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
