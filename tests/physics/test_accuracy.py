@@ -338,6 +338,13 @@ def test_a_key_that_sets_the_step_contradicts_an_accuracy(key: str, value: float
         scene_of(SPHERES, time={"duration": 1.0, "accuracy": 1e-6, key: value})
 
 
+def test_all_keys_that_contradict_an_accuracy_are_named_at_once() -> None:
+    with pytest.raises(
+        SceneError, match=r"cfl = 0\.2 and smoothing = 0\.5 with .*overrides time\.cfl= and time\.smoothing="
+    ):
+        scene_of(SPHERES, time={"accuracy": 1e-6, "cfl": 0.2, "smoothing": 0.5})
+
+
 def test_late_impacts_contradict_an_accuracy() -> None:
     with pytest.raises(SceneError, match=r'"end-of-step" with time.accuracy = 1e-06: impacts would be late'):
         scene_of(SPHERES, time={"accuracy": 1e-6}, contact={"timing": "end-of-step"})

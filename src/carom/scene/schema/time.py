@@ -82,12 +82,15 @@ class Time(Section):
     def _an_accuracy_sets_the_step(self) -> Self:
         if self.accuracy is None:
             return self
-        for key, default in _STEP_KEYS.items():
-            if getattr(self, key) != default:
-                raise ValueError(
-                    f"{key} = {getattr(self, key)} with accuracy = {self.accuracy:g}, which sets the step; remove one "
-                    f"of them (the override time.{key}= removes it)"
-                )
+        steps = [key for key, default in _STEP_KEYS.items() if getattr(self, key) != default]
+        if steps:
+            given = " and ".join(f"{key} = {getattr(self, key)}" for key in steps)
+            overrides = " and ".join(f"time.{key}=" for key in steps)
+            way = f"override {overrides} removes it" if len(steps) == 1 else f"overrides {overrides} remove them"
+            raise ValueError(
+                f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove the one or the other "
+                f"(the {way})"
+            )
         if self.integrator in _UNCONTROLLED:
             raise ValueError(
                 f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
