@@ -81,6 +81,10 @@ def test_a_notebook_shows_the_summary_of_a_recording(recorded: carom.Recording) 
     assert "801 frames, 800 steps, 4 s" in table
 
 
+def test_a_recording_is_printed_with_its_file_its_size_and_its_end(recorded: carom.Recording) -> None:
+    assert repr(recorded) == f"<Recording {recorded.path}: 2 bodies, 801 frames, completed>"
+
+
 def test_a_space_of_a_name_is_told_how_to_load_the_scene() -> None:
     name: Any = "two-spheres"
     with pytest.raises(TypeError, match=r"Space: a Scene is needed, not str; make one by Scene\.load"):
@@ -91,6 +95,7 @@ def test_a_space_of_a_name_is_told_how_to_load_the_scene() -> None:
     ("call", "error", "said"),
     [
         (lambda: carom.run({}), TypeError, r"not dict; Scene\.from_dict makes one of a dict"),  # type: ignore[arg-type]
+        (lambda: carom.Scene.load("two-spheres", "time.duration=3"), TypeError, r'such as \["time\.duration=3"\]'),  # type: ignore[arg-type]
         (lambda: carom.Scene.from_dict([1]), TypeError, "a dict of sections is needed, not list"),  # type: ignore[arg-type]
         (lambda: carom.Space(carom.Scene.load("two-spheres"), threads=0), ValueError, "a whole number from 1 on"),
         (lambda: carom.Space(carom.Scene.load("two-spheres"), threads="2"), ValueError, "threads = '2'"),  # type: ignore[arg-type]

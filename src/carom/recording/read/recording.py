@@ -20,6 +20,7 @@ from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
 from carom.recording.read.entities import Values
 from carom.recording.read.events import event_table, warnings_of
+from carom.recording.read.given_time import check_times
 from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
@@ -35,6 +36,7 @@ from carom.recording.schema.body_names import names_of
 from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import STEP
+from carom.scene.counted import counted
 from carom.scene.data.columns import BodyColumns
 
 if TYPE_CHECKING:
@@ -108,6 +110,7 @@ class Recording(Statics):
         RecordingError
             If there is no such body or no frame in the interval, or it cannot be run again.
         """
+        check_times(start=start, end=end)
         return trajectory(self, body, start, end, replay=replay)
 
     def impacts(
@@ -146,6 +149,7 @@ class Recording(Statics):
         RecordingError
             If there is no such body, nothing of the interval is recorded, or it cannot be run again.
         """
+        check_times(start=start, end=end)
         return impacts(self, start, end, body, replay=replay, watch=watch)
 
     def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
@@ -173,6 +177,7 @@ class Recording(Statics):
         RecordingError
             If the time is not in the recording, or it cannot be run again.
         """
+        check_times(at=at)
         return contacts(self, at, replay=replay, watch=watch)
 
     @named
@@ -307,12 +312,18 @@ class Recording(Statics):
         RecordingError
             If there is no frame, or the given time is not in the recording.
         """
+        check_times(at=at)
         return moment(self, at)
 
     @named
     def summary(self) -> dict[str, Any]:
         """Return the summary that `carom inspect` prints, as nested numbers and strings."""
         return summary(self)
+
+    def __repr__(self) -> str:
+        """Return the file, the number of bodies and frames, and how the run ended."""
+        bodies = counted(int(self.info["bodies"]), "body")
+        return f"<Recording {self.path}: {bodies}, {counted(self.frames, 'frame')}, {self.outcome}>"
 
     def _repr_html_(self) -> str:
         """Return the summary as a table, for notebooks."""

@@ -106,6 +106,8 @@ class Scene(Forces, Heading):
         if not isinstance(source, str | PathLike):
             made = "; Scene.from_dict makes one of a dict" if isinstance(source, dict) else ""
             raise TypeError(f"a scene is the path of a file or a bundled name, not {type(source).__name__}{made}")
+        if isinstance(overrides, str):
+            raise TypeError(f'overrides are a list of texts, such as ["{overrides}"]')
         from carom.scene.load import load_scene  # noqa: PLC0415 - load needs Scene
 
         return load_scene(source, overrides or [])
