@@ -77,7 +77,7 @@ class PyBullet:
             gravity=gravity,
             planes=[_plane(package, b, shapes[b][0], k, client) for k, b in enumerate(planes)],
             time_step=time_step,
-            every=min(SELDOM, 1 + len(self._bodies) // SLOW),
+            every=calls_per_frame(len(self._bodies)),
         )
 
     def stepped(self) -> None:
@@ -101,6 +101,11 @@ def pybullet(
 ) -> PyBullet:
     """Return the source of a physics server; see `PyBullet`."""
     return PyBullet(time_step, gravity, client, steps_per_frame)
+
+
+def calls_per_frame(bodies: int) -> int:
+    """Return how many steps to take for a frame, so that handing over the states stays a small part of the time."""
+    return min(SELDOM, 1 + bodies // SLOW)
 
 
 def _rows(pairs: Iterable[Any], count: int, width: int) -> NDArray[np.float64]:
