@@ -20,11 +20,18 @@ from numba.core.typing.templates import AbstractTemplate, Signature
 from numba.extending import intrinsic
 
 from carom.physics.parallel.compilation import QuickFlags, hasten
-from carom.physics.parallel.jit import Compilations
+from carom.physics.parallel.jit import Compilations, entry_of, kernel
 
 
 def double(x: float) -> float:
     return 2.0 * x
+
+
+@kernel
+def root(values: Any, k: int) -> float:
+    if values[k] < 0.0:
+        raise ValueError("negative")
+    return float(np.sqrt(values[k]))
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +45,13 @@ def compiled() -> Any:
 def result(compiled: Any) -> Any:
     (found,) = compiled.overloads.values()
     return found
+
+
+def test_the_entry_of_a_kernel_takes_its_arguments_and_raises_its_exceptions() -> None:
+    entry = entry_of(root, np.full(3, 4.0), 1)
+    assert entry(np.full(2, 9.0), 1) == 3.0
+    with pytest.raises(ValueError, match="negative"):
+        entry(np.full(2, -9.0), 0)
 
 
 def test_a_dispatcher_without_a_cache_has_one_that_does_nothing_to_put_ours_in_its_place(compiled: Any) -> None:

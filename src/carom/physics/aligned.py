@@ -29,12 +29,15 @@ class Room:
         self._dtype = dtype
         self._columns = columns
         self._rows = aligned_empty(0, dtype, columns)
+        self._taken = self._rows
 
     def take(self, count: int) -> NDArray[Any]:
         """Return `count` uninitialised rows; earlier views become invalid."""
-        if count > len(self._rows):
-            self._rows = aligned_empty(count + count // 4, self._dtype, self._columns)
-        return self._rows[:count]
+        if count != len(self._taken):
+            if count > len(self._rows):
+                self._rows = aligned_empty(count + count // 4, self._dtype, self._columns)
+            self._taken = self._rows[:count]
+        return self._taken
 
     @property
     def whole(self) -> NDArray[Any]:
@@ -43,7 +46,7 @@ class Room:
 
     def holds(self, taken: NDArray[Any]) -> bool:
         """Tell whether rows were taken from this memory."""
-        return np.may_share_memory(self._rows, taken)
+        return taken.base is self._rows.base
 
 
 def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[np.void]:

@@ -48,7 +48,7 @@ def solve_order_of(pairs: IntArray, colours: IntArray, independent: bool = True)
         Whether contacts of a colour share no moving body, except for the colour `OVERFLOW`.
     """
     sizes = np.bincount(colours)
-    place, ordered = np.empty(len(pairs), dtype=np.int64), np.empty_like(pairs)
+    place, ordered = np.empty(len(pairs), dtype=np.int64), np.empty((len(pairs), 2), dtype=np.int64)
     edges = np.zeros(len(sizes) + 1, dtype=np.int64)
     pieces = np.empty((len(pairs) // CONTACTS_PER_PIECE + len(sizes), 2), dtype=np.int64)
     _lay_out(pairs, colours, sizes, place, ordered, edges, pieces)

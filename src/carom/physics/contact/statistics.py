@@ -51,8 +51,10 @@ class ContactStatistics(NamedTuple):
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
-        totals = np.empty(1, BLOCK_COUNTS)
-        _add_up(blocks, totals)
+        totals = blocks
+        if len(blocks) != 1:
+            totals = np.empty(1, BLOCK_COUNTS)
+            _add_up(blocks, totals)
         _, _, _, count, impacts, struck, hardest, hard_i, hard_j, deepest, deep_i, deep_j = totals[0].item()
         if count == 0.0:
             return NO_CONTACTS._replace(work=terms_of(blocks))

@@ -91,7 +91,7 @@ class Team:
         work
             A `long_kernel`, which releases the interpreter's lock.
         """
-        if self._pool is None or count < self.least * grain:  # first, because with few bodies calls take most of a step
+        if not self.shares(count, grain):  # first, because with few bodies calls take most of a step
             work(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
@@ -100,6 +100,10 @@ class Team:
                 self._share(work, count, pieces, arguments)
             finally:
                 self._leading.release()
+
+    def shares(self, count: int, grain: int) -> bool:
+        """Tell whether `divide` cuts so much work into pieces."""
+        return self._pool is not None and count >= self.least * grain
 
     def _share(self, work: Callable[..., None], count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
         self._rouse()

@@ -8,8 +8,9 @@ Rejected: reaches that no impact can exceed, which make all bodies neighbours as
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.contact.law import Materials
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
-from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.jit import compile_for, entry_of, kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
 
@@ -89,6 +90,28 @@ def _columns(records: Records, *names: str) -> NDArray[Any]:
 
 
 NO_IMPACTS = Impacts.of(np.empty(0, dtype=IMPACT))
+
+
+class _Kernels(NamedTuple):
+    """The kernels of the trajectories of one run, see `entry_of`."""
+
+    begin: Callable[..., None]
+    predict: Callable[..., None]
+    fill_queue: Callable[..., int]
+    resolve: Callable[..., int]
+
+    @classmethod
+    def of(cls, T: Trajectories, log: Records) -> _Kernels:
+        """Compile the kernels, or load them."""
+        none = np.zeros(0, dtype=np.int64)
+        nobody = Neighbours(none, none, none)
+        compile_for(finish, 0, 0, T)
+        return cls(
+            begin=entry_of(begin, T, 1.0, 0.0),
+            predict=entry_of(predict, 0, 0, nobody, T),
+            fill_queue=entry_of(_fill_queue, T),
+            resolve=entry_of(resolve, nobody, T, log),
+        )
 
 
 class EventDrivenDrift:
@@ -150,19 +173,16 @@ class EventDrivenDrift:
             everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
+        self._kernels = _Kernels.of(self._trajectories, self._log)
         self._compile()
 
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
-        none = np.zeros(0, dtype=np.int64)
-        begin(T, 1.0, 0.0)
+        self._kernels.begin(T, 1.0, 0.0)
         if self._forces:
             self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
-        predict(0, 0, Neighbours(none, none, none), T)
-        _fill_queue(T)
         self._resolve(nobody, T)
-        finish(0, 0, T)
 
     @property
     def is_exhausted(self) -> bool:
@@ -182,19 +202,22 @@ class EventDrivenDrift:
         """
         T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
         if along is not None:
-            T = T._replace(a=along)
+            T = T._replace(a=np.ascontiguousarray(along))
         T.drift["exhausted"] = 0
         farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
         pairs = self._neighbours(farthest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
-            begin(T, dt, kick)
+            self._kernels.begin(T, dt, kick)
             if self._forces:
                 self._find_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
-            self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
-            if _fill_queue(T):
+            if self._team.shares(n, MIN_BODIES_PER_TASK):
+                self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
+            else:
+                self._kernels.predict(0, n, later, T)
+            if self._kernels.fill_queue(T):
                 impacts = self._resolve(pairs, T)
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T)
@@ -247,7 +270,7 @@ class EventDrivenDrift:
         logs: list[Records] = []
         again = True
         while again:
-            count = resolve(neighbours, T, self._log)
+            count = self._kernels.resolve(neighbours, T, self._log)
             logs.append(self._log[:count].copy())
             again = T.drift["queued"][0] > 0
         return Impacts.of(np.concatenate(logs))

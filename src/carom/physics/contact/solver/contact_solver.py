@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -36,7 +37,7 @@ from carom.physics.contact.solver.position_correction import audit_corrections, 
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
-from carom.physics.parallel.jit import inline, kernel, long_kernel
+from carom.physics.parallel.jit import entry_of, inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.half_space import HalfSpaces
 
@@ -109,6 +110,7 @@ class ContactSolver:
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["settles"] = sweeps == "auto" or alternates
         self._code = PhaseCode(friction)
+        self._run: Callable[..., int] | None = None  # `work` for systems of this solver
 
     def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
         """Begin a step: lay out the records of its contacts, and find their geometry.
@@ -158,7 +160,8 @@ class ContactSolver:
             sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=self._settings,
         )
-        self._system.recorded.view(np.float64)[:] = 0.0
+        if self._records:
+            self._system.recorded.view(np.float64)[:] = 0.0
         self.found_normals = self._normals.take(m)
         self._team.divide(m, MIN_PER_TASK, lay, *self._geometry(), rounding, self.found_normals)
 
@@ -308,7 +311,9 @@ class ContactSolver:
         settings = self._settings
         settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
         settings["bias_rate"] = bias_rate
-        system = self._system if against is None else self._system._replace(acceleration=against)
+        system = self._system
+        if against is not None:
+            system = system._replace(acceleration=np.ascontiguousarray(against))
         return self._lead(RESTING, system, max_iterations)
 
     def is_closing(self, dt: float) -> bool:
@@ -336,11 +341,12 @@ class ContactSolver:
     def _work(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Run a job, with the team if there are many contacts; return the number of iterations."""
         self._code.require(job, system)
-        code = self._code.addresses, self._code.kind
+        asked = job, self._code.addresses, self._code.kind, system, max_iterations
+        run = self._run = self._run or entry_of(work, ALONE, *asked)
         if len(system.pairs) < SHARED_FROM:
-            return work(ALONE, job, *code, system, max_iterations)
+            return run(ALONE, *asked)
         with self._team.leading() as board:
-            return work(board, job, *code, system, max_iterations)
+            return run(board, *asked)
 
 
 @kernel

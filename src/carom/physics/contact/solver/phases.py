@@ -34,7 +34,7 @@ from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.line_search import step_length
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.solve import HELD
-from carom.physics.parallel.jit import inline, inner, long_kernel
+from carom.physics.parallel.jit import borrowing, inline, inner
 from carom.physics.parallel.task import assign, do, kind_of, lay_out, raise_fault
 from carom.physics.parallel.thread_team import lead_phase
 
@@ -61,7 +61,7 @@ class Phases(NamedTuple):
     settings: Records
 
 
-@long_kernel
+@borrowing
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
