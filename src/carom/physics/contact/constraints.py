@@ -91,6 +91,8 @@ SETTINGS = np.dtype(
         ("beta", "f8"),  # β of conjugate gradients, weight of the last direction in the next one
         ("negligible", "f8"),  # m/s, slower approaches are no violation
         ("tolerance", "f8"),  # in multiples of `tolerated`
+        ("fastest", "f8"),  # m/s, the fastest approach before the impulses of impacts
+        ("any_rests", "?"),  # whether a contact was at rest then
         ("spins", "?"),  # whether impulses turn bodies
         ("impacts_only", "?"),  # whether resting contacts are skipped
         ("refines", "?"),  # whether conjugate gradients follow the iterations

@@ -377,6 +377,8 @@ class ContactPipeline:
             crossed=self._was_crossed,
             at_impacts=self._event_drift is not None,
         )
+        if not reached:
+            return reached
         fresh = [(level, text) for level, text in reached if text not in self.warned]
         self.warned.update(text for _, text in fresh)
         return fresh

@@ -79,7 +79,14 @@ class Team:
         finally:
             self._leading.release()
 
-    def divide(self, count: int, grain: int, work: Callable[..., None], *arguments: Any) -> None:
+    def divide(
+        self,
+        count: int,
+        grain: int,
+        work: Callable[..., None],
+        *arguments: Any,
+        alone: Callable[..., None] | None = None,
+    ) -> None:
         """Call ``work(lo, hi, *arguments)`` on pieces that make up [0, count).
 
         An exception in a piece is raised here when all pieces are done.
@@ -90,9 +97,11 @@ class Team:
             Elements that take about 10 µs: the smallest piece.
         work
             A `long_kernel`, which releases the interpreter's lock.
+        alone
+            Its `entry_of` these arguments, called where the work is not shared.
         """
-        if not self.shares(count, grain):  # first, because with few bodies calls take most of a step
-            work(0, count, *arguments)
+        if self._pool is None or count < self.least * grain:  # first, because with few bodies calls take most of a step
+            (alone or work)(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
             self._lead_alone()
@@ -100,10 +109,6 @@ class Team:
                 self._share(work, count, pieces, arguments)
             finally:
                 self._leading.release()
-
-    def shares(self, count: int, grain: int) -> bool:
-        """Tell whether `divide` cuts so much work into pieces."""
-        return self._pool is not None and count >= self.least * grain
 
     def _share(self, work: Callable[..., None], count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
         self._rouse()

@@ -213,10 +213,7 @@ class EventDrivenDrift:
                 self._find_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
-            if self._team.shares(n, MIN_BODIES_PER_TASK):
-                self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T)
-            else:
-                self._kernels.predict(0, n, later, T)
+            self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._kernels.predict)
             if self._kernels.fill_queue(T):
                 impacts = self._resolve(pairs, T)
         if len(impacts):

@@ -100,7 +100,6 @@ class ContactSolver:
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._counts: IntArray | None = None  # (n + p,) contacts of each body and plane, once they are needed
-        self._fastest = 0.0  # m/s, the fastest approach before the impulses
         self._body_states = aligned_empty(count, BODY_STATE)
         self._island = np.empty(count, dtype=np.int64)
         self._island_sums = np.empty(count, ISLAND)
@@ -276,11 +275,12 @@ class ContactSolver:
         """
         self._settings["bias_rate"] = bias_rate
         self._settings["impacts_only"] = impacts_only
-        iterations = self._lead(IMPACTS, self._system, max_iterations)
-        found = self._system.found
-        self._fastest = float(found["fastest"].max(initial=0.0))
-        self.any_rests = bool(found["any_rests"].any())
-        return iterations
+        return self._lead(IMPACTS, self._system, max_iterations)
+
+    @property
+    def any_rests(self) -> bool:
+        """Whether a contact was at rest when impacts were last resolved."""
+        return bool(self._settings["any_rests"][0])
 
     def hold(
         self,
@@ -320,7 +320,7 @@ class ContactSolver:
         """Return whether a contact still approaches too fast after the iterations of a step of dt s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
-        negligible = CONVERGED * self._fastest
+        negligible = CONVERGED * float(self._settings["fastest"][0])
         self._team.divide(len(system.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, dt, closing)
         return bool(closing[0])
 

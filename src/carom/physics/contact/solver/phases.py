@@ -110,7 +110,17 @@ def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> in
         if iterations == 0:
             first_change = change
         iterations += 1
+    _sum_up_approaches(phases)
     return iterations
+
+
+@inline
+def _sum_up_approaches(phases: Phases) -> None:
+    """Note the fastest approach of all pieces, and whether a contact is at rest."""
+    fastest, any_rests = 0.0, False
+    for k in range(len(phases.found)):
+        fastest, any_rests = max(fastest, phases.found[k].fastest), any_rests or phases.found[k].any_rests
+    phases.settings[0].fastest, phases.settings[0].any_rests = fastest, any_rests
 
 
 @inline
