@@ -6,8 +6,8 @@ own begins with the last ones, as beside the first run on a machine.
 What tests draw at random, and the examples of Hypothesis, are the same in every run, so that no commit fails by chance.
 CAROM_SEED=random looks for what was not tried yet. The report of a test that failed has its seed.
 
-A shell that starts us in the background has us ignore the interrupt key, and with us the programs that tests start and
-then interrupt.
+A shell that starts us in the background has us ignore the interrupt key, and `nohup` the end of the terminal. The
+programs that tests start and then interrupt would inherit both.
 """
 
 import signal
@@ -24,8 +24,9 @@ settings.register_profile("new", deadline=None, print_blob=True)
 settings.load_profile("new" if is_random() else "same")
 SEED = chosen_seed()
 
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, usual)
 
 
 def pytest_report_header() -> str:

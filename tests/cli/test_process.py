@@ -44,6 +44,19 @@ def wait_for_frames(path: Path, process: subprocess.Popen[str]) -> None:
         time.sleep(0.05)
 
 
+def exit_code(child: int) -> int:
+    """Return how a process ended; one that goes on for a minute is killed."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(0.05)
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    return os.waitstatus_to_exitcode(status)
+
+
 def assert_silent(stderr: str) -> None:
     assert "Traceback" not in stderr and "Exception ignored" not in stderr, stderr
 
@@ -102,8 +115,7 @@ def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: boo
         os.write(terminal, b"\x03")
         while "interrupted: stopped by the user" not in os.read(terminal, 10_000).decode(errors="replace"):
             pass
-    _, status = os.waitpid(child, 0)
-    assert os.waitstatus_to_exitcode(status) == 1
+    assert exit_code(child) == 1
     who = "SIGHUP" if closed else "the user"
     assert Recording.open(path).outcome.startswith(f"interrupted: stopped by {who}")
 
@@ -119,10 +131,10 @@ def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: 
     with contextlib.suppress(OSError):  # EIO: the command has closed its end
         while part := os.read(terminal, 10_000):
             written += part
-    _, status = os.waitpid(child, 0)
+    code = exit_code(child)
     os.close(terminal)
     screen = written.decode()
-    assert os.waitstatus_to_exitcode(status) == 0, screen
+    assert code == 0, screen
     assert_silent(screen)
     progress = re.findall(r"([━╌]{24}) +\d+%  t = [\d.e-]+ s  step (\d+) .*? contacts  energy error [\d.e+-]+", screen)
     steps = [int(step) for _, step in progress]
