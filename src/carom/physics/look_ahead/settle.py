@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from carom.physics.integrators.radau_twin import part
 from carom.physics.look_ahead.error_curve import kept_until, samples, with_start
-from carom.physics.look_ahead.extrapolation import SAFETY, extrapolate, stays
+from carom.physics.look_ahead.extrapolation import SAFETY, TRIED, extrapolate, stays
 from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.trial_run import TrialRun
@@ -165,7 +165,8 @@ class _LookAhead:
             apart.append(self._scale.apart(coarse, fine, 1.0))
             chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy)
             idle = idle + 1 if stays(self._times, apart, kept) else 0
-            if kept >= self._times[-1] or idle == MOST_IDLE or fine.work > MOST_WORK:
+            gains = len(apart) < TRIED or chosen >= 0  # by shorter steps than these
+            if kept >= self._times[-1] or not gains or idle == MOST_IDLE or fine.work > MOST_WORK:
                 break
             coarse = fine
         run = fine if chosen >= 0 else coarse
