@@ -25,6 +25,7 @@ It uses sums, products, quotients and square roots only, so the bits are the sam
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first
 from carom.physics.integrators.radau_nodes import TERMS, WIDTH
 from carom.physics.integrators.radau_step import Motion, accelerate, attempt, motion_of, move, shorten
 from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
-from carom.physics.parallel.jit import borrowing, unowned
+from carom.physics.parallel.jit import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.features import Requirements
 from carom.scene.half_space import half_spaces
@@ -120,12 +121,14 @@ class GaussRadau15:
         tolerance: float = CONVERGED,
     ) -> None:
         self._motion = motion_of(position, velocity, pull, fixed, field)
-        self._softening_squared = softening * softening
-        self._max_dt = max_dt if fixed_dt is None else fixed_dt
+        self._softening_squared = float(softening * softening)
+        self._max_dt = float(max_dt if fixed_dt is None else fixed_dt)
         self._adapts = fixed_dt is None
         self._fraction, self._tolerance = fraction, tolerance
         self._solids = solids
         self._progress = np.zeros(1, PROGRESS)
+        known = self._motion, solids, self._softening_squared, self._progress
+        self._advance: Callable[..., None] = entry_of(advance, *known, 0.0, 0.0, 0, self._max_dt, self._adapts)
         self._arrival = velocity  # at the end of the last step, before impacts there
 
     @property
@@ -162,7 +165,7 @@ class GaussRadau15:
         progress = self._progress
         progress["time"], progress["steps"] = time, 0
         rule = self._max_dt, self._adapts
-        advance(self._motion, self._solids, self._softening_squared, progress, end, until, steps, *rule)
+        self._advance(self._motion, self._solids, self._softening_squared, progress, end, until, steps, *rule)
         last = progress[0]
         times = float(last["before"]), float(last["time"]), float(last["last_dt"])
         meeting = Meeting((int(last["i"]), int(last["j"])), bool(last["rests"])) if last["meets"] else None

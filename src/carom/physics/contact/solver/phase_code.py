@@ -43,11 +43,11 @@ from carom.physics.contact.solver.position_correction import correct_positions
 from carom.physics.contact.solver.prepare import prepare
 from carom.physics.contact.solver.solve import solve_straight, solve_turning
 from carom.physics.contact.solver.warm_start import warm_start
+from carom.physics.parallel.jit import layout_of
 from carom.physics.parallel.task import code_for, kind_for
 
 Phase = Callable[[int, int, ConstraintSystem], None]
 
-OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on it
 POSITIONS, IMPACTS, RESTING = range(3)  # jobs
 PHASES: dict[int, dict[int, Phase]] = {  # of each job
     POSITIONS: {CORRECT_POSITIONS: correct_positions},
@@ -113,7 +113,7 @@ def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> int:
 
 def _kind(system: ConstraintSystem) -> int:
     """Return the kind of a system, which follows from the layouts of its arrays."""
-    layout = tuple((array.dtype, array.ndim, array.flags.num & ~OWNS) for array in system)
+    layout = layout_of(system)
     if layout not in _kinds:
         _kinds[layout] = kind_for(system)
     return _kinds[layout]
