@@ -35,7 +35,7 @@ from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.contact.law import Materials
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
-from carom.physics.parallel.jit import compile_for, entry_of, kernel
+from carom.physics.parallel.jit import entry_of, kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
 
@@ -99,18 +99,19 @@ class _Kernels(NamedTuple):
     predict: Callable[..., None]
     fill_queue: Callable[..., int]
     resolve: Callable[..., int]
+    finish: Callable[..., None]
 
     @classmethod
     def of(cls, T: Trajectories, log: Records) -> _Kernels:
         """Compile the kernels, or load them."""
         none = np.zeros(0, dtype=np.int64)
         nobody = Neighbours(none, none, none)
-        compile_for(finish, 0, 0, T)
         return cls(
             begin=entry_of(begin, T, 1.0, 0.0),
             predict=entry_of(predict, 0, 0, nobody, T),
             fill_queue=entry_of(_fill_queue, T),
             resolve=entry_of(resolve, nobody, T, log),
+            finish=entry_of(finish, 0, 0, T),
         )
 
 
@@ -217,7 +218,7 @@ class EventDrivenDrift:
             if self._kernels.fill_queue(T):
                 impacts = self._resolve(pairs, T)
         if len(impacts):
-            self._team.divide(n, MIN_BODIES_PER_TASK, finish, T)
+            self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._kernels.finish)
         else:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
