@@ -12,11 +12,12 @@ from command import carom
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
 SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")
+TIMED = ("--set", "time.duration=20.0", "--set", "record.every=2")  # some milliseconds, so that costs differ
 
 
 def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measurement(tmp_path: Path) -> None:
     # of the four only Yoshida's keep 1e-8, and a step four times as long costs a quarter
-    done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, cwd=tmp_path)
+    done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *TIMED, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()[-5:]
     assert said[0].startswith("The cheapest of 5 settings tried: integrator = yoshida4, step × 4, ")
@@ -28,8 +29,8 @@ def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measureme
     assert "# Three equal masses chase each other" in text, "the author's comments stay"
     scene = Scene.load(tmp_path / "figure-eight-tuned.toml")
     assert scene.time.fixed_dt == 0.008 and scene.time.integrator == "yoshida4"
-    assert scene.record == Scene.load("figure-eight", ["record.every=0.1"]).record, "frames are where they were"
-    again = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, cwd=tmp_path)
+    assert scene.record == Scene.load("figure-eight", ["record.every=2"]).record, "frames are where they were"
+    again = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *TIMED, cwd=tmp_path)
     assert again.returncode == 2 and "exists; give --force" in again.stderr
 
 
