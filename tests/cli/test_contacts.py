@@ -10,7 +10,9 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
+import carom as library
 from command import carom
+from examples import scene_of
 from merry import RUN_ID
 
 
@@ -19,6 +21,23 @@ def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("1 impact, recorded\n")
     assert "body 0 and body 1" in done.stdout
+
+
+def test_a_step_without_contacts_is_told_with_its_time(folder: Path) -> None:
+    assert carom("contacts", "run.rrd", "--at", "0.5", cwd=folder).stdout == "0 contacts at t = 0.5 s, recorded\n"
+
+
+def test_a_wide_table_has_its_steps_and_modes_whole(tmp_path: Path) -> None:
+    units = "au, day, solar mass"
+    bodies = [
+        {"name": "a planet with a long name " + side, "position": [x, 0, 0], "velocity": [-x, 0, 0], "mass": 1.0}
+        for side, x in (("on the left", -2.0), ("on the right", 2.0))
+    ]
+    time = {"duration": 2.0, "fixed_dt": 1e-3}
+    scene = scene_of(bodies, units=units, time=time, gravity={"constant": 0}, contact={"timing": "end-of-step"})
+    library.run(scene, tmp_path / "run.rrd")
+    line = carom("contacts", "run.rrd", cwd=tmp_path).stdout.splitlines()[-1]
+    assert " 500 " in line and " impact " in line and "…" not in line, line
 
 
 def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def contacts(
         elif as_json:
             say(_json(recording, table))
         else:
-            _print(recording, table, impacts)
+            _print(recording, table, None if impacts else recording.moment(at))
 
 
 def _refuse_contradictions(
@@ -204,34 +205,31 @@ def _source(table: pa.Table) -> str:
     return f"{told['source']}{more}"
 
 
-def _print(recording: Recording, table: pa.Table, impacts: bool) -> None:
+def _print(recording: Recording, table: pa.Table, at: Seconds) -> None:
+    """Print contacts of the step that a time (s) is in, or without one impacts."""
     from rich.table import Table
 
-    from carom.cli.terminal import Terminal
+    from carom.cli.terminal import print_whole
 
     names = _names(recording)
-    what = "impact" if impacts else "contact"
-    count = f"{table.num_rows} {what}{'' if table.num_rows == 1 else 's'}"
-    units, moment = recording.units, ""
-    if table.num_rows and not impacts:
-        moment = f" at t = {units.text(table['time'][0].as_py(), TIME, '.9g')}"
+    count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
+    if at is not None:
+        moment = f" at t = {units.text(table['time'][0].as_py() if table.num_rows else at, TIME, '.9g')}"
     say(f"{count}{moment}, {_source(table)}")
     if table.num_rows == 0:
         return
     shown = Table(box=None, padding=(0, 1), header_style="bold")
     shown.add_column(units.labelled("t", TIME), justify="right", no_wrap=True)
-    shown.add_column("step", justify="right")
+    shown.add_column("step", justify="right", no_wrap=True)
     shown.add_column("between", no_wrap=True)
-    shown.add_column("mode")
+    shown.add_column("mode", no_wrap=True)
     for _, label, dimension in _MEASURED:
         shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
     for row in table.slice(0, MOST_ROWS).to_pylist():
         pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
         values = (_number(row[name], dimension, units) for name, _, dimension in _MEASURED)
         shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
-    console = Terminal()
-    console.width = max(console.width, 160)  # names stay whole
-    console.print(shown)
+    print_whole(shown)
     if table.num_rows > MOST_ROWS:
         say(f"… and {table.num_rows - MOST_ROWS} more; --csv, --json or -o FILE.parquet has all.")
 

@@ -7,8 +7,11 @@ from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
+from rich.table import Table
 
 from carom.cli.text import shown
+
+WIDEST = 10_000  # characters, of a table that is printed whole
 
 
 class Terminal(Console):
@@ -21,3 +24,11 @@ class Terminal(Console):
         """Render, and escape what is text."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(shown(segment.text), segment.style)
+
+
+def print_whole(table: Table) -> None:
+    """Print a table with all its cells whole, wider than the terminal if they need it."""
+    console = Terminal()
+    needed = console.measure(table, options=console.options.update(width=WIDEST)).maximum
+    console.width = max(console.width, needed)
+    console.print(table)

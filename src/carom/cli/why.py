@@ -233,7 +233,7 @@ def _contacts_text(account: Account) -> str:
 def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     from rich.table import Table
 
-    from carom.cli.terminal import Terminal
+    from carom.cli.terminal import print_whole
 
     if not account.causes:
         return
@@ -250,9 +250,7 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
         numbers = (f"{impulse:.4g}", f"{work:+.4g}", lost, f"{cause.share:.1%}")
         time = f"{units.shown(cause.moment, TIME):.9g}"
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
-    console = Terminal()
-    console.width = max(console.width, 160)
-    console.print(table)
+    print_whole(table)
     if len(account.causes) > MOST_CAUSES:
         say(f"  … and {len(account.causes) - MOST_CAUSES} more; --json has all.")
 
