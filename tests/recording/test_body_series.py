@@ -38,11 +38,18 @@ def test_bodies_are_asked_for_by_name_or_number_also_with_dots_in_the_name(throw
     assert [(body, quantity.name) for body, quantity in asked] == [(0, "z"), (1, "speed"), (2, "vx"), (0, "omega")]
 
 
+def test_names_with_commas_are_asked_for_as_they_are(tmp_path: Path) -> None:
+    bodies = [{"name": name, "position": [3 * k, 0, 0]} for k, name in enumerate(("Ceres, dwarf", "Vesta"))]
+    simulate(Space(scene_of(bodies, time={"duration": 0.1})), tmp_path / "run.rrd")
+    asked = asked_quantities(Recording.open(tmp_path / "run.rrd"), "Ceres, dwarf.x,Vesta.z, Ceres, dwarf.speed")
+    assert [(body, quantity.name) for body, quantity in asked] == [(0, "x"), (1, "z"), (0, "speed")]
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("top.height", 'no quantity "height"; there are x, y, z (m), vx, vy, vz, speed (m/s) and wx, wy, wz, omega'),
-        ("bottom.z", 'no body "bottom"; its bodies are 0 to 2, called top, no. 1'),
+        ("bottom.z", 'no body "bottom"; its bodies are 0 to 2, called "top", "no. 1"'),
         ("tpo.z", 'did you mean "top"?'),
         ("7.z", 'no body "7"'),
         ("top", 'expected BODY.QUANTITY, such as 0.speed; "top" is not'),

@@ -109,7 +109,7 @@ def test_bodies_say_whether_they_are_from_a_checkpoint_or_a_replay(recording: Re
     [
         ("lfet", r'has no body "lfet"; did you mean "left"\? Its bodies are 0 to 3'),
         ("far", r'2 bodies called "far"; give the number'),
-        (4, r'has no body "4"; its bodies are 0 to 3, called left, right, far, far'),
+        (4, r'has no body "4"; its bodies are 0 to 3, called "left", "right", "far", "far"'),
         (-1, r'has no body "-1"'),
     ],
 )

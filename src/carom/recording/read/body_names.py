@@ -1,9 +1,9 @@
-"""Finds a body by its number or its name."""
+"""Finds bodies by their numbers or names."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from carom.recording.errors import RecordingError
@@ -41,6 +41,18 @@ def body_number(recording: Recording, body: int | str) -> int:
     raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
 
 
+def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
+    """Split a text at its commas, but not within one of the names."""
+    whole = {name for name in names if "," in name}
+    most = max((name.count(",") + 1 for name in whole), default=1)
+    pieces, parts = text.split(","), []
+    while pieces:
+        joined = [",".join(pieces[:count]).strip() for count in range(min(most, len(pieces)), 1, -1)]
+        parts.append(next((name for name in joined if name in whole), pieces[0].strip()))
+        del pieces[: parts[-1].count(",") + 1]
+    return parts
+
+
 def _others(text: str, names: Sequence[str]) -> str:
     """List the bodies, and suggest the nearest name."""
     count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
@@ -48,5 +60,6 @@ def _others(text: str, names: Sequence[str]) -> str:
     near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
     if near:
         return f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
-    called = f", called {', '.join(own)}" if own and len(names) <= _MOST_NAMED else ""
+    quoted = ", ".join(f'"{name}"' for name in own)
+    called = f", called {quoted}" if own and len(names) <= _MOST_NAMED else ""
     return count + called

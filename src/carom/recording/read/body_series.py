@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
-from carom.recording.read.body_names import body_number
+from carom.recording.read.body_names import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import STEP
 from carom.scene.names import body_called
@@ -75,10 +75,11 @@ def asked_quantities(recording: Recording, text: str) -> list[tuple[int, Quantit
         If there is no such body or quantity.
     """
     asked: dict[tuple[int, Quantity], None] = {}
-    for part in text.split(","):
-        body, _, name = part.strip().rpartition(".")
+    with_commas = [body for body in recording.bodies.name if "," in body]
+    for part in split_at_commas(text, (f"{body}.{name}" for body in with_commas for name in QUANTITIES)):
+        body, _, name = part.rpartition(".")
         if not body:
-            raise RecordingError(f'plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part.strip()}" is not')
+            raise RecordingError(f'plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part}" is not')
         if name not in QUANTITIES:
             raise RecordingError(f'plot {text}: there is no quantity "{name}"; there are {_all_quantities()}')
         asked[body_number(recording, body), QUANTITIES[name]] = None

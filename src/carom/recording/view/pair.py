@@ -9,7 +9,7 @@ import numpy as np
 
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
-from carom.recording.read.body_names import body_number
+from carom.recording.read.body_names import body_number, split_at_commas
 from carom.recording.read.impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import SIM_TIME, STEP
@@ -36,7 +36,7 @@ def named_pair(recording: Recording, text: str) -> Pair:
     RecordingError
         If they are not two bodies of the recording.
     """
-    given = [part.strip() for part in text.split(",")]
+    given = split_at_commas(text, recording.bodies.name)
     if len(given) != 2 or not all(given):
         raise RecordingError(f"bodies {text}: expected two bodies with a comma between them, such as 0,1")
     first, second = (body_number(recording, part) for part in given)
