@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,10 @@ from carom.recording.view import close_up, shown_step
 from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
 from carom.recording.view.request import Request
+from carom.recording.view.trails import Trails
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
+from examples import pair, scene_of
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +31,13 @@ def bounce(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 def rows_of(path: str, shown: list[Rows]) -> list[Rows]:
     return [rows for rows in shown if rows.path == path]
+
+
+def values_of(path: str, component: str, shown: list[Rows]) -> list[Any]:
+    """Return the values of a component of an entity, row by row."""
+    columns = [column for rows in rows_of(path, shown) for column in rows.columns]
+    own = [column for column in columns if str(column.component_descriptor()).split(":")[-1] == component]
+    return [values for column in own for values in column.as_arrow_array().to_pylist()]
 
 
 def test_a_moment_between_two_frames_shows_the_step_itself(bounce: Recording) -> None:
@@ -75,11 +85,46 @@ def test_the_close_up_follows_its_bodies_through_all_frames(bounce: Recording) -
     assert {step for found in rows for step in found.steps.tolist()} >= set(bounce.fingerprints()["step"].to_pylist())
 
 
+def test_the_close_up_shows_two_bodies_that_meet_through_a_periodic_border_side_by_side(tmp_path: Path) -> None:
+    left = {"position": [-1.2, 0, 0], "velocity": [-1, 0.1, 0], "radius": 0.3}
+    right = {"position": [1.2, 0.2, 0], "velocity": [0.5, 0, 0], "radius": 0.3}
+    box = {"boundary": "periodic", "size": [4, 4, 4]}
+    scene = scene_of([left, right], gravity={"constant": 0}, domain=box, time={"duration": 1, "max_dt": 0.01})
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    rows = list(presentation(recording, recording.moment()).supplement.rows)
+    for bodies in values_of(close_up.BODIES, "centers", rows):
+        assert np.abs(np.subtract(*bodies)).max() <= 2.0, "half the box"
+    edge = values_of(close_up.EDGE, "strips", rows)[0][0]
+    assert np.linalg.norm(np.subtract(*edge)) == pytest.approx(0.6, abs=0.01), "two radii"
+    normal, impulse = (values_of(path, "origins", rows)[0][0] for path in (close_up.NORMAL, close_up.IMPULSE))
+    assert np.linalg.norm(np.subtract(normal, impulse)) == pytest.approx(0.3, abs=0.01), "on the first body"
+
+
+@pytest.mark.parametrize("met", [False, True])
+def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
+    met: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    included = []
+    monkeypatch.setattr(Trails, "show", lambda self, camera, until: included.append(until))
+    scene = pair(offset=0.0 if met else 3.0, time={"duration": 2.0, "fixed_dt": 0.1})
+    presentation(carom.run(scene, tmp_path / "run.rrd"), 2.0)
+    assert included == ([] if met else [2.0])
+
+
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
     assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
     for name in ("impact", "overlap"):
         assert event(bounce, name) == (bounce.closing[f"moments.{name}.time"], Pair(0, 1))
     assert event(bounce, "first-contact")[0] == pytest.approx(bounce.moment(), abs=1e-8)
+
+
+def test_a_pair_is_found_by_names_with_commas(tmp_path: Path) -> None:
+    bodies = [{"name": name, "position": [3 * k, 0, 0]} for k, name in enumerate(("Ceres, dwarf", "Vesta, 4", "Vesta"))]
+    recording = carom.run(scene_of(bodies, time={"duration": 0.1}), tmp_path / "run.rrd")
+    assert named_pair(recording, "Ceres, dwarf,Vesta, 4") == Pair(0, 1)
+    assert named_pair(recording, "Vesta,Ceres, dwarf") == Pair(0, 2)
+    with pytest.raises(RecordingError, match="expected two bodies with a comma between them"):
+        named_pair(recording, "Ceres, dwarf")
 
 
 def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> None:

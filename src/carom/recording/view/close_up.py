@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
+from carom.physics.periodic_box import minimum_images
 from carom.recording.read.names import names_of
 from carom.recording.read.positions import DrawnPaths, drawn_paths
 from carom.recording.read.recording import Recording
@@ -87,11 +88,13 @@ class CloseUp:
     names: str  # of the bodies, or of the body and the plane
     bodies: tuple[int, ...]  # only one if it touches a plane
     step: ShownStep
+    position: FloatArray  # (b, 3) m, at that step
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
     spin: FloatArray | None  # (b, 3) rad/s
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
     origin: FloatArray  # (3,) m, of the recording
+    box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
     eye: View
 
     def view(self, header: Header) -> rrb.Spatial3DView:
@@ -141,7 +144,7 @@ class CloseUp:
             turned = None
             if step.frame is not None and step.frame.orientation is not None:
                 turned = step.frame.orientation[chosen].astype(np.float32)
-            yield from self._placed([step.step], [step.time], step.position[None, chosen], turned)
+            yield from self._placed([step.step], [step.time], self.position[None], turned)
             return
         yield from self._placed(
             self.paths.steps.tolist(), self.times.tolist(), self.paths.position, self.paths.orientation
@@ -159,7 +162,8 @@ class CloseUp:
         self, steps: list[int], times: list[float], position: NDArray[np.floating], turned: NDArray[np.float32] | None
     ) -> Iterable[Rows]:
         """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
-        centres = position.reshape(-1, 3).astype(np.float32)
+        placed = _nearest_images(position.astype(np.float64), self.box)
+        centres = placed.reshape(-1, 3).astype(np.float32)
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
         yield Rows(
@@ -168,8 +172,8 @@ class CloseUp:
             columns.partition([position.shape[1]] * len(steps)),
             centres.nbytes,
         )
-        here = self.step.position[list(self.bodies)].mean(axis=0)
-        middle = position.mean(axis=1) + (self.eye.target - here)
+        here = self.position.mean(axis=0)
+        middle = placed.mean(axis=1) + (self.eye.target - here)
         corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
         ends = np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3).astype(np.float32)
         yield Rows(
@@ -211,7 +215,7 @@ class CloseUp:
         signs = np.array([-1.0, 1.0])[: len(radius)]
         vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / (size or 1.0)
         labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
-        return _Arrows(IMPULSE, self.step.position[list(self.bodies)][drawn], vectors, labels)
+        return _Arrows(IMPULSE, self.position[drawn], vectors, labels)
 
     def _spins(self, small: float, units: UnitSystem) -> _Arrows:
         spin = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
@@ -219,7 +223,7 @@ class CloseUp:
         turning = speed > 0.0
         vectors = _SPIN * small * spin[turning] / (speed.max() or 1.0)
         labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
-        return _Arrows(SPIN, self.step.position[list(self.bodies)][turning], vectors, labels)
+        return _Arrows(SPIN, self.position[turning], vectors, labels)
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Rows:
         """Return a row at the step, and an empty one at the next step that the viewer has."""
@@ -243,15 +247,17 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, 
     frame, spin = step.frame, None
     if frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]
-    contact = None if frame is None else _contact(header, step, frame, pair)
+    position = _nearest_images(step.position[places], header.box)
+    contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
     frames = recording.fingerprints()
     found, times = None, np.zeros(0)
     if 28 * len(recording.shown) * recording.frames < _MOST_BYTES:
         found = drawn_paths(recording, places)
         own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
         times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
-    eye_of_pair = _fit(header.radius[places], step.position[places], contact).view(aspect)
-    return CloseUp(names, tuple(places), step, contact, spin, found, times, recording.origin, eye_of_pair)
+    eye_of_pair = _fit(header.radius[places], position, contact).view(aspect)
+    origin, box = recording.origin, header.box
+    return CloseUp(names, tuple(places), step, position, contact, spin, found, times, origin, box, eye_of_pair)
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
@@ -266,8 +272,16 @@ def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> C
     return CameraFit(_ROOM * radius, position, to_eye=_aside(normal))
 
 
-def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Contact | None:
-    """Find the contact of a pair in a step; with planes, the one of the largest impulse."""
+def _nearest_images(position: FloatArray, box: FloatArray | None) -> FloatArray:
+    """Return the positions, (..., b, 3) m, of the first body and of the images of the others nearest to it."""
+    if box is None:
+        return position
+    first = position[..., :1, :]
+    return first + minimum_images(position - first, box)
+
+
+def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, origin: FloatArray) -> Contact | None:
+    """Find the contact of a pair at (b, 3) m in a step; with planes, the one of the largest impulse."""
     rows, n = frame.contact_rows, header.bodies
     if rows is None:
         return None
@@ -276,10 +290,11 @@ def _contact(header: Header, step: ShownStep, frame: Frame, pair: Pair) -> Conta
         return None
     row = found[int(np.argmax(found["normal_impulse"]))]
     normal = np.array([row["nx"], row["ny"], row["nz"]])
-    point = np.array([row["x"], row["y"], row["z"]]) - (frame.position[pair.i] - step.position[pair.i])
-    end = point if pair.j is None else step.position[pair.j]
+    place = np.array([row["x"], row["y"], row["z"]]) - origin
+    point = _nearest_images(np.stack([position[0], place]), header.box)[1]
+    end = point if pair.j is None else position[1]
     impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
-    return Contact(point, normal, float(row["approach_speed"]), impulse, np.stack([step.position[pair.i], end]))
+    return Contact(point, normal, float(row["approach_speed"]), impulse, np.stack([position[0], end]))
 
 
 def _aside(normal: FloatArray | None) -> FloatArray | None:

@@ -133,7 +133,7 @@ def presentation(
     rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
     statics = list(close.statics(header)) if close else []
     if trails is not None:
-        if not header.collides:  # orbits: the paths must be inside the view
+        if not _meet(recording, header):  # orbits: the paths must be inside the view
             trails.show(camera, step.time)
         rows += trails.rows()
         statics += trails.statics()
@@ -147,6 +147,11 @@ def presentation(
     layout = blueprint(header, camera, recorded_curves(recording), canvas, only, added)
     clock = Clock(float(recording.info["time_scale"]))
     return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
+
+
+def _meet(recording: Recording, header: Header) -> bool:
+    """Tell whether bodies touched, or may have: a run that was killed has not counted its contacts."""
+    return header.collides and recording.closing.get("contacts.total") != 0
 
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
