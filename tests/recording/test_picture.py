@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from carom import Scene, run
 from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.view import impulse_scale
@@ -40,6 +41,15 @@ def graph_view(pixels: Pixels) -> Pixels:
 
 def plots(pixels: Pixels) -> Pixels:
     return region(pixels, 0.0, 0.58, 1.0, 0.78)
+
+
+def test_a_picture_does_not_replace_what_is_no_picture(tmp_path: Path) -> None:
+    run(Scene.load("two-spheres", ["time.duration=0.1"]), tmp_path / "run.rrd")
+    before = (tmp_path / "run.rrd").read_bytes()
+    for name in ("run.rrd", "run.jpg", "run"):
+        with pytest.raises(RecordingError, match=f"cannot write .*{name}: a picture is a .png"):
+            render(tmp_path / "run.rrd", Request(), tmp_path / name)
+    assert (tmp_path / "run.rrd").read_bytes() == before
 
 
 @pytest.mark.slow

@@ -107,6 +107,8 @@ def _refuse_unwritable(path: Path) -> None:
     """Raise RecordingError for a file that cannot be written, before a minute of rendering."""
     if path.is_dir():
         raise RecordingError(f"cannot write {path}: it is a folder; name a file")
+    if path.suffix.lower() != ".png":
+        raise RecordingError(f"cannot write {path}: a picture is a .png")
     if not path.parent.is_dir():
         raise RecordingError(f"cannot write {path}: there is no folder {path.parent}")
     if not os.access(path if path.exists() else path.parent, os.W_OK):
