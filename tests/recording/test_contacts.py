@@ -23,6 +23,7 @@ from carom.physics.space import Space
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.impacts import impacts_by_number
+from carom.recording.read.moment import frame_of
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import Entry, decode
@@ -388,3 +389,12 @@ def test_of_impacts_that_are_equally_hard_the_first_are_kept() -> None:
         _, chosen = BatchContacts([frame]).strongest_impacts(np.array([count]))
         expected = np.sort(np.argsort(-frame.impacts["normal_impulse"], kind="stable")[:count])
         assert chosen.tolist() == expected.tolist()
+
+
+def test_after_many_steps_a_frame_is_found_by_its_own_time(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = pa.table({"time": [0.0, 157525020.0, 157788000.0], "dt": [0.0, 1.0, 1.0]})  # one step a second
+    monkeypatch.setattr(Recording, "steps", lambda self, name: steps)
+    assert [frame_of(recording, time) for time in steps["time"].to_pylist()] == [0, 1, 2]
+    assert frame_of(recording, 157787000.0) is None

@@ -57,6 +57,9 @@ def frame_of(recording: Recording, at: float) -> int | None:
     """
     steps = recording.steps("dt")
     times, goal = _column(steps, "time"), at - tolerance(at)
+    exact = int(np.searchsorted(times, at))
+    if exact < len(times) and times[exact] == at:  # after 10⁸ steps the tolerance is longer than one
+        return exact
     row = min(int(np.searchsorted(times, goal)), len(times) - 1)
     began = times[row] - _column(steps, "dt")[row]
     return row if row == 0 or goal > times[-1] or goal > began else None
