@@ -169,8 +169,9 @@ class Recording(Statics):
         Returns
         -------
         contacts
-            The columns of `impacts`. In what was recorded, approach_speed and energy_lost are null but for impacts.
-            The metadata of the schema has the ``source``.
+            The columns of `impacts`. In what was recorded, approach_speed and energy_lost are null but for impacts, and
+            contacts that held after the first kick but opened within the step are missing. The metadata of the schema
+            has the ``source``.
 
         Raises
         ------
