@@ -14,6 +14,7 @@ import pytest
 
 from carom.experiment.report import worst_moment
 from carom.recording.read.recording import Recording
+from carom.recording.schema.impacts import RecordedImpacts
 from carom.scene.parts import unknown
 from carom.scene.schema import Scene
 from command import carom, carom_process
@@ -88,6 +89,30 @@ def test_a_plane_is_called_by_its_name_and_not_a_body(tmp_path: Path) -> None:
         shown = carom("inspect", file, cwd=tmp_path).stdout
         assert 'J of approach (½ μ v_n²), body 1 "ball" and floor [x], at step' in shown
     assert worst_moment(Recording.open(tmp_path / "x.rrd"))[1].endswith('body 1 "ball" and floor [x]')
+
+
+def test_inspect_counts_in_the_singular_and_the_plural(tmp_path: Path) -> None:
+    scene_file(tmp_path, "time = { duration = 0.5, fixed_dt = 0.5 }\n[[body]]\nposition = [0, 0, 0]\n")
+    carom("run", "scene.toml", "-o", "x.rrd", cwd=tmp_path)
+    shown = carom("inspect", "x.rrd", cwd=tmp_path).stdout
+    assert ", 1 body " in shown and "2 frames, 1 step, 0.5 s simulated" in shown
+    assert [str(RecordedImpacts(count)) for count in (0, 1, 2)] == [
+        "none",
+        "the only one is recorded",
+        "all 2 recorded",
+    ]
+
+
+def test_the_commands_that_inspect_names_take_the_zip_of_a_report(tmp_path: Path) -> None:
+    carom("run", "two-spheres", "-o", "x.rrd", cwd=tmp_path)
+    assert carom("report", "x.rrd", "-o", "x.zip", cwd=tmp_path).returncode == 0
+    for command in ("clip --around 1.6 --window 0.1", "picture --at 99", "view --at 99"):
+        name, *options = command.split()
+        done = carom(name, "x.zip", *options, cwd=tmp_path)
+        assert "is not a recording" not in done.stderr
+        assert "99 s is not in it" in done.stderr if "99" in options else done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "x-clip.rrd").frames > 1
+    assert "x.zip is not a recording (it is a zip: unpack it" in carom("diff", "x.zip", "x.rrd", cwd=tmp_path).stderr
 
 
 def test_inspect_shows_where_the_time_of_a_step_went(tmp_path: Path) -> None:

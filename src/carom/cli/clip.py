@@ -42,26 +42,32 @@ def clip(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Cut an interval out of a recording; the clip can be viewed, inspected and replayed like the whole."""
+    """Cut an interval out of a recording; the clip can be viewed, inspected and replayed like the whole.
+
+    FILE may be the zip that `carom report` made.
+    """
     import json
     from dataclasses import asdict
 
     from carom.cli.units import bytes_text
     from carom.experiment.output import refuse_output
+    from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
     from carom.scene.names import bodies_called
 
-    units = Recording.open(file).units
-    interval = _interval(*(simulated_or_none(time, units) for time in (start, end, around, window)))
     path = output or file.with_name(f"{file.stem}-clip.rrd")
-    _refuse_itself(file, path)
-    refuse_output(path, force)
-    made = cut(file, path, *interval, bodies=_numbers(file, bodies))
+    with opened(file) as source:
+        recording = Recording.open(source)
+        units, names = recording.units, recording.bodies.name
+        interval = _interval(*(simulated_or_none(time, units) for time in (start, end, around, window)))
+        _refuse_itself(file, path)
+        refuse_output(path, force)
+        made = cut(source, path, *interval, bodies=_numbers(source, bodies))
     if as_json:
         say(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
         return
-    shown = "" if made.bodies is None else f", {bodies_called(made.bodies, Recording.open(file).bodies.name)}"
+    shown = "" if made.bodies is None else f", {bodies_called(made.bodies, names)}"
     say(
         f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
         f"{units.span(made.start, made.end, TIME)}{shown}, {bytes_text(made.size)}."
@@ -92,13 +98,13 @@ def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) ->
 
 def _numbers(file: Path, bodies: str | None) -> list[int] | None:
     """Find the bodies that are meant, by their numbers or names."""
-    from carom.recording.read.body_names import body_number
+    from carom.recording.read.body_names import body_number, split_at_commas
     from carom.recording.read.recording import Recording
 
     if bodies is None:
         return None
     recording = Recording.open(file)
-    return [body_number(recording, part.strip()) for part in bodies.split(",")]
+    return [body_number(recording, part) for part in split_at_commas(bodies, recording.bodies.name)]
 
 
 def _refuse_itself(file: Path, path: Path) -> None:

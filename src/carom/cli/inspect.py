@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     energy, contacts = summary["energy"], summary["contacts"]
     angular = summary["angular_momentum"]["max_error"]
     table = _grid()
-    table.add_row("scene", f"{summary['scene']['title']}, {summary['bodies']} bodies")
+    table.add_row("scene", f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}")
     if summary["scene"].get("engine"):
         table.add_row("engine", f"{summary['scene']['engine']}, of which carom saw the states only")
     clip = summary.get("clip")
@@ -75,9 +76,9 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
         table.add_row("clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}")
     table.add_row("outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else ""))
-    steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else f"{summary['steps']} steps"
+    steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else counted(summary["steps"], "step")
     length = summary["sim_time"] - (clip["from"] if clip else 0.0)
-    table.add_row("length", f"{summary['frames']} frames, {steps}, {units.text(length, TIME)} simulated")
+    table.add_row("length", f"{counted(summary['frames'], 'frame')}, {steps}, {units.text(length, TIME)} simulated")
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     table.add_row("energy", f"{first} at first, {last} at last")
     table.add_row("", f"integration error at most {energy['max_error']:.2e} of the energy scale")
@@ -87,8 +88,8 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     )
     unknown = "not conserved in a periodic box" if linear is not None else "likewise"
     table.add_row("angular momentum", unknown if angular is None else f"error at most {angular:.2e}")
-    counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
-    table.add_row("contacts", counted)
+    counts = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    table.add_row("contacts", counts)
     if summary["impacts"]:
         table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
     table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
@@ -104,7 +105,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
         table.add_row(
             "law broken",
             f"{law.replace('-', ' ')}, first at step {broken['step']}, t = {units.text(broken['time'], TIME)}; "
-            f"in {broken['frames']} frames",
+            f"in {counted(broken['frames'], 'frame')}",
         )
     table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
     return table

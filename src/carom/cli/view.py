@@ -95,20 +95,25 @@ def view(
         int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port for --web. Default: any free one.")
     ] = 0,
 ) -> None:
-    """Open a recording in the Rerun viewer, paused at a moment."""
+    """Open a recording in the Rerun viewer, paused at a moment.
+
+    FILE may be the zip that `carom report` made.
+    """
     if port and not web:
         raise typer.BadParameter("--port needs --web")
     from carom.cli.compiling import announce_compilation
+    from carom.recording.edit.bundle import opened
     from carom.recording.view.request import Request
     from carom.recording.view.window import open_window
 
-    request = Request(_simulated(file, at), event, bodies, plot, colour_by)
-    announce_compilation()
-    _announce_replay(file, plot)
-    if web:
-        _view_in_browser(file, request, port)
-    else:
-        open_window(file, request, say=_say_missing)
+    with opened(file) as path:
+        request = Request(_simulated(path, at), event, bodies, plot, colour_by)
+        announce_compilation()
+        _announce_replay(path, plot)
+        if web:
+            _view_in_browser(path, request, port)
+        else:
+            open_window(path, request, say=_say_missing)
 
 
 def _view_in_browser(file: Path, request: Request, port: int) -> None:
@@ -159,20 +164,24 @@ def picture(
     theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
 ) -> None:
-    """Render a moment of a recording to a PNG; needs no screen."""
+    """Render a moment of a recording to a PNG; needs no screen.
+
+    FILE may be the zip that `carom report` made.
+    """
     from carom.cli.compiling import announce_compilation
+    from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.recording.view.picture import render
     from carom.recording.view.request import Request
 
-    pixels = pixels_of(size)
-    request = Request(_simulated(file, at), event, bodies, plot, colour_by)
-    announce_compilation()
-    path = output or file.with_suffix(".png")
-    _announce_replay(file, plot)
-    made = render(file, request, path, pixels, view=view.value, theme=theme.value)
-    when = Recording.open(file).units.text(made.time, TIME, ".9g")
-    typer.echo(f"{path} written, t = {when}.")
+    pixels, out = pixels_of(size), output or file.with_suffix(".png")
+    with opened(file) as path:
+        request = Request(_simulated(path, at), event, bodies, plot, colour_by)
+        announce_compilation()
+        _announce_replay(path, plot)
+        made = render(path, request, out, pixels, view=view.value, theme=theme.value)
+        when = Recording.open(path).units.text(made.time, TIME, ".9g")
+    typer.echo(f"{out} written, t = {when}.")
     _say_missing(made.missing)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from carom.experiment.contact_counts import counts_text
 from carom.experiment.ending import in_words
 from carom.recording.read.recording import Recording
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 
@@ -44,17 +45,21 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
     """Return names and texts: command, outcome, length, energy, contacts, promises, versions, machine."""
     whole, units = recording.summary(), recording.units
     energy, contacts = whole["energy"], whole["contacts"]
-    counted = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    counts = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     return [
         ("command", str(recording.properties.get("command", ""))),
         ("outcome", in_words(whole["outcome"])),
-        ("run", f"{whole['bodies']} bodies, {whole['steps']} steps, {units.text(whole['sim_time'], TIME)} simulated"),
+        (
+            "run",
+            f"{counted(whole['bodies'], 'body')}, {counted(whole['steps'], 'step')}, "
+            f"{units.text(whole['sim_time'], TIME)} simulated",
+        ),
         (
             "energy",
             f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last; "
             f"integration error at most {energy['max_error']:.3g} of the scale",
         ),
-        ("contacts", f"{counted}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius"),
+        ("contacts", f"{counts}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius"),
         *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
         ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),
         ("machine", f"{recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')}"),

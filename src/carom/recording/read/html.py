@@ -6,6 +6,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from carom.recording.errors import RecordingError
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 
@@ -26,9 +27,10 @@ def html_of(recording: Recording) -> str:
 def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
     energy, contacts = summary["energy"], summary["contacts"]
     return {
-        "scene": f"{summary['scene']['title']}, {summary['bodies']} bodies",
+        "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
         "outcome": str(summary["outcome"]),
-        "length": f"{summary['frames']} frames, {summary['steps']} steps, {units.text(summary['sim_time'], TIME)}",
+        "length": f"{counted(summary['frames'], 'frame')}, {counted(summary['steps'], 'step')}, "
+        f"{units.text(summary['sim_time'], TIME)}",
         "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
         "energy error": f"{_number(energy['max_error'])} of the energy scale",
         "deepest overlap": f"{_number(contacts['max_overlap'])} of a radius",

@@ -26,6 +26,7 @@ from carom.recording.rrd.messages import (
 )
 from carom.recording.schema.timelines import STEP
 
+_ZIP = b"PK\x03\x04"  # begins a zip file, such as a bug report's
 _SHORTEST = 100  # bytes of a chunk's message; its schema alone has more
 _MANIFEST = {
     "chunk_entity_path": pa.string(),
@@ -57,7 +58,9 @@ class Container:
         """
         with path.open("rb") as file:
             if not framing.is_rrd(file):
-                raise DamageError("it does not begin with an .rrd header")
+                file.seek(0)
+                packed = file.read(len(_ZIP)) == _ZIP
+                raise DamageError("it is a zip: unpack it" if packed else "it does not begin with an .rrd header")
             footer = framing.read_footer(file)
             return cls(
                 path, _scan(file) if footer is None else _manifests(footer, path.stat().st_size), footer is not None

@@ -19,5 +19,5 @@ class RecordedImpacts:
 
     def __str__(self) -> str:
         if not self.left_out:
-            return f"all {self.recorded} recorded" if self.recorded else "none"
+            return {0: "none", 1: "the only one is recorded"}.get(self.recorded, f"all {self.recorded} recorded")
         return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
