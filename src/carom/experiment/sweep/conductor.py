@@ -47,7 +47,7 @@ class Conductor:
         self._waiting: dict[str, Future[Report]] = {}  # by key
         self._names: dict[str, str] = {}  # of the runs, by key
         self._ended: queue.SimpleQueue[Future[Report]] = queue.SimpleQueue()
-        self._dropped = 0  # runs that the scheduler refuses to make
+        self._dropped = 0  # runs that the scheduler refuses to make, or whose report it lost
         self._unsaved = ""  # why the manifest could not be written
 
     def conduct(self, points: list[Point], interrupts: Interrupts) -> str:
@@ -107,7 +107,11 @@ class Conductor:
         if future.status in ("cancelled", "lost"):
             self._dropped += 1
             return False
-        self._watch.ended(self._manifest.settle(self._names[str(future.key)], _report(future)))
+        report = _report(future)
+        if report is None:
+            self._dropped += 1
+            return False
+        self._watch.ended(self._manifest.settle(self._names[str(future.key)], report))
         return True
 
     def _save(self) -> None:
@@ -136,12 +140,14 @@ class Conductor:
             self._client.cancel(futures)  # type: ignore[no-untyped-call]
 
 
-def _report(future: Future[Report]) -> Report:
-    """Return the report of a worker, or a report of what is known if the worker sent none."""
+def _report(future: Future[Report]) -> Report | None:
+    """Return the report of a worker, or what is known if it sent none; None if the report is lost on its way."""
     try:
         return future.result(timeout=_ANSWER)
     except KilledWorker as error:
         reason = f"the workers that had it died, {error.last_worker.address} last; is there memory enough for it?"
         return {"status": FAILED, "outcome": "lost", "reason": reason}
     except Exception as error:
+        if future.status != "error":  # the run has ended, and the scheduler died before it handed over the report
+            return None
         return {"status": FAILED, "outcome": "error", "reason": f"{type(error).__name__}: {error}"}

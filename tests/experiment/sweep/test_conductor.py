@@ -1,0 +1,67 @@
+"""The conductor enters what is known of a run, and leaves a run whose report is lost for the next time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carom.experiment.interrupts import Interrupts
+from carom.experiment.sweep.conductor import GONE, Conductor
+from carom.experiment.sweep.folder import Folder
+from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest
+from carom.experiment.sweep.plan import plan
+from sweeps import write_scene
+
+
+class Ended:
+    """A future of Dask that has ended with a status; ``raised`` is what asking for its result raises."""
+
+    def __init__(self, key: str, status: str, raised: Exception) -> None:
+        self.key, self.status, self.raised = key, status, raised
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        call(self)
+
+    def result(self, timeout: float) -> None:
+        raise self.raised
+
+
+class Scheduler:
+    """A client whose runs have all ended in one way."""
+
+    status = "running"
+
+    def __init__(self, ended: str, raised: Exception) -> None:
+        self.ended, self.raised = ended, raised
+
+    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Ended]:
+        return [Ended(each, self.ended, self.raised) for each in key]
+
+    def cancel(self, futures: list[Any]) -> None:
+        raise AssertionError("nothing is left to cancel")
+
+
+class Silent:
+    def say(self, text: str) -> None: ...
+    def begin(self, found: int) -> None: ...
+    def ended(self, run: Any) -> None: ...
+    def tick(self) -> None: ...
+
+
+def conducted(folder: Path, ended: str, raised: Exception) -> tuple[str, set[str]]:
+    manifest = Manifest.begin(Folder(folder / "out"), plan(write_scene(folder), seeds=3), "carom sweep")
+    client: Any = Scheduler(ended, raised)
+    stopped = Conductor(client, manifest, Silent()).conduct(manifest.todo, Interrupts())
+    return stopped, {run.status for run in manifest.runs.values()}
+
+
+@pytest.mark.parametrize("lost", [OSError("the scheduler is gone"), TimeoutError()])
+def test_a_run_whose_report_cannot_be_had_has_not_failed(lost: Exception, tmp_path: Path) -> None:
+    assert conducted(tmp_path, "finished", lost) == (GONE, {PENDING})
+
+
+def test_a_run_that_raised_has_failed(tmp_path: Path) -> None:
+    assert conducted(tmp_path, "error", ValueError("no such scene")) == ("", {FAILED})
