@@ -43,11 +43,17 @@ def contacts(
     ] = None,
     bodies: Annotated[
         list[str] | None,
-        typer.Option("--body", metavar="N|NAME", help="Only contacts of this body; given twice, of these two."),
+        typer.Option(
+            "--body",
+            metavar="N|NAME",
+            help="Only contacts of this body. Two --body options: only contacts between these two.",
+        ),
     ] = None,
     impacts: Annotated[
         bool,
-        typer.Option("--impacts", help="The impacts of the run, or of an interval, not contacts of a step."),
+        typer.Option(
+            "--impacts", help="List the impacts of the run, or of an interval, instead of the contacts of a step."
+        ),
     ] = False,
     start: Annotated[
         Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts.")
@@ -65,7 +71,7 @@ def contacts(
 ) -> None:
     """List who touches whom at a moment, or all impacts, with impulses, modes and energies.
 
-    FILE may be the zip that `carom report` made. What the recording does not have is run again.
+    FILE may be the zip that `carom report` made. Contacts that the recording lacks are computed again.
     """
     from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened

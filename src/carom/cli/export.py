@@ -32,7 +32,7 @@ def export(
 ) -> None:
     """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy.
 
-    What the checkpoints do not hold is run again. With --all, a .vtk becomes a folder of files and a .vtk.series.
+    States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
     from carom.cli.replaying import replaying
     from carom.experiment.output import refuse_output

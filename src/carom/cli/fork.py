@@ -42,7 +42,8 @@ def fork(
         typer.Option(
             "--outcome",
             metavar="CONDITION",
-            help="Count the forks that end so, such as 'x_3 > 1': x_3, speed_3 or a name of `carom inspect --json`.",
+            help="Count the forks that end in this condition, such as 'x_3 > 1'. Names: x_3, speed_3, or those of "
+            "`carom inspect --json`.",
         ),
     ] = None,
     times: Annotated[
@@ -52,7 +53,7 @@ def fork(
             metavar="N",
             min=1,
             max=MOST_TIMES,
-            help="Fork at N times from T on, to show how the probability of the --outcome depends on it.",
+            help="Fork at N times from T on, to show how the probability of the --outcome depends on the time.",
         ),
     ] = 8,
     when: Annotated[

@@ -27,16 +27,19 @@ def hunt(
         ),
     ] = 600.0,
     seed: Annotated[
-        int | None, typer.Option("--seed", metavar="N", help="Draw the same scenes again. Default: new ones.", min=0)
+        int | None,
+        typer.Option(
+            "--seed", metavar="N", help="Random seed; the same seed draws the same scenes. Default: a new one.", min=0
+        ),
     ] = None,
     first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
     scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Judge at most N scenes.", min=1)] = None,
-    folder: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for what is found.")] = Path(
-        "recordings/hunt"
-    ),
+    folder: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scenes and recordings of misses.")
+    ] = Path("recordings/hunt"),
     as_json: JsonOption = False,
 ) -> None:
-    """Draw random scenes, and hold each to the laws: ledger, momenta, impulses, replay, stated errors.
+    """Draw random scenes and check each against the laws: ledger, momenta, impulses, replay, stated errors.
 
     The first miss of each law is shrunk and filed as a scene with its recording. Exit with 1 if there is one.
     """

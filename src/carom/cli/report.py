@@ -16,7 +16,9 @@ def report(
     file: RecordingArgument,
     at: Annotated[
         float | None,
-        typer.Option("--at", parser=seconds, metavar="T", help="Moment to report. Default: the worst of the run."),
+        typer.Option(
+            "--at", parser=seconds, metavar="T", help="Simulated time to report. Default: the worst moment of the run."
+        ),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Zip to write. Default: FILE-report.zip.")

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
 SWEEPS = Path("recordings")
 PlotOption = Annotated[
     tuple[str, str] | None,
-    typer.Option("--plot", metavar="x=KEY y=KEY", help="Plot column y against column x into the sweep's folder."),
+    typer.Option(
+        "--plot",
+        metavar="x=KEY y=KEY",
+        help="Plot column y against column x; the figure goes to the folder of the sweep.",
+    ),
 ]
 
 
@@ -32,18 +36,24 @@ def sweep(
         typer.Option(
             "--vary",
             metavar="KEY=VALUES",
-            help="Values a,b,c, first:last:count or first:last:countlog. Repeatable. Default: \\[sweep] of the scene.",
+            help="Values: a list a,b,c; first:last:count, evenly spaced; or first:last:count followed by log, in equal "
+            "ratios, such as 1e-3:1:4log. Repeatable. Default: \\[sweep] of the scene.",
         ),
     ] = None,
     seeds: Annotated[
         int | None,
         typer.Option(
-            "--seeds", metavar="N", help="Run each combination N times, with seeds counting up from the scene's.", min=1
+            "--seeds",
+            metavar="N",
+            help="Run each combination N times, with seeds counting up from that of the scene.",
+            min=1,
         ),
     ] = None,
     zipped: Annotated[
         bool | None,
-        typer.Option("--zip/--cross", help="Pair the values of all keys, or combine each with each (default)."),
+        typer.Option(
+            "--zip/--cross", help="Vary all keys together, value by value, or combine each with each (default)."
+        ),
     ] = None,
     overrides: SetOption = None,
     output: Annotated[

@@ -45,8 +45,8 @@ LimitOption = Annotated[
     typer.Option(
         "--limit",
         metavar="SECONDS",
-        help="Stop following a setting after so much CPU time, and making a reference after so long. Default: none, "
-        "but settings that are not chosen with --vary stop after some 10⁶ steps.",
+        help="CPU time in seconds after which to stop the run of a setting, and time after which to stop a reference. "
+        "Default: none, but settings that are not chosen with --vary stop after some 10⁶ steps.",
         min=0.0,
     ),
 ]

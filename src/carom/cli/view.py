@@ -21,7 +21,7 @@ AtOption = Annotated[
         "--at",
         parser=seconds,
         metavar="T",
-        help="Moment to show: simulated time. Default: the hardest impact.",
+        help="Simulated time to show. Default: the hardest impact.",
     ),
 ]
 EventOption = Annotated[
@@ -29,7 +29,7 @@ EventOption = Annotated[
     typer.Option(
         "--event",
         metavar="NAME",
-        help="Moment to show: one that `carom inspect` lists, a kind of event, or impact:N for the Nth impact.",
+        help="Event to show: a moment that `carom inspect` lists, a kind of event, or impact:N for the Nth impact.",
     ),
 ]
 BodiesOption = Annotated[

@@ -45,7 +45,9 @@ def why(
     ] = None,
     start: Annotated[
         Seconds,
-        typer.Option("--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as is cheap."),
+        typer.Option(
+            "--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as a few seconds allow."
+        ),
     ] = None,
     output: Annotated[
         Path | None,
