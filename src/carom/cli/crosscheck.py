@@ -78,7 +78,7 @@ def crosscheck(
     force: Annotated[bool, typer.Option("--force", help="Start over, in place of earlier results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Run a scene in other engines: errors, cost, criteria, where each parts from the reference, and the broken law.
+    """Run a scene in other engines: errors, cost, criteria, where each diverges from the reference, and the broken law.
 
     Results are kept; the same command continues where it stopped.
     """
@@ -152,7 +152,7 @@ def _show_several(
 
     console = _console()
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("scene", "run", "cost / s", "criteria", "parts from the reference at", "laws broken"):
+    for heading in ("scene", "run", "cost / s", "criteria", "diverges from the reference at", "laws broken"):
         table.add_column(heading, justify="right" if heading == "cost / s" else "left")
     for name, document in documents.items():
         for number, run in enumerate(document["runs"]):
@@ -222,8 +222,17 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     from rich.table import Table
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for heading in ("run", "cost / s", "±", "steps", "position", "overlap", "criteria", "parts from the reference at"):
-        table.add_column(heading, justify="left" if heading in ("run", "parts from the reference at") else "right")
+    for heading in (
+        "run",
+        "cost / s",
+        "±",
+        "steps",
+        "position",
+        "overlap",
+        "criteria",
+        "diverges from the reference at",
+    ):
+        table.add_column(heading, justify="left" if heading in ("run", "diverges from the reference at") else "right")
     table.add_column("laws broken there")
     for run in document["runs"]:
         errors = run["errors"] or {}
@@ -246,7 +255,7 @@ def _criteria(run: dict[str, Any]) -> str:
 
 
 def _parting(run: dict[str, Any], units: UnitSystem) -> str:
-    """Say where a run parts from the reference."""
+    """Say where a run diverges from the reference."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]

@@ -1,4 +1,4 @@
-"""Runs a scene in other engines, and says where each parts from the reference and which law it breaks there.
+"""Runs a scene in other engines, and says where each diverges from the reference and which law it breaks there.
 
 Each run is first followed: the audit of `carom.record` looks at every step, the criteria are those of the scene's
 [expect], and it is recorded. `Study` then measures costs, in turns.

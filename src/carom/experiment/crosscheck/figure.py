@@ -66,7 +66,7 @@ def draw(check: Crosscheck, path: Path) -> None:
         if sure < ends:
             ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
-        ax.annotate("parted", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
+        ax.annotate("diverged", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
         ax.set(
             yscale="log",
             xlabel=units.labelled("time", TIME),

@@ -10,7 +10,7 @@ from carom.experiment.work_precision.reference import Reference
 from carom.experiment.work_precision.trajectory import Trajectory
 from carom.scene.names import Names
 
-PARTED = 0.01  # of the size of the system; runs farther apart have parted
+PARTED = 0.01  # of the size of the system; runs farther apart have diverged
 EARLIER = 2.0  # steps, by which an engine may see an impact before the reference does
 LATER = 40.0  # steps after it, in which a soft contact ends
 
