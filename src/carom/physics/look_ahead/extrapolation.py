@@ -15,7 +15,6 @@ FloatArray = NDArray[np.float64]
 SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
 FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
 TRIED = 2  # comparisons before an order is believed
-PLENTY = 10.0  # times the safety; one comparison is enough for an error that is that much smaller even at first order
 NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps, unless that is the whole run
 FALLING = 0.7  # largest part of the distance that a halving should leave
 
@@ -31,7 +30,8 @@ def extrapolate(
     order = _observed(apart, highest)
     latest = apart[-1:-4:-1]
     distance = np.max([each / 2.0 ** (order * age) for age, each in enumerate(latest)], axis=0)
-    if not _is_sure(apart, accuracy):
+    surely = len(apart) >= TRIED and bool(latest[0].any())
+    if not surely:
         return FARTHEST, 0.0, distance
     tried = range(-1, FARTHEST + 1)
     errors = [distance / (1.0 - 2.0**-order) / 2.0 ** (order * (halvings + 1)) for halvings in tried]
@@ -40,13 +40,6 @@ def extrapolate(
     enough = longest if longest >= times[-1] else NEARLY * longest
     k = next(k for k, until in enumerate(kept) if until >= enough)
     return tried[k], kept[k], errors[k]
-
-
-def _is_sure(apart: list[FloatArray], accuracy: float) -> bool:
-    """Tell whether there are enough comparisons of runs that differ."""
-    latest = apart[-1]
-    enough = len(apart) >= TRIED or PLENTY * SAFETY * float(latest[-1]) / (1.0 - 0.5) <= accuracy
-    return enough and bool(latest.any())
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:

@@ -52,7 +52,8 @@ HILL_RADII = 3.0  # between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
 MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
 MOST_WORK = 2e6  # of the finest run ahead, some seconds; the run itself takes up to eight times as long
-MOST_IDLE = 3  # halvings in a row that do not
+MOST_IDLE = 3  # halvings in a row that hardly change the distance, see `stays`
+MOST_ENOUGH = 2  # comparisons in a row after which shorter steps would hardly extend the promise; one may be chance
 DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
 # Distance from the truth over that of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases;
 # with 1, errors exceeded the request before the horizon in 6 of 80, by up to a few hundredths of the time.
@@ -158,15 +159,15 @@ class _LookAhead:
 
     def _settle_steps(self, order: int) -> Scene:
         refinement = LONGEST
-        coarse, apart, idle = self._run(refinement), list[FloatArray](), 0
+        coarse, apart, idle, enough = self._run(refinement), list[FloatArray](), 0, 0
         while True:
             refinement *= 2.0
             fine = self._run(refinement)
             apart.append(self._scale.apart(coarse, fine, 1.0))
             chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy)
             idle = idle + 1 if stays(self._times, apart, kept) else 0
-            gains = len(apart) < TRIED or chosen >= 0  # by shorter steps than these
-            if kept >= self._times[-1] or not gains or idle == MOST_IDLE or fine.work > MOST_WORK:
+            enough = 0 if chosen >= 0 or len(apart) < TRIED else enough + 1
+            if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or fine.work > MOST_WORK:
                 break
             coarse = fine
         run = fine if chosen >= 0 else coarse
