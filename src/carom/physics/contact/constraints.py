@@ -82,7 +82,7 @@ ISLAND = record("slope curvature scale")  # J, along the impulses of an island; 
 SETTINGS = np.dtype(
     [
         ("independent", "i8"),  # number of colours, from the first on, whose contacts share no moving body
-        ("iteration", "i8"),  # number of those before
+        ("iteration", "i8"),  # number of iterations before this one
         ("dt", "f8"),  # s, the step
         ("drift", "f8"),  # s, the drift to come; 0 after the last kick
         ("kick", "f8"),  # s, the kick just done

@@ -3,7 +3,7 @@
 The tap only reads the solver's records, so it changes no bit of the run:
 
 - holding after the first kick: the contacts of the step before, `see_hold`
-- impacts on the way: the log of the drift, `see_drift`
+- impacts during the drift: its log, `see_drift`
 - impacts found at the end of the step, `see_impacts`, and the holding after the last kick: the solver's own records
 
 Rows are made on demand, since few steps are frames. Only impacts are gathered in every step, up to `MOST_IMPACTS`.
@@ -33,11 +33,11 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-MOST_IMPACTS = 100_000  # that are kept between two frames, 15 MB; of more the largest, and a count of the others
+MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; beyond that the largest are kept and the others counted
 
 
 class Impulses(NamedTuple):
-    """What contacts gave to their ends at one moment of a step; each pair stands there once or more."""
+    """The impulses of contacts at one moment of a step; a pair may occur more than once."""
 
     pairs: IntArray  # (k, 2)
     normal: FloatArray  # (k, 3) from i to j
@@ -49,7 +49,7 @@ class Impulses(NamedTuple):
 
 
 class _Ends(NamedTuple):
-    """What contacts have at their ends."""
+    """The data of bodies and materials from which rows are computed."""
 
     position: FloatArray  # (n, 3) m
     box: FloatArray  # (3,) m, zeros in open space
@@ -124,7 +124,7 @@ class ContactTap:
         self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(CONTACT))
 
     def see_drift(self, impacts: Impacts) -> None:
-        """Note the impacts on the way through the step."""
+        """Note the impacts during the drift."""
         self._drift = impacts
         if len(impacts):
             rows = self._rows_of_drift()
@@ -146,10 +146,10 @@ class ContactTap:
     def rows(
         self, pairs: IntArray, solver: ContactSolver, room: Room | None = None, slept: SleepingContacts = NO_SLEEPERS
     ) -> Records:
-        """Return what the contacts of this step did, (m,) `CONTACT_ROW`, by pair; in ``room``, or a copy of its own.
+        """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair; in ``room`` if given, else a copy.
 
-        These are the contacts of the graph, and those that gave an impulse and are open by now. ``slept`` are those of
-        sleepers, which carry what they did when they fell asleep.
+        It has the contacts of the graph, and those that gave an impulse and have opened since. ``slept`` are the
+        contacts of sleepers, with the forces from when they fell asleep.
         """
         struck = _NO_ROWS
         if len(self._drift):
@@ -202,7 +202,7 @@ class ContactTap:
         return rows
 
     def _compile(self) -> None:
-        """Send no contacts through every kernel, so that the first real one does not wait for a compiler."""
+        """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
         self._rows_of_drift()
 
 
@@ -246,8 +246,8 @@ def _found(pairs: IntArray, solver: ContactSolver) -> _Found:
     return _Found(pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
 
 
-# The kernels below take arrays out of their tuples once: to hand a tuple to an inlined function costs the reference
-# counts of all its arrays, 400 ns a row.
+# The kernels below take arrays out of their tuples once. Passing a tuple to an inlined function counts references to
+# all its arrays, which costs 400 ns a row.
 
 
 @long_kernel
@@ -271,10 +271,10 @@ def _pick_impacts(found: _Found, position: FloatArray, box: FloatArray, step: in
 
 @long_kernel
 def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
-    """Write one row for each pair that was held, was struck on the way, touches or gave anything; return how many.
+    """Write one row for each pair that was held, met in the drift, touches or gave an impulse; return how many.
 
-    ``struck`` are rows of impacts on the way by pair, of each pair the hardest first. What does not fit into ``rows``
-    is only counted, and the last row is overwritten.
+    ``struck`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
+    fit are counted, and overwrite the last one.
     """
     held_pairs, held_place, held_contacts, terms = held.pairs, held.place, held.contacts, held.terms
     pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
@@ -333,7 +333,7 @@ def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, 
 
 @kernel
 def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float, rows: Records) -> None:
-    """Write a row for each impact on the way, in order of time."""
+    """Write a row for each impact during the drift, in order of time."""
     box, friction, n = ends.box, ends.friction, len(ends.position)
     materials, places = ends.materials.rows, ends.materials.places
     for k in range(len(log)):
@@ -352,7 +352,7 @@ def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float,
 
 @inline
 def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
-    """Begin the row of a contact that has given nothing yet."""
+    """Begin the row of a contact, without an impulse."""
     row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
     row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
     row.restitution_loss = row.friction_loss = row.stabilisation_gain = 0.0
@@ -360,7 +360,7 @@ def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
 
 @inline
 def _mode(given: Any, material: Any, friction: bool) -> int:
-    """Return the mode of a contact that was no impact."""
+    """Return the mode of a contact that was not an impact."""
     if not given.normal_impulse > 0.0:
         return OPEN
     if not friction:

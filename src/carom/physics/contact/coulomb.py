@@ -38,7 +38,7 @@ def impact_friction(material: Any, normal: float, stopping: float) -> float:
 
 @inline
 def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
-    """Return a tangential impulse unchanged inside the friction cone, else the kinetic friction along it."""
+    """Return a tangential impulse, unchanged inside the friction cone, else reduced to the kinetic friction."""
     squared = tx * tx + ty * ty + tz * tz
     most = material.static_friction * normal
     if squared > most * most:

@@ -24,7 +24,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 MIN_PER_LOOK = 4000  # bodies, about 10 µs of work
-SQUARE, COORDINATE = range(2)  # of the largest values
+SQUARE, COORDINATE = range(2)  # indices of the largest values
 UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed
 
 
@@ -44,7 +44,7 @@ class Islands:
 
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
-        self._parent = np.empty(ends, dtype=np.int64)  # both are used only for bodies with contacts
+        self._parent = np.empty(ends, dtype=np.int64)  # this and the next are used only for bodies with contacts
         self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; for the root of an island, the largest in it
 
     def write_rest_speeds(
@@ -171,7 +171,7 @@ def _stand_alone(
     largest: FloatArray,
     found: NDArray[np.bool_],
 ) -> None:
-    """Make each body an island; return whether the accelerations differ, since otherwise all bodies fall alike."""
+    """Make each body an island; note in ``found`` whether accelerations differ. If not, islands need not be joined."""
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:

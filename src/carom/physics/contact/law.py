@@ -1,8 +1,8 @@
 """The contact law: the impulses that a contact may exert, and the functions that all laws share.
 
-`ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels ask the law by
-these functions only. Numba resolves and inlines them when it compiles a kernel, so a call costs nothing; a law that
-each scene chooses at run time would cost a branch or a compilation for each law.
+`ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels call only these
+functions. Numba resolves and inlines them when it compiles a kernel, so a call costs nothing; a law that each scene
+chooses at run time would cost a branch or a compilation for each law.
 
 To change the law:
 
@@ -102,7 +102,7 @@ class ContactLaw(Protocol):
         """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
 
     def slides(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-        """Tell whether a contact that exerted these totals slid, for those who read them afterwards."""
+        """Tell whether a contact that exerted these totals slid, for reports of the step."""
 
 
 LAW: ContactLaw = coulomb
@@ -125,7 +125,7 @@ def materials_of(pairs: PairCoefficients) -> Materials:
 def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
     """Return the row of the coefficients of ends i < j; with one material 0 between bodies, 1 + p at plane p.
 
-    Inlined, it would count references to the array, and a sweep over 5·10⁴ contacts would take 20 ms in place of 15.
+    It is not inlined: references to the array would be counted, and a sweep over 5·10⁴ contacts take 20 ms, not 15.
     """
     if len(places) == 0:
         return max(0, j - bodies + 1)

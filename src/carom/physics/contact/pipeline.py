@@ -267,13 +267,13 @@ class ContactPipeline:
     def strike(self, pair: tuple[int, int] | None, dt: float) -> None:
         """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all that touch there.
 
-        Without a pair nothing happens but that the kernels are loaded.
+        Without a pair, only the kernels are loaded.
         """
         assert self._event_drift is not None, "the integrator ends its steps at impacts"
         self.impacts = self.impacts.followed_by(self._event_drift.strike(pair, dt))
 
     def end_flight(self, dt: float, profile: Profile) -> None:
-        """Gather what the impacts at the end of the last step, of dt s, did."""
+        """Gather the effects of the impacts at the end of the last step, of dt s."""
         if self.tap:
             self.tap.see_drift(self.impacts)
         self.resolve(dt, 0.0, profile)
@@ -325,7 +325,7 @@ class ContactPipeline:
         return self._sleepers is not None
 
     def keep_asleep(self) -> None:
-        """Take from sleepers what a kick gave them."""
+        """Set the velocities of sleepers to 0 after a kick."""
         assert self._sleepers is not None, "the scene has contact.sleep"
         self._sleepers.stop()
 
@@ -396,7 +396,7 @@ class ContactPipeline:
         return self._plane_search.merged(pairs, position, scale, skin) if self._has_statics else pairs
 
     def _near_awake(self, dt: float, sleepers: Sleepers) -> IntArray:
-        """Find the pairs of which an end is awake, after waking the islands that are disturbed."""
+        """Find the pairs with an end that is awake, after waking the islands that are disturbed."""
         if sleepers.all and not sleepers.is_disturbed():
             return empty_graph().pairs
         pairs = self._near(dt)

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TASK = 5000
 DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be found, too small to be visible
-ROUNDING = 8  # units in the last place of the coordinates; it overlaps by these, too
+ROUNDING = 8  # units in the last place of the coordinates, which add to that overlap
 DEEPEST = 0.5  # of the radius, however coarse the coordinates are
 
 

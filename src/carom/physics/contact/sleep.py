@@ -44,7 +44,7 @@ NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
 
 
 class _Surroundings(NamedTuple):
-    """What the geometry of contacts is found from."""
+    """The arrays from which the geometry of contacts is computed."""
 
     position: FloatArray
     radius: FloatArray
@@ -122,21 +122,21 @@ class Sleepers:
             self._keep(memory.pairs, memory.force)
 
     def stop(self) -> None:
-        """Take from the sleepers what a kick gave them."""
+        """Set the velocities of the sleepers to 0 after a kick."""
         if self._count:
             ends = self._bodies.ends
             _stop(self._calm, ends.velocity, ends.angular_velocity)
 
     def awake(self, pairs: IntArray) -> IntArray:
-        """Return the pairs of which an end is awake, and their contacts are computed."""
+        """Return the pairs with an end that is awake; the contacts of the others are not computed."""
         return pairs[self.have_awake_end(pairs)] if self._count else pairs
 
     def have_awake_end(self, pairs: IntArray) -> Flags:
-        """Tell of which pairs an end is neither fixed nor asleep."""
+        """Tell which pairs have an end that is neither fixed nor asleep."""
         return _has_awake_end(pairs, self._still)
 
     def is_disturbed(self) -> bool:
-        """Tell whether a sleeper has been struck or is pulled otherwise than when it fell asleep."""
+        """Tell whether a sleeper has been struck, or its acceleration differs from when it fell asleep."""
         return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
 
     def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
@@ -185,7 +185,7 @@ class Sleepers:
         pairs
             (m, 2), the contacts of the step, near ones included.
         cache
-            Their impulses in the last kick; of other contacts, or of none, if they are not held.
+            The impulses of the last kick; nothing falls asleep unless they are those of ``pairs``.
         """
         bodies, ends = self._bodies, self._bodies.ends
         seen = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
@@ -257,7 +257,7 @@ def _stop(calm: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
 
 @kernel
 def _has_awake_end(pairs: IntArray, still: Flags) -> Flags:
-    """Tell of which pairs an end is neither fixed nor asleep."""
+    """Tell which pairs have an end that is neither fixed nor asleep."""
     found = np.empty(len(pairs), dtype=np.bool_)
     for c in range(len(pairs)):
         found[c] = not (still[pairs[c, 0]] and still[pairs[c, 1]])

@@ -33,7 +33,7 @@ class ContactSnapshot:
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
     def joined(self, others: CollisionGraph, inverse_mass: FloatArray) -> tuple[ContactSnapshot, IntArray]:
-        """Add contacts at rest of other pairs, which keep no colour; return each contact's place, -1 for those."""
+        """Add contacts at rest of other pairs; return each contact's place in the solver, -1 for the added ones."""
         graph, m = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, others.pairs))
         order = np.lexsort((pairs[:, 1], pairs[:, 0]))
@@ -167,7 +167,7 @@ def _show(
 ) -> int:
     """Copy the contacts that touched when they were found or carry an impulse; return how many.
 
-    Normals and overlaps are from before the position correction. A contact that it opens is resolved all the same.
+    Normals and overlaps are from before the position correction. A contact that the correction opens is still resolved.
     Otherwise the body would fall and be pushed back in every step.
     """
     count = 0

@@ -70,7 +70,7 @@ class ContactStatistics(NamedTuple):
         )
 
     def plus(self, others: ContactStatistics) -> ContactStatistics:
-        """Add contacts that are no impacts, of other pairs."""
+        """Add contacts of other pairs, none of them an impact."""
         mine, theirs = (self.deepest, self.deepest_pair), (others.deepest, others.deepest_pair)
         first = max(mine, theirs, key=lambda found: (found[0], -found[1][0], -found[1][1]))
         return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])

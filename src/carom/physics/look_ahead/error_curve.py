@@ -18,7 +18,7 @@ def samples(scene: Scene, count: int) -> FloatArray:
 
 
 def with_start(values: FloatArray, start: float) -> FloatArray:
-    """Return values at times, with that at 0 before them."""
+    """Return the values with that at time 0 in front."""
     return np.concatenate(([start], values))
 
 

@@ -1,4 +1,4 @@
-"""The error with shorter steps, extrapolated from the distances between runs of ever shorter ones."""
+"""The error with shorter steps, extrapolated from the distances between runs whose steps halve each time."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from carom.physics.look_ahead.twins import APART
 
 FloatArray = NDArray[np.float64]
 
-SAFETY = 3.0  # times smaller than requested is the error that the step is chosen for
-FARTHEST = 3  # halvings of the step beyond the finest run ahead; its run costs an eighth of the run itself
+SAFETY = 3.0  # the step is chosen for an error that is smaller than requested by this factor
+FARTHEST = 3  # halvings of the step beyond the finest run ahead, which then costs an eighth of the run itself
 TRIED = 2  # comparisons before an order is believed
-NEARLY = 0.95  # of the longest time that the accuracy can be kept, with fewer steps, unless that is the whole run
+NEARLY = 0.95  # part of the longest time with the accuracy that is enough, unless that is the whole run
 FALLING = 0.7  # largest part of the distance that a halving should leave
 
 
 def extrapolate(
     times: FloatArray, apart: list[FloatArray], highest: int, accuracy: float
 ) -> tuple[int, float, FloatArray]:
-    """Return how many times to halve the finer step, up to when the accuracy is kept then, in s, and the error.
+    """Return how often to halve the finer step, the time in s until which it keeps the accuracy, and its error.
 
     -1 takes the coarser step. The factor in front of h^p depends on where in its step an impact happens, so the
-    largest of the last three distances counts, each as far as it should have fallen since.
+    largest of the last three distances counts, each scaled to the present step by the order.
     """
     order = _observed(apart, highest)
     latest = apart[-1:-4:-1]
@@ -43,13 +43,13 @@ def extrapolate(
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
-    """Tell whether the last halving hardly changed the distance where the accuracy is not kept any more."""
+    """Tell whether the last halving hardly changed the distance at the time when the accuracy is lost."""
     k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
     return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:
-    """Return the order that the last distances show where all are comparable, from 1 to that of the integrator."""
+    """Return the order that the last distances show where they can be compared: 1 to that of the integrator."""
     coarse, fine = apart[max(0, len(apart) - 3)], apart[-1]
     usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0))
     if len(apart) < TRIED or not len(usable):

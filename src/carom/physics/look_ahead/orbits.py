@@ -23,13 +23,13 @@ from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 
-ROUGH = 1e-3  # accuracy, from which steps may hardly resolve the innermost orbit: from 0.63 times as fine on, they do
-COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; the error falls faster than by the second order from these to 1
+ROUGH = 1e-3  # accuracies from this on allow coarse steps; refinements of at least 0.63 resolve the innermost orbit
+COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these to 1 the error falls faster than the second order
 COMPARED = (1.0, 1.2)
-# The error of single systems is up to 9 times that by the second order: parts of it fall faster, with either sign
+# The error of single systems is up to 9 times that of second order: parts of it fall faster and have either sign
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements with which a run costs less than with gauss-radau15
-FINER = (4.0, 8.0, 16.0, 32.0)  # those that are tried where no other integrator may be taken
+FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition where no other integrator may be taken
 
 
 class OrbitStep(NamedTuple):
@@ -38,7 +38,7 @@ class OrbitStep(NamedTuple):
     refinement: float
     error: FloatArray  # (K,) m, rms over the bodies, largest so far
     exponent: float  # 1/s, of the growth of the error since the first time
-    keeps: bool  # whether the error is within the one that was asked for
+    keeps: bool  # whether the error is within the requested one
 
 
 def look_at_orbits(
@@ -51,7 +51,7 @@ def look_at_orbits(
     times
         (K,) s.
     accuracy
-        That is asked for.
+        Requested.
     most
         m, largest error of the step.
     persists
@@ -86,7 +86,7 @@ def _follow(scene: Scene, start: Start, refinement: float, times: FloatArray) ->
 
 
 def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the largest rms distance so far between two runs, (K,) m; infinite where one of them fails."""
+    """Return the largest rms distance so far between two runs, (K,) m; infinite where one of them has failed."""
     d = one - other
     apart = np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))
     return np.asarray(np.maximum.accumulate(np.where(np.isnan(apart), math.inf, apart)))

@@ -25,7 +25,7 @@ class Scale:
 
     @classmethod
     def of(cls, scene: Scene, start: Start) -> Scale:
-        """Take half the box, the rms distance of the bodies from their centre, or that of one body from 0."""
+        """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0."""
         if scene.domain.boundary == "periodic":
             box = np.array(scene.domain.size)
             return cls(float(box.min()) / 2.0, box)
@@ -39,7 +39,7 @@ class Scale:
         return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
 
     def apart(self, one: TrialRun, other: TrialRun, enough: float) -> FloatArray:
-        """Compare two runs until they are apart; return the largest distance so far over the size, (K,)."""
+        """Compare two runs until their distance is ``enough``; return the largest so far over the size, (K,)."""
         apart = np.full(len(one.times), np.inf)
         largest = 0.0
         for k in range(len(apart)):

@@ -8,10 +8,10 @@ for an integrator of order p, or for the order that three such runs show, if tha
 makes errors grow, contacts and chaos too. The runs begin with the longest useful steps and halve them until the
 extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
 
-Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. Rounding alone makes an error
-r(t) in proportion to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
+Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. The error r(t) by rounding is
+proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
 Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. The largest
-Lyapunov exponent is that of their distance, to the end or until they are `APART`.
+Lyapunov exponent is the growth rate of their distance, to the end or until it is `APART`.
 """
 
 from __future__ import annotations
@@ -41,29 +41,29 @@ from carom.scene.start import Start
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 64  # times at which runs are compared
-FEWER_SAMPLES = (4, 32)  # where bodies meet, and pausing costs more than the steps: more only if a promise ends
+FEWER_SAMPLES = (4, 32)  # where bodies meet, since pausing costs more than steps; the second if a promise ends early
 LONGEST = 1.0  # refinement of the longest useful steps
-EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter ones cost more
-EXACT_OF_MANY = 0.125  # likewise; in longer steps each body has more others within reach
-FEW = 200  # bodies
+EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter steps cost more
+EXACT_OF_MANY = 0.125  # likewise for many bodies; in longer steps each has more others within reach
+FEW = 200  # bodies, up to which `EXACT` is taken
 FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
 FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
 HILL_RADII = 3.0  # between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
-MARGIN = 2.0  # times the extrapolated error is the one that is expected; without it, a horizon was late
-MOST_WORK = 2e6  # of the finest run ahead, some seconds; the run itself takes up to eight times as long
+MARGIN = 2.0  # factor from the extrapolated to the expected error; without it, a horizon was late
+MOST_WORK = 2e6  # `TrialRun.work` of the finest run ahead, some seconds; the run itself takes up to eight times as long
 MOST_IDLE = 3  # halvings in a row that hardly change the distance, see `stays`
 MOST_ENOUGH = 2  # comparisons in a row after which shorter steps would hardly extend the promise; one may be chance
 DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
 # Distance from the truth over that of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases;
 # with 1, errors exceeded the request before the horizon in 6 of 80, by up to a few hundredths of the time.
 SPREAD = 1.3
-LARGEST_ERROR = 1.0  # of the size; no larger one is told apart
+LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
 RADAU_CHAOTIC = 0.5  # likewise, where the promise ends: its own error may not reach the accuracy before
-RADAU_LEVELS = (  # refinement, and how many times the error exceeds the distance of twins: the most of 8 scenes
+RADAU_LEVELS = (  # refinement, and the error over the distance of twins, the largest of 8 scenes
     (2.0**-2.5, 1e6),
     (0.25, 5e4),
     (2.0**-1.5, 2e3),
@@ -99,7 +99,7 @@ class _LookAhead:
                 f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
                 "where this scene has them"
             )
-        if integrator(scene).controls_error:  # errs by rounding, so twins that differ by a last bit show its errors
+        if integrator(scene).controls_error:  # errs by rounding, so twins a last bit apart show its errors
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
             self._twin, self._rounding = (
@@ -132,7 +132,7 @@ class _LookAhead:
             twins, rests_from = self._part_at_impacts(RADAU_AHEAD)
         else:
             twins = self._part_of_orbits(RADAU_AHEAD, 1)
-            if SPREAD * twins.apart[-1] > self._accuracy:  # the run ahead has to be as true as the promise lasts
+            if SPREAD * twins.apart[-1] > self._accuracy:  # the run ahead must be accurate while the promise lasts
                 twins = self._part_of_orbits(RADAU_CHAOTIC, 3)
         errors = {refinement: level * twins.apart for refinement, level in RADAU_LEVELS}
         enough = (refinement for refinement, error in errors.items() if SAFETY * error[-1] <= self._accuracy)
@@ -142,7 +142,7 @@ class _LookAhead:
         return self._promise(chosen, errors[chosen], twins.exponent)
 
     def _part_of_orbits(self, refinement: float, iterations: int) -> Twins:
-        """Return how bodies without contacts and their twins part."""
+        """Return how bodies without contacts and their twins diverge."""
         enough, twin = APART * self._scale.size, self._twin.position
         apart = part(self._scene, self._start, twin, refinement, self._times, enough, iterations)
         return Twins.grown(self._times, np.maximum.accumulate(apart) / self._scale.size, self._began)
@@ -175,7 +175,7 @@ class _LookAhead:
         return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins.exponent)
 
     def _part_at_impacts(self, refinement: float) -> tuple[Twins, float]:
-        """Return how a run that bounces and its twin part, and when contacts come to rest, in s."""
+        """Return how a run with impacts and its twin diverge, and when contacts come to rest, in s."""
         if self._scene.count > FEW:
             run = self._run(refinement)
             return self._part(run, self._run(refinement, self._twin)), run.rests_from
@@ -189,7 +189,7 @@ class _LookAhead:
         return twins.at(self._times, times, self._began), run.rests_from
 
     def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
-        """Return how a run and its twin part."""
+        """Return how a run and its twin diverge."""
         return Twins.grown(self._times, self._scale.apart(run, twin, APART), self._began)
 
     @property

@@ -1,4 +1,4 @@
-"""A run ahead, which goes only as far as it is looked at."""
+"""A run ahead, which advances only as far as its positions are asked for."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from carom.scene.start import Start
 FloatArray = NDArray[np.float64]
 
 NEVER = 2**62  # steps between two checks of the energy of a run ahead
-BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
-BODIES_PER_HELD_STEP = 300  # likewise, of one in which contacts are held
+BODIES_PER_STEP = 30  # a step has a fixed cost of about as many bodies
+BODIES_PER_HELD_STEP = 300  # likewise where contacts are held
 
 
 class TrialRun:
-    """A run that goes only as far as it is looked at."""
+    """A run that advances only as far as its positions are asked for."""
 
     def __init__(self, scene: Scene, refinement: float, threads: int | None, start: Start, times: FloatArray) -> None:
         promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
@@ -40,7 +40,7 @@ class TrialRun:
 
     @property
     def work(self) -> float:
-        """What all its steps would cost, by its steps so far: a step costs as much as so many bodies more."""
+        """Cost of all its steps, extrapolated from those so far; a step costs its bodies and a fixed number more."""
         steps = self._simulation.step * len(self.times) / max(len(self._positions), 1)
         more = BODIES_PER_STEP if self.rests_from == math.inf else BODIES_PER_HELD_STEP
         return steps * (self._simulation.scene.count + more)
@@ -51,11 +51,11 @@ class TrialRun:
             while len(self._positions) <= sample:
                 self._positions.append(self._next(float(self.times[len(self._positions)])))
         except PhysicsError:
-            return None  # too long a step
+            return None  # the step is too long
         return self._positions[sample]
 
     def again(self, start: Start) -> TrialRun:
-        """Return a run from another start with the same memory; this one goes to its end before."""
+        """Complete this run, then return one from another start that reuses its memory."""
         self.at(len(self.times) - 1)
         other = copy(self)
         other.rests_from, other._positions = math.inf, []
@@ -63,7 +63,7 @@ class TrialRun:
         return other
 
     def _next(self, time: float) -> FloatArray:
-        """Go on to a time in s; return the positions there, (n, 3) m."""
+        """Advance to a time in s; return the positions there, (n, 3) m."""
         simulation = self._simulation
         if not self._chooses_steps:
             simulation.reach(time)

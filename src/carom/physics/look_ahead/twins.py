@@ -1,4 +1,4 @@
-"""Runs that begin almost alike, and how they part."""
+"""Runs that begin almost alike, and how they diverge."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
 
-APART = 1e-2  # of the size; beyond, twins no longer part exponentially
+APART = 1e-2  # of the size; beyond, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 
 
 @dataclass(frozen=True, slots=True)
 class Twins:
-    """How two runs part that begin almost alike."""
+    """How two runs diverge that begin almost alike."""
 
     apart: FloatArray  # (K,) largest distance so far over the size
     exponent: float  # 1/s
@@ -29,14 +29,14 @@ class Twins:
         """Continue the distance, (K,) over the size, beyond where it is no longer small."""
         apart = np.maximum(apart, began)
         over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they go on to part as up to here
+        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they are taken to diverge at the same rate
         apart[last] = min(apart[last], 1.0)
         exponent = math.log(apart[last] / began) / float(times[last])
         apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (times[last + 1 :] - times[last]))
         return cls(apart, exponent)
 
     def at(self, times: FloatArray, known: FloatArray, began: float) -> Twins:
-        """Return what is known at some times at all times, in s; the distance grows exponentially between them."""
+        """Interpolate to other times, in s; between known times the distance grows exponentially."""
         grown = np.log(np.maximum(with_start(self.apart, began), EPS**2))
         return Twins(np.exp(np.interp(times, with_start(known, 0.0), grown)), self.exponent)
 

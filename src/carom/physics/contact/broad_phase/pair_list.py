@@ -4,9 +4,9 @@ The list has the pairs within a margin of what was asked for. If no body has mov
 have come closer by at most 2d, so all pairs within reach are in the list as long as 2d is within the margin. They get
 the exact test of the search, in the order of the list. The pairs are therefore those of a search.
 
-The margin follows the pace of the bodies: wide enough for `CALLS` calls if that is not too wide. A wider list costs
-more to test, and is searched less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a
-step then take 0.45 of the time of a step that searches; with 4 and 12 calls 0.54 and 0.43.
+The margin follows the pace of the bodies: it lasts for `CALLS` calls, within limits. A wider list costs more to test,
+and is made less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a step then take 0.45
+of the time of a step that searches; with 4 and 12 calls 0.54 and 0.43.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Records = NDArray[np.void]
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; 1.3 and 3 times as many pairs in a heap
 CALLS = 10  # for which a list is made
-LEAST_CALLS = 4  # that a list must be good for at the present pace; a list costs as much as one and a half searches
+LEAST_CALLS = 4  # that a list must last for at the present pace; a list costs as much as one and a half searches
 ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by some 1e-16
 BODIES_PER_BLOCK = 2048
 PAIRS_PER_BLOCK = 4096
@@ -58,7 +58,7 @@ class PairList:
         self._start = np.full((len(radius), 3), np.inf)  # m, positions for which the list was made, or of the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # within which the list has all pairs
-        self._calls = 1  # since then
+        self._calls = 1  # since the list was made
         self._tested(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 

@@ -44,7 +44,7 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 LOG_ROWS = 4096  # largest number of impacts in one call
-MOST_CONTACTS = 16  # of a body at one moment, on the average
+MOST_CONTACTS = 16  # per body at one moment, on average
 WIDEST = 2.0  # times the radii; up to this width the contact grids also find neighbours
 
 
@@ -224,7 +224,10 @@ class EventDrivenDrift:
         return impacts
 
     def strike(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
-        """Resolve the impacts of a pair at the end of a step of dt s, and of all that touch there; None of no pair."""
+        """Resolve the impacts of a pair at the end of a step of dt s, and of all that touch there.
+
+        Without a pair, only the kernels are loaded.
+        """
         T, bodies = self._trajectories, self._bodies
         T.rest_speed[:] = 0.0
         drift = T.drift[0]

@@ -119,7 +119,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
 
     If impacts dissipate, bodies can collide infinitely often in a finite time. A few bodies stop when they close only
     by rounding; in a crowd the neighbours keep stirring each body. The negligible speed therefore grows with the number
-    of impacts, until the crowd is left to the end of the step. If a force presses, a part of the rest speed ends them.
+    of impacts, until the crowd is left to the end of the step. Under a pressing force, `SLOW` ends the series instead.
     """
     if T.inverse_mass[i] == 0.0:
         return

@@ -1,9 +1,9 @@
-"""How long a step may be in which contacts are held, so that an impact falls into a short one.
+"""The longest step while contacts are held, chosen so that an impact falls into a short step.
 
 A contact that is held pushes its bodies with one impulse for the whole step. An impact in the middle finds velocities
-that lack a part of it, and bodies that leave keep a part too much: errors of first order in the step. So steps approach
-an impact by nine tenths of the way each, until a very short one passes it. The forecast leaves held contacts out, which
-errs by the second order.
+that lack a part of it, and bodies that leave keep a part too much: errors of first order in the step. Each step
+therefore covers nine tenths of the time to the impact, until a very short one passes it. The forecast ignores held
+contacts, an error of second order.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from carom.physics.vector import between, vector
 
 FloatArray = NDArray[np.float64]
 
-PASSES = 3  # with the mean velocity until the impact that the pass before found
-SLOW = 2.0  # times what a contact at rest may gain in the time; slower closing is no impact
+PASSES = 3  # each uses the mean velocity until the impact that the pass before found
+SLOW = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts
 APPROACH = 0.9  # of the time until the impact
 SHORT = 1e-4  # of the span; an impact that is nearer is passed by as much
 

@@ -1,8 +1,8 @@
-"""Impacts at one moment: what touches is resolved pair by pair, again and again, until nothing closes.
+"""Impacts at one moment: all pairs that touch are resolved one by one, repeatedly, until none closes.
 
-An integrator that ends its step at an impact calls this there. Positions are those of the impact and velocities its
-own, so each impulse is that of the event loop. Rigid bodies have no unique answer where several pairs meet at once: as
-in the event loop, pairs are taken in their order.
+An integrator that ends its step at an impact calls this there. Positions and velocities are those of the impact, so
+each impulse is that of the event loop. Rigid bodies have no unique answer where several pairs meet at once: as in the
+event loop, pairs are taken in their order.
 """
 
 from __future__ import annotations

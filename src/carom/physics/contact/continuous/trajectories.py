@@ -26,10 +26,10 @@ TRAJECTORY = np.dtype(
     [
         ("now", np.float64),  # s from the beginning of the drift, the time of the body's position
         ("impacts", np.int64),  # so far in this drift
-        ("negligible_speed", np.float64),  # m/s, closing speed by rounding or in a collapse, which is no impact
+        ("negligible_speed", np.float64),  # m/s; slower closing is rounding or a collapse, not an impact
         ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
         ("partner", np.int64),  # the other end of that impact: body j, or n + p for plane p
-        ("partner_impacts", np.int64),  # those of the partner when that impact was predicted
+        ("partner_impacts", np.int64),  # impacts of the partner when that impact was predicted
         ("queue_place", np.int64),  # in the event queue; -1 outside
         ("reach", np.float64),  # m, distance from its start relative to the bulk within which neighbours are known
         ("start_x", np.float64),  # m, where it was at the beginning of the drift

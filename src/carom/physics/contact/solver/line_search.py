@@ -10,9 +10,8 @@ In sums over bodies, whose velocities and spins s changes by p and t,
 
     s·v = Σ m p·v + I t·ω,    s·A s = Σ m p² + I t²
 
-A ball squeezed between two that are 10⁹ times heavier then sinks by 10⁻¹¹ of its radius. Without the search it sinks by
-0.1 radii at a mass ratio of 10², and by 100 radii at 10³. A stack of 20 that begins without impulses sags by 10⁻⁶ of
-its energy.
+A ball squeezed between two that are 10⁹ times heavier then sinks by less than 10⁻¹¹ of its radius. Without the search
+it sinks by 0.1 radii at a mass ratio of 10² (docs/physics.md, section 9).
 """
 
 from __future__ import annotations

@@ -84,7 +84,7 @@ class PhaseCode:
         self._ready: set[int] = set()
 
     def require(self, job: int, system: ConstraintSystem) -> None:
-        """Compile or load the phases of a job, unless they are."""
+        """Compile or load the phases of a job, unless that is done."""
         if job not in self._ready:
             self._compile(job, PHASES[job], system)
 
