@@ -9,6 +9,7 @@ import pytest
 
 import carom
 from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
@@ -70,6 +71,15 @@ def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with
     shown = presentation(bounce, bounce.moment())
     assert "other bits" in shown.missing
     assert shown.time == pytest.approx(1.5, abs=1e-12), "the frame before 1.605 s"
+
+
+def test_a_step_that_a_clip_of_some_bodies_does_not_have_is_replaced_with_the_reason(
+    bounce: Recording, tmp_path: Path
+) -> None:
+    clip(bounce.path, tmp_path / "clip.rrd", 1.0, 2.0, bodies=[1])
+    step = shown_step.shown_step(Recording.open(tmp_path / "clip.rrd"), bounce.moment())
+    assert step.time == pytest.approx(1.5, abs=1e-12)
+    assert step.missing == "the clip shows only some of the bodies"
 
 
 def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounce: Recording) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
     if len(recording.shown) != int(recording.info["bodies"]):
-        return drawn  # a clip of some bodies, which cannot be repeated
+        return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
     goal = float(times[row]) if row is not None else at - tolerance(at)
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
@@ -78,7 +78,7 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
         if found is not None:
             return found
         missing = f"running it again takes more than {PATIENCE:.0f} s"
-    return drawn if row is not None else ShownStep(drawn.step, drawn.time, position, missing=missing)
+    return drawn if row is not None else replace(drawn, missing=missing)
 
 
 def _run(
