@@ -14,6 +14,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.view import close_up, shown_step
+from carom.recording.view.camera import View
 from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
 from carom.recording.view.request import Request
@@ -88,6 +89,15 @@ def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounc
     for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN, close_up.LABELS):
         (rows,) = rows_of(path, list(shown.supplement.rows))
         assert rows.steps[0] == step and len(rows.steps) == 2, "they vanish at the next frame"
+
+
+def test_no_label_of_the_close_up_covers_another() -> None:
+    eye = View(np.zeros(3), 10.0, False, np.array([0.0, -1.0, 0.0]))
+    near = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.1, 0.0, -0.2], [8.0, 0.0, 0.0]])
+    apart = close_up._apart(near, ["normal, 5 m/s", "92 N s", "3 rad/s", "4 rad/s"], eye)
+    np.testing.assert_array_equal(apart[[0, 3]], near[[0, 3]])
+    np.testing.assert_array_equal(apart[:, :2], near[:, :2])
+    assert np.diff(np.sort(apart[:3, 2])).min() >= 0.999 * close_up._LABEL_HEIGHT * eye.height()
 
 
 def test_the_close_up_follows_its_bodies_through_all_frames(bounce: Recording) -> None:

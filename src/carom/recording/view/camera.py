@@ -49,6 +49,10 @@ class View:
         """Position of the eye (m)."""
         return np.asarray(self.target + self.distance * self.to_eye)
 
+    def axes(self) -> FloatArray:
+        """Return the unit vectors to the right and up on the screen, (2, 3)."""
+        return _screen(self.to_eye)[:2]
+
     def height(self) -> float:
         """Return the height (m) of the picture at the target."""
         return 2.0 * _SLOPE * self.distance

@@ -50,6 +50,7 @@ _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _SPIN_COLOUR = 0x5CE0B0FF  # the palette's green is hardly seen on the bodies
+_LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
@@ -199,7 +200,7 @@ class CloseUp:
                 )
                 yield self._once(arrows.path, columns, len(arrows.vectors))
         texts = [text for arrows in labelled for text in arrows.labels]
-        places = np.concatenate([arrows.places() for arrows in labelled]).astype(np.float32)
+        places = _apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye).astype(np.float32)
         yield self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
@@ -258,6 +259,19 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, 
     eye_of_pair = _fit(header.radius[places], position, contact).view(aspect)
     origin, box = recording.origin, header.box
     return CloseUp(names, tuple(places), step, position, contact, spin, found, times, origin, box, eye_of_pair)
+
+
+def _apart(places: FloatArray, texts: list[str], eye: View) -> FloatArray:
+    """Move labels down on the screen where they would cover one before them; places are (k, 3) m."""
+    axes, height = eye.axes(), eye.height()
+    tall = _LABEL_HEIGHT * height
+    moved = places.copy()
+    for k, text in enumerate(texts):
+        for other in list(range(k)) * k:  # what was moved may cover another one
+            across, up = axes @ (moved[k] - moved[other])
+            if abs(across) < _LETTER_WIDTH * height * (len(text) + len(texts[other])) / 2 and abs(up) < tall:
+                moved[k] -= (tall + up) * axes[1]
+    return moved
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
