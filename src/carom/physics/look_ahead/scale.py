@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.periodic_box import minimum_images
 from carom.scene.schema import Scene
 from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
+
+
+class Run(Protocol):
+    """A run ahead."""
+
+    @property
+    def times(self) -> FloatArray:
+        """(K,) s."""
+
+    def at(self, sample: int) -> FloatArray | None:
+        """Return the positions at one of the times, (n, 3) m; None where it failed before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +49,7 @@ class Scale:
         d = a - b if self.box is None else minimum_images(a - b, self.box)
         return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
 
-    def apart(self, one: TrialRun, other: TrialRun, enough: float) -> FloatArray:
+    def apart(self, one: Run, other: Run, enough: float) -> FloatArray:
         """Compare two runs until their distance is ``enough``; return the largest so far over the size, (K,)."""
         apart = np.full(len(one.times), np.inf)
         largest = 0.0

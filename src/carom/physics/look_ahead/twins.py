@@ -35,6 +35,28 @@ class Twins:
         apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (times[last + 1 :] - times[last]))
         return cls(apart, exponent)
 
+    def steps_that_count(self, began: float, steps: int) -> FloatArray:
+        """Return how many steps with the error of the first add up to the error at all times, (K,).
+
+        An error of a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. That is
+        half the steps so far for regular motion, and those of the last 1 / λ for chaotic motion.
+        """
+        before = with_start(self.apart[:-1], began)
+        growth = np.log(self.apart / before)
+        mean = np.where(growth > 0.0, (self.apart - before) / np.where(growth > 0.0, growth, 1.0), before)
+        return np.asarray(np.cumsum(mean) / self.apart * (steps / len(mean)))
+
+    def continued(self, times: FloatArray, error: FloatArray, known: FloatArray) -> FloatArray:
+        """Interpolate an error that all steps add to, and continue it where it is infinite; (K,) at all times, in s.
+
+        It grows like t times the distance of twins, which is in proportion to t for regular motion.
+        """
+        finite = np.isfinite(error)
+        if not finite.any():
+            return np.ones(len(times))
+        share = error[finite] / (known[finite] * np.interp(known[finite], times, self.apart))
+        return np.asarray(times * self.apart * np.interp(times, known[finite], share))
+
     def at(self, times: FloatArray, known: FloatArray, began: float) -> Twins:
         """Interpolate to other times, in s; between known times the distance grows exponentially."""
         grown = np.log(np.maximum(with_start(self.apart, began), EPS**2))
