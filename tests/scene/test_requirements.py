@@ -25,7 +25,7 @@ from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
-from carom.scene.schema import Scene
+from carom.scene.schema import Promise, Scene
 from examples import cloud, pair, scene_of
 
 MOVING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
@@ -288,3 +288,18 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
     assert needs.contact.modelled and needs.resting.modelled
     assert needs.resting.why.startswith("well presses")
     assert needs.impact_time.why.startswith("the well presses contacts together")
+
+
+@pytest.mark.parametrize(
+    ("refinement", "expected"),
+    [
+        (0.5, "steps 2 times longer than usual; kept to the end"),
+        (1.0, "steps of the usual length; kept to the end"),
+        (8.0, "steps 8 times shorter than usual; kept to the end"),
+    ],
+)
+def test_the_step_of_an_accuracy_is_told_beside_the_usual_one(refinement: float, expected: str) -> None:
+    scene = scene_of(MOVING, time={"accuracy": 1e-6})
+    promise = Promise(refinement=refinement, until=scene.time.duration, lyapunov=0.0, error=(0.0,))
+    accuracy = next(part for part in require(scene.promising(promise)).parts if part.name == "accuracy")
+    assert accuracy.why == expected

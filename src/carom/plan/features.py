@@ -283,7 +283,15 @@ def _accuracy(scene: Scene) -> Part:
     kept = (
         "to the end" if promise.horizon is None else f"up to t = {scene.unit_system.text(promise.horizon, TIME, '.4g')}"
     )
-    return Part(name, True, f"steps refined {promise.refinement:.3g} times; kept {kept}")
+    return Part(name, True, f"{_steps(promise.refinement)}; kept {kept}")
+
+
+def _steps(refinement: float) -> str:
+    if refinement == 1.0:
+        return "steps of the usual length"
+    return (
+        f"steps {max(refinement, 1.0 / refinement):.3g} times {'longer' if refinement < 1.0 else 'shorter'} than usual"
+    )
 
 
 def _adaptive_step(scene: Scene) -> Part:
