@@ -276,6 +276,11 @@ CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
         ],
     ),
     "a fixed body that moves": ({"fixed": [True, False, False]}, "", ["row 0 is fixed and has a velocity"]),
+    "a flag that is missing": (
+        {"fixed": [True, None, False]},
+        "",
+        ["column fixed, row 1: empty, which is neither true"],
+    ),
     "neither true nor false": ({"fixed": [0, 2, 0]}, "", ["column fixed, row 1: ", "neither true nor false"]),
     "no rows": ({name: np.array([]) for name in columns()}, "", ["a.csv: it has no rows"]),
 }
@@ -289,6 +294,16 @@ def test_wrong_columns_are_refused_by_file_column_and_row(tmp_path: Path, case: 
     message = complaint(tmp_path, "a.csv", more)
     for part in expected:
         assert part in message
+
+
+def test_a_refusal_shows_the_number_of_the_file_whatever_its_unit(tmp_path: Path) -> None:
+    units = '[units]\nlength = "km"\nmass = "t"\n'
+    write_csv(tmp_path / "a.csv", m=[1.0, -2.0, 3.0])
+    assert "column m, row 1: -2 must be more than 0" in complaint(tmp_path, "a.csv", top=units)
+    write_npz(tmp_path / "a.npz", radius=np.array([1.0, 1.0, 1e98]))
+    assert "1e+98 is not between 1e-103 and 1e+97 in size" in complaint(tmp_path, "a.npz", top=units)
+    write_npz(tmp_path / "a.npz", fixed=np.array(["true", "false", "false"]))
+    assert "column fixed, row 0: 'true' is neither" in complaint(tmp_path, "a.npz", top=units)
 
 
 def test_all_wrong_files_are_refused_in_one_message(tmp_path: Path) -> None:
@@ -420,6 +435,20 @@ def test_a_dictionary_may_have_numpy_arrays_and_numbers() -> None:
     scene = Scene.from_dict({"body": [body], "seed": np.int64(3)})
     assert scene.body[0].position == (1.0, 2.0, 3.0)
     assert scene.seed == 3
+
+
+@pytest.mark.parametrize("name", ["007", "2020-01-01", "true", "1e5", "null", "NA", "nan", 'a, "b"', "名前"])
+def test_a_name_in_a_csv_file_is_kept_as_it_is_written(tmp_path: Path, name: str) -> None:
+    written = '"{}"'.format(name.replace('"', '""')) if "," in name else name
+    (tmp_path / "a.csv").write_text(f"name,x,y,z,m,r\n{written},0,0,0,1,1\n", encoding="utf-8")
+    assert list(place(scene_of(tmp_path, "a.csv")).name) == [name]
+
+
+@pytest.mark.parametrize("write", [write_csv, write_parquet])
+def test_a_body_whose_name_is_missing_is_numbered(tmp_path: Path, write: Callable[..., None]) -> None:
+    file = "a.csv" if write is write_csv else "a.parquet"
+    write(tmp_path / file, name=["left", None, "top"])
+    assert list(place(scene_of(tmp_path, file)).name) == ["left", "body 1", "top"]
 
 
 def test_names_are_written_only_when_they_are_asked_for() -> None:

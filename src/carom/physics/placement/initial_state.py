@@ -99,7 +99,7 @@ def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> Start
     n = len(columns)
     numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
     return Start(
-        name=columns.name or numbered,
+        name=[own or numbered[row] for row, own in enumerate(columns.name)] if columns.name else numbered,
         group=np.full(n, group),
         position=columns.position,
         velocity=columns.velocity,

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
-_Read = Callable[[list[str]], pa.Table]
+_Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 _STEP, _BODY = "step", "body"  # columns of what `carom export` writes; with both, a file may hold several steps
 
@@ -27,8 +27,9 @@ def open_csv(path: Path, called: str, snapshot: int) -> Table:
     with pyarrow.csv.open_csv(path, parse_options=parse) as reader:
         names = reader.schema.names
 
-    def read(wanted: list[str]) -> pa.Table:
-        convert = pyarrow.csv.ConvertOptions(include_columns=wanted, strings_can_be_null=True)
+    def read(wanted: list[str], texts: Sequence[str]) -> pa.Table:
+        kinds = dict.fromkeys(texts, pa.binary())  # or 007 would be a number, and null nothing
+        convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         table = pyarrow.csv.read_csv(path, parse_options=parse, convert_options=convert)
         refuse_many_rows(called, table.num_rows)
         return table
@@ -40,7 +41,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> Table:
     """Open a Parquet file."""
     file = pq.ParquetFile(path, memory_map=True)
     refuse_many_rows(called, file.metadata.num_rows)
-    return _ArrowTable(called, file.schema_arrow.names, lambda wanted: file.read(columns=wanted), snapshot)
+    return _ArrowTable(called, file.schema_arrow.names, lambda wanted, _: file.read(columns=wanted), snapshot)
 
 
 def open_arrow(path: Path, called: str, snapshot: int) -> Table:
@@ -57,7 +58,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> Table:
             batch.validate(full=True)
             found.append(batch)
         table = pa.Table.from_batches(found, reader.schema)
-    return _ArrowTable(called, reader.schema.names, table.select, snapshot)
+    return _ArrowTable(called, reader.schema.names, lambda wanted, _: table.select(wanted), snapshot)
 
 
 class _ArrowTable:
@@ -69,13 +70,13 @@ class _ArrowTable:
         self._read = read
         self._snapshot = snapshot
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns; of a file of several steps the rows of one."""
         for name in names:
             if self.names.count(name) > 1:
                 raise SceneError(f'{self.called}: two columns are called "{name}"; give each column its own name')
         steps = [_STEP] if _STEP in self.names and _BODY in self.names and _STEP not in names else []
-        table = self._read(list(dict.fromkeys([*names, *steps])))
+        table = self._read(list(dict.fromkeys([*names, *steps])), texts)
         if steps:
             table = table.filter(pc.equal(table[_STEP], self._step(table[_STEP])))
         return {name: self._array(name, table[name]) for name in names}

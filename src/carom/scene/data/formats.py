@@ -73,10 +73,10 @@ class _Guarded:
         self.called: str = table.called
         self.names: Sequence[str] = table.names
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""
         with _reading(self.called, self._form):
-            return self._table.read(names)
+            return self._table.read(names, texts)
 
 
 @contextlib.contextmanager

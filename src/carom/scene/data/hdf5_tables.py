@@ -39,7 +39,7 @@ class _Datasets:
         self.called = called
         self.names = names
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read datasets; their shapes are checked before memory is taken."""
         import h5py  # noqa: PLC0415 - an extra
 

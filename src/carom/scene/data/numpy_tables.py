@@ -31,7 +31,7 @@ class _Archive:
         self.called = called
         self.names = names
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read arrays; what their headers say is checked before memory is taken."""
         with zipfile.ZipFile(self._path) as archive:
             return {name: self._array(archive, name) for name in names}

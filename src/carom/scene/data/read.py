@@ -42,7 +42,8 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem, material: M
     if material is not None:
         section = with_material(section, material, table.names)
     mapping = mapping_of(section, table.names, table.called)
-    raw = table.read(list(dict.fromkeys(column for columns in mapping.values() for column in columns)))
+    wanted = list(dict.fromkeys(column for columns in mapping.values() for column in columns))
+    raw = table.read(wanted, texts=mapping.get("name", ()))
     reader = _Reader(section, table.called, mapping, raw, units)
     position = reader.vectors("position")
     n = len(position)
@@ -145,22 +146,21 @@ class _Reader:
         return array
 
     def _numbers(self, quantity: str, column: str) -> FloatArray:
-        values = numbers_of(self._called, column, self._raw[column])
+        given = numbers_of(self._called, column, self._raw[column])
         factor = math.prod(self._units.factor(dimension) for dimension in _DIMENSIONS[quantity])
-        if factor != 1.0:
-            values *= factor
+        values = given if factor == 1.0 else given * factor
         size = np.abs(values)
         wrong = {
             "is not a finite number": ~np.isfinite(values),
             "must be more than 0": values <= 0.0 if quantity in _POSITIVE else np.zeros(0, np.bool_),
-            f"is not between {SMALLEST:g} and {LARGEST:g} in size; choose other units": (
+            f"is not between {SMALLEST / factor:.3g} and {LARGEST / factor:.3g} in size; choose other units": (
                 (values != 0.0) & ~((size >= SMALLEST) & (size <= LARGEST))
             ),
         }
         for what, rows in wrong.items():
             if rows.any():
                 place = np.unravel_index(int(np.argmax(rows)), rows.shape)
-                raise SceneError(f"{self._called}: column {column}, row {place[0]}: {values[place]:g} {what}")
+                raise SceneError(f"{self._called}: column {column}, row {place[0]}: {given[place]:g} {what}")
         return values
 
 

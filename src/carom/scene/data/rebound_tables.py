@@ -44,6 +44,6 @@ class _Particles:
         self._arrays = arrays
         self.names: Sequence[str] = list(arrays)
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Return arrays by their names."""
         return {name: self._arrays[name] for name in names}

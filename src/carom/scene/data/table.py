@@ -27,8 +27,8 @@ class Table(Protocol):
     def names(self) -> Sequence[str]:
         """The names of its columns."""
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
-        """Read columns by their names."""
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
 
 
 class Arrays:
@@ -40,7 +40,7 @@ class Arrays:
         self._arrays = arrays
         self.names = list(arrays)
 
-    def read(self, names: Sequence[str]) -> dict[str, Raw]:
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Return arrays by their names."""
         return {name: self._arrays[name] for name in names}
 
@@ -81,18 +81,27 @@ def flags_of(called: str, column: str, raw: Raw) -> NDArray[np.bool_]:
     """Return a column of true and false, or of 1 and 0."""
     if raw.dtype.kind == "b":
         return raw.astype(np.bool_)
-    wrong = (raw != 0) & (raw != 1) if raw.dtype.kind in "fiu" else np.ones(raw.shape, dtype=np.bool_)
+    if raw.dtype.kind in "fiu":
+        wrong = (raw != 0) & (raw != 1)
+    else:  # objects, if a row is empty
+        wrong = np.array([not isinstance(value, bool) for value in raw.tolist()])
     if wrong.any():
         row = int(np.argmax(wrong))
         raise SceneError(
-            f"{called}: column {column}, row {row}: {_shown(raw.ravel()[row])} is neither true nor false (1 or 0)"
+            f"{called}: column {column}, row {row}: {_shown(raw.tolist()[row])} is neither true nor false (1 or 0)"
         )
     return raw.astype(np.bool_)
 
 
 def texts_of(raw: Raw) -> list[str]:
-    """Return a column as texts."""
-    return [value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) for value in raw.tolist()]
+    """Return a column as texts; one that is missing is empty."""
+    return [_text(value) for value in raw.tolist()]
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _shown(value: Any) -> str:
