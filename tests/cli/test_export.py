@@ -46,6 +46,12 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
     assert np.array_equal(np.frombuffer(points[: 24 * BALLS], ">f8").reshape(BALLS, 3), position)
 
 
+def test_what_is_written_of_a_clip_of_some_bodies_is_counted(cradle: Path, tmp_path: Path) -> None:
+    assert carom("clip", str(cradle), "--bodies", "0,3", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
+    done = carom("export", "clip.rrd", "--at", "0.1", "-o", "one.csv", cwd=tmp_path)
+    assert done.stdout == f"one.csv written: 1 step of {pc.read_csv(tmp_path / 'one.csv').num_rows} bodies.\n"
+
+
 def test_all_frames_are_exported_in_their_order(cradle: Path, tmp_path: Path) -> None:
     times = Recording.open(cradle).fingerprints()["time"].to_numpy()
     for name in ("all.npz", "all.parquet", "all.extxyz", "all.vtk"):

@@ -74,7 +74,7 @@ def recording(tmp_path: Path) -> Recording:
     fixed = np.arange(7) == 3
     still = {name: np.where(fixed[:, None], 0.0, grains(7, 9.0)[name]) for name in ("velocity", "angular_velocity")}
     np.savez(folder / "a.npz", **grains(7, 9.0, fixed=fixed, **still))
-    np.savez(folder / "b.npz", **grains(3, 20.0, name=["p", "q", "r"]))
+    np.savez(folder / "b.npz", **grains(3, 20.0, name=["p", "q", "r"], inertia=[0.3, 0.4, 0.5]))
     found = carom.run(folder / "scene.toml", tmp_path / "run.rrd")
     for file in ("a.npz", "b.npz"):
         (folder / file).unlink()
@@ -121,6 +121,18 @@ def test_what_is_exported_is_read_as_bodies_again(recording: Recording, tmp_path
         assert np.array_equal(again.position[:, 0], last["x"].to_numpy())
         assert np.array_equal(again.angular_velocity[:, 2], last["wz"].to_numpy())
         assert np.array_equal(again.radius, recording.bodies.radius)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "npz"])
+def test_exported_bodies_are_as_fixed_as_inert_and_called_as_in_the_run(
+    recording: Recording, tmp_path: Path, ending: str
+) -> None:
+    write(tmp_path / f"out.{ending}", snapshots(recording, None, everything=True), series=True)
+    (tmp_path / "again.toml").write_text(f'[[bodies]]\nfile = "out.{ending}"\n', encoding="utf-8")
+    again = Scene.load(tmp_path / "again.toml").data[0]
+    assert np.flatnonzero(again.fixed).tolist() == [4]
+    assert np.array_equal(again.inertia, recording.bodies.inertia)
+    assert again.name == list(recording.bodies.name)
 
 
 def test_a_recording_that_lacks_bodies_of_its_scene_is_damaged(

@@ -56,5 +56,5 @@ def export(
         with replaying(recording) as watch:
             at = simulated_or_none(at, recording.units)
             written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
-        bodies = len(recording.shown)
+        bodies = len(recording.bodies.mass)  # in a clip also those that it does not show
     say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}.")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ class Snapshot:
     state: Checkpoint
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
+    others: Mapping[str, NDArray[Any]]  # (n,) what else a [[bodies]] section would not know of these bodies
 
     @property
     def step(self) -> int:
@@ -69,6 +71,7 @@ def snapshots(
         return
     window = Window(recording, goal, watch=watch)
     mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
+    others = _others(recording, window.fixed)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)
     chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
@@ -76,7 +79,7 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
         left -= 1
-        yield Snapshot(frame.checkpoint, mass, radius)
+        yield Snapshot(frame.checkpoint, mass, radius, others)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
 
@@ -84,10 +87,24 @@ def snapshots(
 def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
     """Yield the exact states of some frames, which cannot be run again."""
     mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
+    others = _others(recording, np.zeros(len(mass), np.bool_))
     kept = recording.checkpoint_times
     if missing := [int(step) for step in steps if step not in kept]:
         raise RecordingError(
             f"{recording.path} has no exact state at step {missing[0]}, and cannot be run again: record with exact=True"
         )
     for step in steps.tolist():
-        yield Snapshot(recording.checkpoint(step), mass, radius)
+        yield Snapshot(recording.checkpoint(step), mass, radius, others)
+
+
+def _others(recording: Recording, fixed: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Return moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default."""
+    bodies, found = recording.bodies, dict[str, NDArray[Any]]()
+    solid = 0.4 * bodies.mass * bodies.radius * bodies.radius
+    if not np.allclose(bodies.inertia, solid, rtol=1e-12, atol=0.0):
+        found["inertia"] = np.asarray(bodies.inertia)
+    if fixed.any():
+        found["fixed"] = fixed
+    if any(name != f"body {number}" for number, name in enumerate(bodies.name)):
+        found["name"] = np.array(list(bodies.name), dtype=np.str_)
+    return found

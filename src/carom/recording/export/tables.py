@@ -36,7 +36,7 @@ def _write(writer_of: Callable[..., Any], path: Path, first: Snapshot, others: I
 def table_of(snapshot: Snapshot) -> pa.Table:
     """Tabulate a snapshot."""
     table = state_table([snapshot.state], slice(None))
-    own = {"body": np.arange(len(snapshot)), "mass": snapshot.mass, "radius": snapshot.radius}
+    own = {"body": np.arange(len(snapshot)), "mass": snapshot.mass, "radius": snapshot.radius, **snapshot.others}
     for place, (name, values) in enumerate(own.items(), start=2):  # after step and time
         table = table.add_column(place, name, pa.array(values))
     return table

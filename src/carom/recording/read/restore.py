@@ -6,6 +6,7 @@ A recording may come from a stranger, so everything in it is checked before it i
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.error import PhysicsError
@@ -130,9 +131,6 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
 def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
     """Return the recorded bodies in the state of a checkpoint."""
     bodies, n = recording.bodies, scene.count
-    given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
-    fixed = np.concatenate(given)
-    fixed = np.pad(fixed, (0, n - len(fixed)))
     spin = checkpoint.angular_velocity
     return Start(
         name=bodies.name,
@@ -143,5 +141,12 @@ def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Star
         mass=bodies.mass,
         radius=bodies.radius,
         inertia=bodies.inertia,
-        fixed=fixed,
+        fixed=fixed_of(scene),
     )
+
+
+def fixed_of(scene: Scene) -> NDArray[np.bool_]:
+    """Return (n,) which bodies of a scene are fixed; those of groups are not."""
+    given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
+    fixed = np.concatenate(given)
+    return np.pad(fixed, (0, scene.count - len(fixed)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from carom.physics.frame import Frame
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
-from carom.recording.read.restore import recorded_scene, space_of
+from carom.recording.read.restore import fixed_of, recorded_scene, space_of
 from carom.scene.error import SceneError
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ class Window:
             scene = recorded_scene(recording)
         except SceneError as error:
             raise RecordingError(f"{recording.path} cannot be run again: {error}") from error
+        self.fixed = fixed_of(scene)  # (n,)
         self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
 
     @property
