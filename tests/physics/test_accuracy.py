@@ -226,6 +226,17 @@ def test_a_longer_run_than_was_looked_ahead_ends_its_promise() -> None:
     assert "horizon" not in kept_accuracy(settled_scene)
 
 
+def test_a_longer_run_than_was_looked_ahead_takes_the_same_steps() -> None:
+    scene = scene_of(SPHERES, time={"duration": 3.0, "accuracy": 1e-2}, gravity=NO_PULL, drag={"relaxation_time": 2.0})
+    space = Space(scene, 1)
+    longer = Space(scene_from_text(space.scene.toml, "longer", ["time.duration=30.0"]), 1)
+    for each in (space, longer):
+        for _ in range(100):
+            each.compute_dynamics(each.step + 1)
+    assert 0.0 < longer.time == space.time < 3.0
+    assert longer.fingerprint() == space.fingerprint()
+
+
 def test_no_promise_is_made_where_none_is_asked_for() -> None:
     scene = scene_of(SPHERES, time={"duration": 4.0}, gravity=NO_PULL)
     assert settled(scene) is scene

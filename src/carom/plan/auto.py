@@ -209,10 +209,10 @@ def frame_interval(scene: Scene) -> float:
     """Return the simulated time between recorded frames in seconds; 0 records every step."""
     if scene.record.every == "step":
         return 0.0
-    return auto_interval(scene) if scene.record.every == "auto" else scene.record.every
+    return auto_interval(scene, scene.time.duration) if scene.record.every == "auto" else scene.record.every
 
 
-def auto_interval(scene: Scene) -> float:
-    """Return the simulated time in seconds between the frames of a recording that chooses them itself."""
+def auto_interval(scene: Scene, duration: float) -> float:
+    """Return the time between the frames of a recording that chooses them itself, for a duration; both in s."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
-    return scene.time.duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
+    return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))

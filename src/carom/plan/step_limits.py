@@ -42,7 +42,7 @@ class StepLimits:
 def step_limits(scene: Scene) -> StepLimits:
     """Return the limits that a scene asks for."""
     if scene.promise is not None:
-        return accurate_limits(scene, scene.promise.refinement)
+        return accurate_limits(scene, scene.promise.refinement, scene.promise.until)
     return StepLimits(
         max_dt=scene.time.max_dt,
         cfl=cfl(scene),
@@ -54,15 +54,16 @@ def step_limits(scene: Scene) -> StepLimits:
     )
 
 
-def accurate_limits(scene: Scene, refinement: float) -> StepLimits:
+def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
     """Return limits for steps so many times shorter than the longest useful ones, with impacts at their own times.
 
     Every limit shrinks alike, so that runs with different refinements differ wherever the step matters. No step is
-    longer than the interval between the frames of an automatic recording.
+    longer than the interval between the frames of an automatic recording of ``until`` seconds, which
+    the look ahead covered. A resumed run may be longer, and keeps its step.
     """
     touches = cfl(scene) is not None
     return StepLimits(
-        max_dt=min(scene.time.max_dt, auto_interval(scene)) / refinement,
+        max_dt=min(scene.time.max_dt, auto_interval(scene, until)) / refinement,
         cfl=FREE_CFL / refinement if touches else None,
         target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
         held_dx=None,
@@ -75,7 +76,7 @@ def accurate_limits(scene: Scene, refinement: float) -> StepLimits:
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
     """Return limits for steps up to ``stride`` times longer, as far as contacts are still found and orbits kept."""
     if scene.promise is not None:
-        return accurate_limits(scene, scene.promise.refinement / stride)
+        return accurate_limits(scene, scene.promise.refinement / stride, scene.promise.until)
 
     def wider(limit: float | None, widest: float) -> float | None:
         return None if limit is None else min(stride * limit, max(limit, widest))

@@ -135,7 +135,8 @@ def loses_frames(study: Study, written: Result, result: Result) -> bool:
     """
     wanted = written.frames
     if study.scene.record.every == "step":
-        wanted = min(wanted, round(study.scene.time.duration / auto_interval(study.scene)))
+        duration = study.scene.time.duration
+        wanted = min(wanted, round(duration / auto_interval(study.scene, duration)))
     return result.frames < FRAMES_KEPT * wanted
 
 
