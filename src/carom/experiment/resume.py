@@ -12,7 +12,7 @@ from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.plan.auto import frame_interval
+from carom.plan.auto import frame_interval, integrator
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -72,7 +72,11 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     if end != cut:
         interval, units = frame_interval(scene), scene.unit_system
         every = '"step"' if interval == 0.0 else units.literal(interval, TIME)
-        scene = recorded_scene(recording, [f"time.duration={units.literal(end, TIME)}", f"record.every={every}"])
+        changes = [f"time.duration={units.literal(end, TIME)}", f"record.every={every}"]
+        longer, chosen = recorded_scene(recording, changes), integrator(scene).name
+        if integrator(longer).name != chosen:  # "auto" depends on the number of orbits
+            longer = recorded_scene(recording, [*changes, f"time.integrator={chosen}"])
+        scene = longer
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
