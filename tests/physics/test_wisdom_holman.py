@@ -230,7 +230,7 @@ def test_the_solution_within_a_step_is_that_of_a_run_which_ends_there() -> None:
     [
         ({"contact": {"enabled": True}}, "does not resolve contacts; set contact.enabled = false"),
         ({"gravity": {"method": "tree"}}, 'gravity.method = "tree": it sums all pairs'),
-        ({"gravity": {"softening": 0.1}}, "orbits are those of points; set it to 0"),
+        ({"gravity": {"softening": 0.1}}, "softening = 0.1 m, but its orbits are those of points; set it to 0"),
         ({"gravity": {"uniform": [0, 0, -1]}}, "gravity.uniform, under which orbits are not Kepler's"),
         ({"gravity": {"constant": 0.0}}, "without gravity between bodies"),
         ({"time": {"pull_fraction": 0.1}}, "time.pull_fraction with .*use time.fixed_dt"),

@@ -174,7 +174,7 @@ BAD = {
     "a ball with a height": ({"region": {"radius": 3.0, "height": 3.0}}, ["needs radius = …", "and no height"]),
     "a shell turned inside out": (
         {"region": {"shape": "shell", "radius": 3.0, "inner_radius": 4.0}},
-        ["inner_radius = 4 is not below radius = 3"],
+        ["inner_radius is not below radius"],
     ),
     "a lattice in no region": ({"arrangement": "fcc"}, ['arrangement = "fcc" needs a region']),
     "a spacing at random": ({"spacing": 3.0}, ["spacing with arrangement", "cubic, fcc, hcp"]),

@@ -272,6 +272,22 @@ def test_wrong_units_are_refused_in_one_line(line: str, parts: list[str]) -> Non
 OWN = 'units = "au, day, solar mass"\n'
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[group]]\nradius = { min = 3, max = 2 }", "group.0.radius: min is above max"),
+        ('[[group]]\nregion = { shape = "shell", inner_radius = 3, radius = 2 }', "inner_radius is not below radius"),
+        ('[[group]]\nregion = { shape = "shell" }', "needs inner_radius = … and radius = …"),
+        ('[domain]\nboundary = "periodic"\n[[body]]', "needs size = [x, y, z]"),
+    ],
+)
+def test_a_refusal_does_not_speak_of_metres_where_the_scene_is_in_kilometres(text: str, said: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_from_text(f'[units]\nlength = "km"\n{text}', "")
+    assert said in str(caught.value)
+    assert "metres" not in str(caught.value) and "000" not in str(caught.value)
+
+
 def test_a_scene_in_its_own_units_keeps_its_numbers() -> None:
     scene = loaded(OWN + "[time]\nduration = 365\n[[body]]\nradius = 1e-5\nmass = 1\n")
     assert (scene.time.duration, scene.body[0].radius, scene.body[0].mass) == (365.0, 1e-5, 1.0)

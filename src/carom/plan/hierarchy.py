@@ -12,6 +12,7 @@ from carom.scene.materials import made_of
 from carom.scene.matter import body_mass, mean_mass
 from carom.scene.names import body_called
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH
 
 DOMINANT = 0.99  # share of the mass from which a body dominates
 FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
@@ -69,7 +70,7 @@ def why_no_hierarchy(scene: Scene) -> str:
     if not pulls.gravity(scene).modelled:
         return 'without gravity between bodies; take "auto"'
     if gravity.softening > 0.0:
-        soft = f"gravity.softening = {gravity.softening:g}"
+        soft = f"gravity.softening = {scene.unit_system.text(gravity.softening, LENGTH)}"
         return f'with {soft}, but its orbits are those of points; set it to 0, or take "auto"'
     if any(gravity.uniform):
         return "with gravity.uniform, under which orbits are not Kepler's; leave it out"

@@ -31,5 +31,5 @@ class Domain(Section):
     @model_validator(mode="after")
     def _a_box_has_a_size(self) -> Self:
         if self.boundary != "open" and self.size is None:
-            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z] in metres')
+            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z]')
         return self

@@ -41,7 +41,7 @@ class RadiusRange(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.min > self.max:
-            raise ValueError(f"min = {self.min:g} is above max = {self.max:g}; exchange them")
+            raise ValueError("min is above max; exchange them")
         if abs(self.exponent + 1.0) * math.log10(self.max / self.min) > STEEPEST:
             raise ValueError(
                 f"exponent = {self.exponent:g} is too steep for such different radii; lower it or their ratio"
@@ -77,11 +77,9 @@ class Region(Section):
         if missing or given:
             values = " and ".join(f"{key} = {'[x, y, z]' if key == 'size' else '…'}" for key in needed)
             others = f", and no {given[0]}" if given else ""
-            raise ValueError(f'shape = "{self.shape}" needs {values} in metres{others}')
+            raise ValueError(f'shape = "{self.shape}" needs {values}{others}')
         if self.inner_radius is not None and self.radius is not None and self.inner_radius >= self.radius:
-            raise ValueError(
-                f"inner_radius = {self.inner_radius:g} is not below radius = {self.radius:g}; exchange them"
-            )
+            raise ValueError("inner_radius is not below radius; exchange them")
         return self
 
 
