@@ -46,6 +46,16 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
     assert np.array_equal(np.frombuffer(points[: 24 * BALLS], ">f8").reshape(BALLS, 3), position)
 
 
+def test_extended_xyz_has_the_periodic_box(tmp_path: Path) -> None:
+    domain = '[domain]\nboundary = "periodic"\nsize = [4, 5, 6]\n'
+    scene = f"[time]\nduration = 0.1\n{domain}[gravity]\nconstant = 0\n[[body]]\nvelocity = [1, 0, 0]\n"
+    (tmp_path / "scene.toml").write_text(scene, encoding="utf-8")
+    assert carom("run", "scene.toml", "-o", "run.rrd", cwd=tmp_path).returncode == 0
+    assert carom("export", "run.rrd", "--at", "0.1", "-o", "one.extxyz", cwd=tmp_path).returncode == 0
+    head = (tmp_path / "one.extxyz").read_text(encoding="utf-8").splitlines()[1]
+    assert head.endswith('Lattice="4.0 0 0 0 5.0 0 0 0 6.0" Origin="-2.0 -2.5 -3.0" pbc="T T T"')
+
+
 def test_what_is_written_of_a_clip_of_some_bodies_is_counted(cradle: Path, tmp_path: Path) -> None:
     assert carom("clip", str(cradle), "--bodies", "0,3", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
     done = carom("export", "clip.rrd", "--at", "0.1", "-o", "one.csv", cwd=tmp_path)

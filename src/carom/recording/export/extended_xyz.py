@@ -25,7 +25,16 @@ def _block(snapshot: Snapshot) -> str:
     columns += [("mass", snapshot.mass[:, None])]
     columns += [(_COLUMNS[name], values) for name, values in snapshot.vectors.items() if name != "position"]
     kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
-    head = f'Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} pbc="F F F"'
+    head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {_cell(snapshot)}"
     rows = np.concatenate([values for _, values in columns], axis=1).tolist()
     lines = [f"X {body} {' '.join(map(repr, row))}" for body, row in enumerate(rows)]
     return "\n".join([str(len(rows)), head, *lines, ""])
+
+
+def _cell(snapshot: Snapshot) -> str:
+    """Name the vectors of the periodic box, if there is one, and its lower corner, which OVITO reads."""
+    if snapshot.box is None:
+        return 'pbc="F F F"'
+    x, y, z = snapshot.box
+    corner = " ".join(repr(-length / 2.0) for length in snapshot.box)
+    return f'Lattice="{x!r} 0 0 0 {y!r} 0 0 0 {z!r}" Origin="{corner}" pbc="T T T"'

@@ -29,6 +29,7 @@ class Snapshot:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     others: Mapping[str, NDArray[Any]]  # (n,) what else a [[bodies]] section would not know of these bodies
+    box: tuple[float, ...] | None = None  # m, size of a periodic domain about the origin
 
     @property
     def step(self) -> int:
@@ -79,7 +80,7 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
         left -= 1
-        yield Snapshot(frame.checkpoint, mass, radius, others)
+        yield Snapshot(frame.checkpoint, mass, radius, others, window.box)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
 
