@@ -50,11 +50,15 @@ def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
     }
     assert carom("contacts", "run.rrd", "-o", "c.parquet", cwd=folder).returncode == 0
     assert pq.read_table(folder / "c.parquet").to_pylist() == [row]
+    assert carom("contacts", "run.rrd", "-o", "c.csv", cwd=folder).stdout == "c.csv written: 1 row, recorded.\n"
+    (written,) = csv.DictReader((folder / "c.csv").open(encoding="utf-8"))
+    assert written == line
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; known endings: .parquet, .csv'),
         (("--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
         (("--body", "0", "--body", "1", "--at", "0.5"), "body 0 and body 1 do not touch at t = 0.5 s"),

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 MOST_ROWS = 40  # that are printed for people
+FORMATS = (".parquet", ".csv")  # of files
 
 _MEASURED = (
     ("approach_speed", "approach", VELOCITY),
@@ -65,7 +66,7 @@ def contacts(
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print as CSV.")] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE.parquet", help="Write a Parquet file.")
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet or .csv.")
     ] = None,
     force: ForceOption = False,
 ) -> None:
@@ -79,6 +80,7 @@ def contacts(
 
     _refuse_contradictions(at, impacts, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:
+        _refuse_format(output)
         refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)
@@ -108,6 +110,14 @@ def _refuse_contradictions(
         raise RecordingError("--at asks for the contacts of one step; with --impacts give --from and --to")
     if not impacts and (start is not None or end is not None):
         raise RecordingError("--from and --to choose impacts: add --impacts, or ask for one step with --at")
+
+
+def _refuse_format(path: Path) -> None:
+    """Raise RecordingError if the ending of a file names no format."""
+    from carom.recording.errors import RecordingError
+
+    if path.suffix not in FORMATS:
+        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known endings: {", ".join(FORMATS)}')
 
 
 def _table(
@@ -167,20 +177,21 @@ def _names(recording: Recording) -> Any:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    """Write a Parquet file under a temporary name, and rename it."""
+    """Write a file under a temporary name, and rename it."""
+    import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
     from carom.recording.errors import RecordingError
 
     part = path.with_name(f".{path.name}.part")
     try:
-        pq.write_table(table, part)
+        (pc.write_csv if path.suffix == ".csv" else pq.write_table)(table, part)
         part.replace(path)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
-    say(f"{path} written: {table.num_rows} rows, {_source(table)}.")
+    say(f"{path} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
 
 
 def _csv(table: pa.Table) -> str:
