@@ -405,6 +405,18 @@ def test_mujoco_is_recorded_with_its_planes_and_its_spheres_rest_on_them(tmp_pat
     assert recording.summary()["moments"]["impact"]["between"] == 'body 0 "ball" and floor'
 
 
+def test_a_limb_of_mujoco_has_the_velocity_of_its_centre_of_mass() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    arm = '<joint type="hinge" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0.5 0 0"/>'
+    model = mujoco.MjModel.from_xml_string(f'<mujoco><worldbody><body pos="4 0 1">{arm}</body></worldbody></mujoco>')
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0] = 0.3, 2.0
+    state = carom.record.mujoco(model, data).state()
+    assert state.position[0] == pytest.approx([4.0 + 0.5 * np.cos(0.3), 0.0, 1.0 - 0.5 * np.sin(0.3)], abs=1e-12)
+    assert state.velocity[0] == pytest.approx([-np.sin(0.3), 0.0, -np.cos(0.3)], abs=1e-12)
+    assert state.angular_velocity[0] == pytest.approx([0.0, 2.0, 0.0], abs=1e-12)
+
+
 def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it() -> None:
     with pytest.raises(carom.errors.RecordingError, match="pip install rebound-next"):
         engine_package("rebound_next", "rebound-next")

@@ -102,9 +102,7 @@ class MuJoCo:
         self._turn[:k, :3], self._turn[:k, 3] = turn[:, 1:], turn[:, 0]
         for row, body in enumerate(self._moving):
             package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
-            arm = data.xipos[body] - data.xpos[body]
-            self._spin[row] = self._velocity[:3]
-            self._speed[row] = self._velocity[3:] + np.cross(self._velocity[:3], arm)
+            self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
 
     def contacts(self) -> NDArray[np.int64]:
         """Return the pairs that the last step found in contact, (m, 2)."""
