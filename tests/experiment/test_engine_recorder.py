@@ -328,6 +328,35 @@ def test_an_infinite_number_in_single_precision_is_not_bounded() -> None:
     assert not snapshot.bounded
 
 
+class Landing:
+    """A body of another shape that falls to a plane and stops there, beside a sphere that rests."""
+
+    model = carom.record.Model(
+        engine="toy 1.0",
+        mass=[1.0, 1.0],
+        radius=[0.2, 0.1],
+        judged=[False, True],
+        gravity=(0.0, 0.0, -9.81),
+        planes=[carom.record.Plane((0.0, 0.0, 1.0), 0.0, "floor")],
+    )
+    time = 0.0
+
+    def state(self) -> carom.record.State:
+        height = 1.0 - 0.5 * 9.81 * self.time**2
+        speed = -9.81 * self.time if height > 0.1 else 0.0
+        position = [[0.0, 0.0, max(height, 0.1)], [3.0, 0.0, 0.1]]
+        return carom.record.State(self.time, position, [[0.0, 0.0, speed], [0.0, 0.0, 0.0]])
+
+
+def test_energy_that_a_body_which_is_not_judged_loses_in_a_contact_is_no_fault(tmp_path: Path) -> None:
+    landing = Landing()
+    with carom.record.Recorder(landing, tmp_path / "run.rrd") as recorder:
+        for step in range(1, 100):
+            landing.time = 0.01 * step
+            recorder.frame()
+    assert recorder.faults == []
+
+
 def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
     rebound = pytest.importorskip("rebound")
     simulation = rebound.Simulation()

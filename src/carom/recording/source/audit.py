@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.union_find import number_sets
+from carom.physics.diagnostics.energy import Energy
 from carom.physics.event import Event
 from carom.recording.source.proximity import Moment, Near
 from carom.recording.source.source import Setup
@@ -119,6 +120,7 @@ class Audit:
         self._typical = 0.0  # m/s
         self._scale = 0.0  # J, the largest kinetic energy so far
         self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
+        self._unjudged = 0.0  # J, that clusters with a body that is not judged gained so far
         self._told: dict[str, int] = {}
         self.counts: dict[str, int] = {}  # frames that broke each law
         self.first: dict[str, Fault] = {}
@@ -153,8 +155,10 @@ class Audit:
         found.faults = [fault for fault in faults if self._tell(fault)]
         return found
 
-    def drifted(self, step: int, time: float, error: float, relative: float) -> Fault | None:
-        """Judge the energy that no contact explains, summed since the start, in J and relative to the energy scale."""
+    def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
+        """Judge the energy that no contact explains, summed since the start, without that of bodies not judged."""
+        error = energy.integration_error - self._unjudged
+        relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:
             return None
         way = "risen" if error > 0.0 else "fallen"
@@ -289,6 +293,7 @@ class Audit:
         back = np.where(clusters.touched, np.clip(change, 0.0, owed), 0.0)
         taken = np.where(clusters.touched, np.maximum(-change, 0.0), 0.0)
         found.taken = float((taken - back)[clusters.judged].sum())
+        self._unjudged += float(change[~clusters.judged].sum())
         self._book(clusters, taken, back, owed)
         wrong = np.where(clusters.touched, np.maximum(change, 0.0) - back, change)
         excess = np.where(clusters.judged, np.abs(wrong) - rounding, 0.0)

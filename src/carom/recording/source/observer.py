@@ -81,8 +81,7 @@ class Observer:
         energy = self._energies.balance(motion, potentials, self._ledger)
         momentum = self._momenta.balance(motion, now.time - self._began)
         faults = seen.faults
-        error = energy.integration_error
-        drift = self.audit.drifted(step, now.time, error, energy.relative(error))
+        drift = self.audit.drifted(step, now.time, energy)
         faults = faults if drift is None else [*faults, drift]
         statistics = self._statistics(contacts, seen)
         events = [*self._first_contact(step, now.time, contacts), *(fault.event for fault in faults)]
