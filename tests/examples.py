@@ -113,3 +113,14 @@ def kinetic_energy_of(bodies: Bodies) -> float:
     if len(bodies.angular_velocity):
         energy += 0.5 * bodies.inertia @ np.sum(bodies.angular_velocity**2, axis=1)
     return float(energy)
+
+
+def two_planets() -> Scene:
+    """Return 60 s of two planets for which "auto" takes wisdom-holman where the scene lasts 6300 s or more."""
+    bodies: list[dict[str, Any]] = [
+        {"mass": 1.0, "radius": 1e-6},
+        {"mass": 1e-6, "radius": 1e-6, "position": [1.0, 0.0, 0.0], "velocity": [0.0, 1.0, 0.0]},
+        {"mass": 1e-6, "radius": 1e-6, "position": [0.0, 4.0, 0.0], "velocity": [-0.5, 0.0, 0.0]},
+    ]
+    sections = {"time": {"duration": 60.0, "max_dt": 1e3}, "gravity": {"constant": 1.0}, "record": {"every": "auto"}}
+    return scene_of(bodies, contact={"enabled": False}, **sections)

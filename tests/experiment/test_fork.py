@@ -15,13 +15,14 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Branch, start_of
 from carom.experiment.fork.chance import Chance, chances
 from carom.experiment.fork.ensemble import Ensemble, ensemble
-from carom.experiment.fork.fork import fork, write_ensemble
+from carom.experiment.fork.fork import fork, text_of, write_ensemble
 from carom.experiment.fork.inevitable import inevitable, judge
 from carom.experiment.fork.workers import Result, Task, Workers, by_seed, execute
+from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import shades
 from carom.scene.schema import Scene
-from examples import cloud
+from examples import cloud, two_planets
 
 
 def box_of_balls(duration: float) -> Scene:
@@ -98,6 +99,24 @@ def test_other_parameters_act_from_the_fork_on(gas: Path, tmp_path: Path) -> Non
 def test_what_a_checkpoint_holds_cannot_be_overridden(gas: Path, override: str, message: str) -> None:
     with pytest.raises(ExperimentError, match=message):
         start_of(Branch(gas, 2.0, tuple(override.split(";"))))
+
+
+@pytest.fixture
+def orbits(tmp_path: Path) -> Path:
+    return carom.run(two_planets(), tmp_path / "orbits.rrd").path
+
+
+def test_a_fork_with_a_later_end_keeps_the_integrator_and_the_interval_between_frames(orbits: Path) -> None:
+    scene = start_of(Branch(orbits, 20.0, ("time.duration=7000",))).scene
+    assert integrator(scene).name == "gauss-radau15"
+    assert frame_interval(scene) == 60.0 / 600
+
+
+def test_a_distance_at_the_end_that_interpolation_explains_is_not_stated_as_one(orbits: Path, tmp_path: Path) -> None:
+    start = start_of(Branch(orbits, 20.0, ("time.duration=70", "record.every=0.5", "gravity.softening=1e-9")))
+    found = fork(start, tmp_path / "both.rrd", None, 0)
+    assert 1e-3 < found.diff.curve.rms[-1] < found.diff.curve.floor[-1] < 0.1
+    assert "at the end counterparts are less than" in text_of(start, found.diff)
 
 
 def test_a_perturbed_start_differs_by_one_unit_in_the_last_place_of_each_coordinate(gas: Path) -> None:

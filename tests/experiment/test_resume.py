@@ -23,7 +23,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
-from examples import cloud, scene_of
+from examples import cloud, two_planets
 
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")
 
@@ -97,14 +97,7 @@ def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Pa
 
 
 def test_a_longer_run_keeps_the_integrator_that_its_first_duration_chose(tmp_path: Path) -> None:
-    bodies = [
-        {"mass": 1.0, "radius": 1e-6},
-        {"mass": 1e-6, "radius": 1e-6, "position": [1.0, 0.0, 0.0], "velocity": [0.0, 1.0, 0.0]},
-        {"mass": 1e-6, "radius": 1e-6, "position": [0.0, 4.0, 0.0], "velocity": [-0.5, 0.0, 0.0]},
-    ]
-    scene = scene_of(
-        bodies, time={"duration": 60.0, "max_dt": 1e3}, gravity={"constant": 1.0}, contact={"enabled": False}
-    )
+    scene = two_planets()
     assert integrator(scene).name == "gauss-radau15"
     short = carom.run(scene, tmp_path / "orbits.rrd")
     run = resumable_run(short, until=7000.0)  # 1100 orbits, for which "auto" would take wisdom-holman

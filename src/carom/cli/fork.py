@@ -133,6 +133,7 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
         "scene": {key: list(values) for key, values in found.diff.scene.items()},
         "text": text,
         "rms": float(found.diff.curve.rms[-1]),
+        "floor": float(found.diff.curve.floor[-1]),
     }
     lines = [f"{text[0].upper()}{text[1:]}."]
     if not found.outcome.ok:

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from carom.experiment.continued_scene import continued_scene
 from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_output
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.plan.auto import frame_interval, integrator
 from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -70,13 +70,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
-        interval, units = frame_interval(scene), scene.unit_system
-        every = '"step"' if interval == 0.0 else units.literal(interval, TIME)
-        changes = [f"time.duration={units.literal(end, TIME)}", f"record.every={every}"]
-        longer, chosen = recorded_scene(recording, changes), integrator(scene).name
-        if integrator(longer).name != chosen:  # "auto" depends on the number of orbits
-            longer = recorded_scene(recording, [*changes, f"time.integrator={chosen}"])
-        scene = longer
+        scene = continued_scene(recording, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:

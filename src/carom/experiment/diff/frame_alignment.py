@@ -15,6 +15,7 @@ from carom.recording.read.recording import Recording
 FloatArray = NDArray[np.float64]
 
 _SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
+_UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
@@ -99,13 +100,21 @@ class FrameAlignment:
         return np.asarray(other - self._box * np.round((other - one) / self._box))
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
-        """Estimate the error of linear interpolation at the midpoint: an eighth of the second difference."""
-        third = j + 1 if j + 1 < len(self._b.step) else j - 2
-        if third < 0:
-            return float("inf")
-        further = self._near(later, self._b.positions.drawn(self._b.step[third]))
-        bend = further - 2 * later + earlier if third > j else further - 2 * earlier + later
-        return _rms(bend) / 8.0
+        """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
+
+        Frames need not be equally spaced. Of the accelerations with the frame before and the one after, twice the
+        larger counts, because three frames understate how strongly an orbit bends between them.
+        """
+        time, largest = self._b.time, 0.0
+        h = time[j] - time[j - 1]
+        speed = (later - earlier) / h
+        for third, near, side in ((j - 2, earlier, -1.0), (j + 1, later, 1.0)):
+            if 0 <= third < len(time):
+                beyond = self._near(near, self._b.positions.drawn(self._b.step[third]))
+                span = abs(time[third] - time[j if third > j else j - 1])
+                change = side * (beyond - near) / span - speed
+                largest = max(largest, _UNSEEN * 2.0 * _rms(change) / (h + span))
+        return largest * h * h / 8.0 if len(time) > 2 else float("inf")
 
     def _differs(self, k: int) -> bool:
         i, j, part = self._place(k)

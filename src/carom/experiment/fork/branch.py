@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.experiment.continued_scene import continued_scene
 from carom.experiment.error import ExperimentError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
+from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.recording.errors import RecordingError
 from carom.recording.read.moment import tolerance
@@ -76,7 +78,7 @@ def start_of(branch: Branch) -> Start:
     recording.refuse_overlay()
     original = recorded_scene(recording)
     _refuse_state(branch.overrides)
-    scene = recorded_scene(recording, list(branch.overrides)) if branch.overrides else original
+    scene = continued_scene(recording, list(branch.overrides)) if branch.overrides else original
     checkpoint = _checkpoint_at(recording, original, recording.moment(branch.at))
     _refuse_other_state(branch, original, scene)
     end, units = scene.time.duration, scene.unit_system
@@ -125,7 +127,7 @@ def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
         "whether bodies have orientations": (before.orientation.modelled, after.orientation.modelled),
         "whether bodies can touch": (before.contact.modelled, after.contact.modelled),
         "the solver of resting contacts": (original.contact.solver, scene.contact.solver),
-        "the integrator": (original.time.integrator, scene.time.integrator),
+        "the integrator": (integrator(original).name, integrator(scene).name),
         "the number of planes": (len(original.plane), len(scene.plane)),
     }
     for what, (one, other) in changes.items():

@@ -66,10 +66,12 @@ def text_of(start: Start, found: Diff) -> str:
     forked = f"forked at step {start.checkpoint.step}, t = {units.text(start.checkpoint.time, TIME, '.9g')}{what}"
     if first is None:
         return f"{forked}: the same bits up to the end"
-    when, (apart, size) = units.text(curve.time[first], TIME), (curve.rms[-1], curve.size)
+    when, apart, resolved = units.text(curve.time[first], TIME), curve.rms[-1], curve.floor[-1]
+    distance = units.text(max(apart, resolved), LENGTH, ".3g")
     return (
         f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at the end counterparts are "
-        f"{units.text(apart, LENGTH, '.3g')} apart (rms), in a system of {units.text(size, LENGTH, '.3g')}"
+        f"{'' if apart > resolved else 'less than '}{distance} apart (rms), in a system of "
+        f"{units.text(curve.size, LENGTH, '.3g')}"
     )
 
 
