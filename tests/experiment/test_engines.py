@@ -139,6 +139,19 @@ class Restarting:
         return State(0.1 * self.steps, np.zeros((1, 3)), np.zeros((1, 3)))
 
 
+def test_mujoco_keeps_the_order_and_the_names_of_bodies_of_which_some_are_fixed(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    balls = [{"name": name, "position": [3.0 * k, 0.0, 0.0], "mass": 1.0 + k} for k, name in enumerate("abcd")]
+    for k, ball in enumerate(balls):
+        ball.update({"fixed": True} if k in (0, 2) else {"velocity": [0.0, float(k), 0.0]})
+    scene = Scene.from_dict({"time": {"duration": 1.0, "fixed_dt": 0.1}, "gravity": {"constant": 0.0}, "body": balls})
+    engine, path = engine_called("mujoco"), tmp_path / "run.rrd"
+    run = watch(engine.begin(scene, engine.settings(scene)[0]), scene, np.array([1.0]), path).trajectory
+    assert run.position[0] == pytest.approx(np.array([[0, 0, 0], [3, 1, 0], [6, 0, 0], [9, 3, 0]]), abs=1e-9)
+    bodies = Recording.open(path).bodies
+    assert list(bodies.name) == ["a", "b", "c", "d"] and bodies.mass[[1, 3]].tolist() == [2.0, 4.0]
+
+
 def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path) -> None:
     scene, engine = orbit(units="au, day, solar mass"), Restarting()
     simulation = Simulation(engine, engine.step, 0.1)

@@ -7,15 +7,19 @@ two bodies bounce with the scene's coefficient and a bounce takes `BOUNCE` steps
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from carom.experiment.engines.stepped import Simulation, SteppedEngine, dt_of
 from carom.experiment.engines.translation import problem_of
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.recording.source.adapters.mujoco import mujoco as source_of
 from carom.recording.source.adapters.package import engine_package
+from carom.recording.source.source import Source, State
 from carom.scene.schema import Coefficients, Scene
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
@@ -71,7 +75,35 @@ class MuJoCo(SteppedEngine):
         data = engine.MjData(model)
         moving = np.flatnonzero(~start.fixed)
         data.qvel[:] = np.concatenate((start.velocity[moving], start.angular_velocity[moving]), axis=1).ravel()
-        return Simulation(source_of(model, data), lambda: engine.mj_step(model, data), dt)
+        source: Source = source_of(model, data)
+        if start.fixed.any():
+            source = _InOrder(source, np.argsort(np.argsort(start.fixed, kind="stable")), names)
+        return Simulation(source, lambda: engine.mj_step(model, data), dt)
+
+
+class _InOrder:
+    """A source with its bodies in the order of the scene; MuJoCo's has those that never move at the end, unnamed.
+
+    Parameters
+    ----------
+    place
+        (n,) where the bodies of the scene are in the source.
+    names
+        Of the bodies of the scene.
+    """
+
+    def __init__(self, source: Source, place: NDArray[np.int64], names: Sequence[str]) -> None:
+        self._source, self._place = source, place
+        model = source.model
+        by_body = ("mass", "radius", "inertia", "fixed", "judged")
+        own: dict[str, Any] = {name: np.asarray(getattr(model, name))[place] for name in by_body}
+        self.model = replace(model, names=names, **own)
+
+    def state(self) -> State:
+        """Return the present state."""
+        found, place = self._source.state(), self._place
+        turn, spin = found.orientation[place], found.angular_velocity[place]
+        return State(found.time, found.position[place], found.velocity[place], turn, spin)
 
 
 def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
