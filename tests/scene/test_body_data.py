@@ -255,6 +255,8 @@ def test_wrong_arrays_are_refused_in_one_sentence(arrays: dict[str, Any], messag
 
 CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
     "a missing column": ({"m": None}, "", ["scene.toml:3: ", "a.csv: no column for mass (usually mass or m", "x, y"]),
+    "a velocity of two axes": ({"vz": None}, "", ["columns for velocity are incomplete: vx and vy without vz; add"]),
+    "a spin about one axis": ({"wz": MASS}, "", ["columns for angular_velocity are incomplete: wz without wx and wy"]),
     "a missing axis": ({"z": None}, "", ["no column for position (usually x, y and z"]),
     "an empty cell": ({"vy": [0.0, None, 1.0]}, "", ["a.csv: column vy, row 1: nan is not a finite number"]),
     "an infinite number": ({"y": [0.0, 1.0, np.inf]}, "", ["column y, row 2: inf is not a finite number"]),

@@ -52,6 +52,8 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> Mapping:
                 raise SceneError(_ambiguous(quantity, candidates, called))
             if candidates:
                 found[quantity] = candidates[0]
+            elif quantity != "position":  # which is refused as missing
+                _refuse_part(quantity, names, called)
     for first, second in _RIVALS:
         _refuse_rivals(section, found, first, second, called)
     _refuse_missing(section, found, names, called)
@@ -108,6 +110,19 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
             columns = tuple(names[plain.index(axis)] for axis in axes)
             threes += [columns, columns] if repeated else [columns]
     return single + threes
+
+
+def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
+    """Refuse a vector of which a table has one or two of the usual columns."""
+    plain = {_plain(name) for name in names}
+    for before in USUAL_AXES.get(quantity, ()):
+        axes = [f"{before}{axis}" for axis in "xyz"]
+        there, missing = ([axis for axis in axes if (axis in plain) is wanted] for wanted in (True, False))
+        if there and missing:
+            raise SceneError(
+                f"{called}: columns for {quantity} are incomplete: {' and '.join(there)} without "
+                f"{' and '.join(missing)}; add the rest, or give {quantity} = [x, y, z] for all bodies"
+            )
 
 
 def _plain(name: str) -> str:
