@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from carom.physics.diagnostics.pace import PaceMonitor
+from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
+from examples import scene_of
 
 
 def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:
@@ -34,3 +35,18 @@ def test_steps_that_were_short_for_a_while_are_no_crawl() -> None:
 
 def test_a_run_of_few_steps_is_not_worth_a_warning() -> None:
     assert PaceMonitor(duration=1.0, first_dt=1e-2).look(5000, 0.5, 1e-4, "velocity") is None
+
+
+def test_an_accuracy_is_what_to_raise_where_it_sets_the_step() -> None:
+    field, drag = {"uniform": [0.0, 0.0, -9.81]}, {"relaxation_time": 1.0}
+    falling = scene_of(
+        [{}], time={"duration": 1.0, "accuracy": 1e-4}, gravity=field, drag=drag, plane=[{"point": [0, 0, -3]}]
+    )
+    assert set(remedies_of(falling).values()) == {"time.accuracy"}
+    free = scene_of([{}], time={"duration": 1.0, "accuracy": 1e-4}, gravity={"constant": 0.0})
+    assert remedies_of(free) == {}, "its flights are exact with the longest steps"
+    bounces = scene_of([{}], time={"duration": 1.0, "accuracy": 1e-4}, gravity=field, plane=[{"point": [0, 0, -3]}])
+    assert remedies_of(bounces) == {"cap": "time.max_dt"}, "gauss-radau15 chooses its steps below that"
+    watch = PaceMonitor(duration=100.0, first_dt=1e-2, remedies={})
+    warning = watch.look(50_000, 15.0, 1e-4, "velocity")
+    assert warning is not None and "raise" not in warning.text

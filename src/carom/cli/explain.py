@@ -72,7 +72,7 @@ def explain(
 def _steps(cost: Cost, scene: Scene) -> str:
     """Say how many steps there will be, what sets them, and what would make them longer."""
     from carom.cli.units import duration_text
-    from carom.physics.diagnostics.pace import REMEDY
+    from carom.physics.diagnostics.pace import remedies_of
 
     seconds = cost.seconds / cost.steps
     if cost.looked_until >= scene.time.duration:
@@ -84,7 +84,7 @@ def _steps(cost: Cost, scene: Scene) -> str:
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
-    remedy = REMEDY.get(next(iter(cost.limits)))  # none where the integrator's own error sets the step
+    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none where the integrator's own error sets the step
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps raise {remedy}" if remedy else "")
 
 

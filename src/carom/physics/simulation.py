@@ -15,7 +15,7 @@ from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.fingerprint import fingerprint
-from carom.physics.diagnostics.pace import PaceMonitor
+from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch import batch_integrator_of
 from carom.physics.parallel.cores import cores
@@ -64,7 +64,8 @@ class Simulation:
         self._stopping = False
         potentials = warm_up(self._world, self._stepper)
         if scene.time.fixed_dt is None and not integrator(scene).controls_error:
-            self._books.pace = PaceMonitor(scene.time.duration, self.first_dt, scene.unit_system)
+            own = scene.unit_system, remedies_of(scene)
+            self._books.pace = PaceMonitor(scene.time.duration, self.first_dt, *own)
         self._books.take_stock(potentials, checked=True)
         self._publish()
         self.profile.clear()

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from carom.physics.event import Event
+from carom.plan.auto import integrator
+from carom.plan.features import require
+from carom.scene.schema import Scene
+from carom.scene.schema.time import LARGEST_ACCURACY
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
@@ -19,6 +24,20 @@ REMEDY = {  # the key that makes steps longer, by the limit that sets them
     "cap": "time.max_dt",
     "fixed": "time.fixed_dt",
 }
+
+
+def remedies_of(scene: Scene) -> Mapping[str, str]:
+    """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
+
+    An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
+    ones. Only integrators that choose steps by their error take time.max_dt as it is.
+    """
+    accuracy = scene.time.accuracy
+    if accuracy is None:
+        return REMEDY
+    if integrator(scene).controls_error:
+        return {"cap": REMEDY["cap"]}
+    return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).pulls and accuracy < LARGEST_ACCURACY else {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +59,14 @@ class PaceMonitor:
         s, the step at its start.
     units
         Of the scene.
+    remedies
+        As from `remedies_of`.
     """
 
-    def __init__(self, duration: float, first_dt: float, units: UnitSystem = SI) -> None:
-        self._units = units
+    def __init__(
+        self, duration: float, first_dt: float, units: UnitSystem = SI, remedies: Mapping[str, str] = REMEDY
+    ) -> None:
+        self._units, self._remedies = units, remedies
         self._duration = duration
         self._first_dt = first_dt
         self.tally = PaceTally()
@@ -61,9 +84,11 @@ class PaceMonitor:
         if not short or self.tally.told or whole < max(MIN_STEPS, CRAWL * promised):
             return None
         self.tally = PaceTally(since, told=True)
+        raised = self._remedies.get(limit)
+        remedy = f" To shorten the run, raise {raised}." if raised else ""
         text = (
             f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first, "
             f"since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
-            f"{whole / promised:.3g} times as many as its start promised. To shorten the run, raise {REMEDY[limit]}."
+            f"{whole / promised:.3g} times as many as its start promised.{remedy}"
         )
         return Event(step, time, "WARN", text, "pace")

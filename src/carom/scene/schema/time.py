@@ -16,6 +16,7 @@ else:
     IntegratorName = Literal[(AUTO, *INTEGRATORS)]
 
 
+LARGEST_ACCURACY = 1e-2
 _STEP_KEYS = {
     "fixed_dt": None,
     "target_dx": "auto",
@@ -61,7 +62,7 @@ class Time(Section):
     fixed_dt: Annotated[Positive, TIME] | None = Field(
         None, description="s, constant step in place of the adaptive one"
     )
-    accuracy: Annotated[Positive, Field(le=1e-2)] | None = Field(
+    accuracy: Annotated[Positive, Field(le=LARGEST_ACCURACY)] | None = Field(
         None,
         description="relative error to keep, in place of a step: of positions over the size of the system, and of "
         "times of impact over the duration; more than 0, at most 0.01; impacts then happen at their own times",
