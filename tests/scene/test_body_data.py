@@ -239,6 +239,7 @@ def test_a_scene_with_bodies_keeps_its_other_sections() -> None:
     ("arrays", "message"),
     [
         ({"position": POSITION[:, :2]}, r"position: an array of the shape \(3, 2\)"),
+        ({"position": [1.0, 2.0, 3.0]}, r"position: an array of the shape \(3,\)"),
         ({"mass": [1.0, 2.0]}, r"mass: an array of the shape \(2,\); 3 bodies need the shape \(3,\)"),
         ({"mass": [1.0, np.nan, 1.0]}, "the arrays: column mass, row 1: nan is not a finite number"),
         ({"density": 1.0}, "a mass or a density, and not both"),
@@ -444,6 +445,13 @@ def test_a_name_in_a_csv_file_is_kept_as_it_is_written(tmp_path: Path, name: str
     written = '"{}"'.format(name.replace('"', '""')) if "," in name else name
     (tmp_path / "a.csv").write_text(f"name,x,y,z,m,r\n{written},0,0,0,1,1\n", encoding="utf-8")
     assert list(place(scene_of(tmp_path, "a.csv")).name) == [name]
+
+
+@pytest.mark.parametrize("missing", [None, np.nan])
+def test_a_body_whose_name_is_missing_in_an_array_is_numbered(missing: object) -> None:
+    names = np.array(["left", missing, "top"], dtype=object)
+    scene = Scene.from_arrays(position=POSITION, radius=0.1, mass=1.0, name=names)
+    assert list(place(scene).name) == ["left", "body 1", "top"]
 
 
 @pytest.mark.parametrize("write", [write_csv, write_parquet])

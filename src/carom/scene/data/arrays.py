@@ -103,7 +103,8 @@ def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
     shape = (bodies, 3) if quantity in VECTORS else (bodies,)
     try:
         array = np.asarray(value)
-        return np.broadcast_to(array, shape) if array.shape in (shape, shape[1:]) else _refused(array.shape, shape)
+        fits = array.shape == shape or (array.shape == shape[1:] and quantity != "position")
+        return np.broadcast_to(array, shape) if fits else _refused(array.shape, shape)
     except ValueError as error:  # rows of different lengths
         raise SceneError(f"{quantity}: {error}; {bodies} bodies need the shape {shape}") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -99,7 +100,7 @@ def texts_of(raw: Raw) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    if value is None:
+    if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks what is missing
         return ""
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
