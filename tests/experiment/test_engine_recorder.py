@@ -375,6 +375,20 @@ def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
     assert source.state().velocity[:, 1].tolist() == [0.0, 0.5, 1.0]
 
 
+def test_variational_particles_of_rebound_are_no_bodies(tmp_path: Path) -> None:
+    rebound = pytest.importorskip("rebound")
+    simulation = rebound.Simulation()
+    for mass, x, speed in ((1.0, 0.0, 0.0), (1e-3, 1.0, 1.0), (1e-3, 2.0, 0.7)):
+        simulation.add(m=mass, r=0.01, x=x, vy=speed)
+    simulation.add_variation()
+    simulation.init_megno()
+    with carom.record.Recorder(carom.record.rebound(simulation), tmp_path / "run.rrd") as recorder:
+        simulation.integrate(0.1)
+        recorder.frame()
+    last = Recording.open(tmp_path / "run.rrd").bodies(0.1)
+    assert last["x"].to_pylist() == [particle.x for particle in simulation.particles[:3]]
+
+
 def test_rebound_is_recorded_in_the_units_of_the_simulation() -> None:
     rebound = pytest.importorskip("rebound")
     found = []

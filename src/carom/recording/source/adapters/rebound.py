@@ -100,7 +100,8 @@ def rebound(simulation: Any, radius: float | None = None) -> Rebound:
 
 
 def _variational(simulation: Any) -> int:
-    return int(getattr(simulation, "N_var", 0))
+    """Return how many of the N particles are variational: none where these have an array of their own, as in 5.2."""
+    return 0 if hasattr(simulation, "particles_var") else int(getattr(simulation, "N_var", 0))
 
 
 def _setting(simulation: Any, name: str) -> str:
