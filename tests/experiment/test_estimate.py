@@ -162,6 +162,22 @@ def test_the_steps_of_bodies_that_come_to_rest_are_foreseen_to_a_factor_of_two(n
         assert "held" in found.limits and "acceleration" in found.limits
 
 
+def test_the_steps_of_contacts_at_rest_that_gauss_radau15_leaves_to_leapfrog_are_foreseen() -> None:
+    scene = scene_of(
+        [{"position": [0.0, 0.0, 1.0], "radius": 0.5}, {"position": [0.0, 0.0, 2.2], "radius": 0.5}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.0},
+        time={"duration": 3.0, "accuracy": 1e-4},
+        plane=[{}],
+    )
+    space = Space(scene)
+    for _ in space.run():
+        pass
+    found = estimate(scene).cost
+    assert found.fewest_steps <= space.step <= found.most_steps
+    assert "error" in found.limits and len(found.limits) > 1
+
+
 @pytest.mark.parametrize("name", ["two-spheres", "newtons-cradle", "rack-break", "figure-eight", "kepler-orbits"])
 def test_the_steps_of_a_bundled_scene_are_foreseen_to_a_factor_of_two(name: str) -> None:
     scene = Scene.load(name)

@@ -269,18 +269,18 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
     """Make the stepper of a world; steps may be up to ``stride`` times as long as its scene asks for."""
     scene = world.scene
 
-    def timestep(limits: StepLimits, scene: Scene = scene) -> Timestep:
+    def timestep(limits: StepLimits, scene: Scene) -> Timestep:
         return Timestep.of(scene, limits, world.bodies, world.falling, world.team)
 
-    asked = timestep(step_limits(scene))
+    def kick_drift(world: World) -> KickDriftStepper:
+        asked = timestep(step_limits(world.scene), world.scene)
+        if stride > 1.0:
+            return KickDriftStepper(world, books, timestep(wider_limits(world.scene, stride), world.scene), asked)
+        return KickDriftStepper(world, books, asked)
+
     batches = batch_integrator_of(scene, world.needs, world.bodies, world.forces.uniform)
     if batches:
-        holder = None
-        if world.contact:
-            held = holding(scene)
-            limits = timestep(step_limits(held), held)
-            holder = KickDriftStepper(replace(world, scene=held, needs=require(held)), books, limits)
-        return BatchStepper(world, books, batches, asked, holder)
-    if stride > 1.0:
-        return KickDriftStepper(world, books, timestep(wider_limits(scene, stride)), asked)
-    return KickDriftStepper(world, books, asked)
+        held = holding(scene)
+        holder = kick_drift(replace(world, scene=held, needs=require(held))) if world.contact else None
+        return BatchStepper(world, books, batches, timestep(step_limits(scene), scene), holder)
+    return kick_drift(world)
