@@ -30,13 +30,14 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
 
     An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
-    ones. Only integrators that choose steps by their error take time.max_dt as it is.
+    ones. Integrators that choose steps by their error take time.max_dt as it is, but the leapfrog that may hold their
+    contacts does not.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
         return REMEDY
     if integrator(scene).controls_error:
-        return {"cap": REMEDY["cap"]}
+        return {} if require(scene).contact.modelled else {"cap": REMEDY["cap"]}
     return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).pulls and accuracy < LARGEST_ACCURACY else {}
 
 
