@@ -17,6 +17,7 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.integrators.radau_twin import part
+from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.settle import settled
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.placement import place
@@ -180,6 +181,12 @@ def test_a_billiard_of_five_elastic_balls_returns_when_it_is_reversed() -> None:
     back = run_to_the_end(scene_of(reversed_bodies, time={"duration": 12.0, "accuracy": 1e-6}, domain=box, **common))
     start = np.array([body["position"] for body in bodies])
     assert np.abs(back.state.position - start).max() / 3.0 < 1e-6
+
+
+def test_the_size_of_a_single_body_is_its_distance_from_the_origin_or_its_radius() -> None:
+    for position, expected in (([1.0, 2.0, 2.0], 3.0), ([0.0, 0.0, 0.0], 0.25)):
+        scene = scene_of([{"position": position, "radius": 0.25}])
+        assert Scale.of(scene, place(scene)).size == expected
 
 
 def test_looking_ahead_leaves_no_trace_in_the_run() -> None:

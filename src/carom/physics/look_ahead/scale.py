@@ -36,13 +36,16 @@ class Scale:
 
     @classmethod
     def of(cls, scene: Scene, start: Start) -> Scale:
-        """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0."""
+        """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0.
+
+        The size of a single body at 0 is its radius.
+        """
         if scene.domain.boundary == "periodic":
             box = np.array(scene.domain.size)
             return cls(float(box.min()) / 2.0, box)
         apart = start.position - start.position.mean(axis=0)
         size = math.sqrt(float(np.mean(np.sum(apart * apart, axis=1))))
-        return cls(size or float(np.abs(start.position).max()) or float(start.radius.max()), None)
+        return cls(size or math.sqrt(float(np.sum(start.position[0] ** 2))) or float(start.radius.max()), None)
 
     def distance(self, a: FloatArray, b: FloatArray) -> float:
         """Return the rms distance between positions, (n, 3) m, over the size."""
