@@ -101,6 +101,14 @@ def test_json_is_in_the_units_of_the_recording(folder: Path) -> None:
     assert own["sim_time"] == 400.0 and own["energy"]["initial"] == 62.5
 
 
+@pytest.mark.parametrize(
+    "command", [("inspect",), ("contacts", "--at", "0.16 s"), ("why", "--event", "impact")], ids=lambda given: given[0]
+)
+def test_json_names_the_units_of_its_numbers(folder: Path, command: tuple[str, ...]) -> None:
+    told = {name: json.loads(printed(folder, *command, f"{name}.rrd", "--json")) for name in ("si", "cm", "own")}
+    assert {name: document["units"] for name, document in told.items()} == {"si": "SI", "cm": "SI", "own": "cm, ms, g"}
+
+
 @pytest.mark.parametrize("name", ["cm", "own"])
 def test_clip_replay_and_resume_take_times_with_units_and_keep_the_bits(folder: Path, name: str) -> None:
     run, clipped, longer = f"{name}.rrd", f"{name}-clip.rrd", f"{name}-longer.rrd"

@@ -211,7 +211,8 @@ def _json(recording: Recording, table: pa.Table) -> str:
     rows = [{**row, "between": [names.of(row["i"]), names.of(row["j"])]} for row in table.to_pylist()]
     told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     left_out = {"left_out": int(told["left_out"])} if "left_out" in told else {}
-    return json.dumps({"source": told["source"], **left_out, "contacts": rows}, indent=2, ensure_ascii=False)
+    found = {"source": told["source"], "units": recording.units.recorded, **left_out, "contacts": rows}
+    return json.dumps(found, indent=2, ensure_ascii=False)
 
 
 def _source(table: pa.Table) -> str:

@@ -88,16 +88,17 @@ def why(
         if output is not None:
             write_answer(output, recording, answer, _markdown(answer, names, units))
         if as_json:
-            say(json.dumps(_document(answer, names), indent=2, ensure_ascii=False))
+            say(json.dumps(_document(answer, names, units), indent=2, ensure_ascii=False))
         else:
             _print(answer, names, units, file)
             if output is not None:
                 say(f"{output} written; {command('view', output)}")
 
 
-def _document(answer: Answer, names: Names) -> dict[str, Any]:
+def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]:
     question, cone = answer.question, answer.cone
     return {
+        "units": units.recorded,
         "question": {
             "text": question.text,
             "bodies": list(question.bodies),

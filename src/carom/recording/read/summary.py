@@ -30,6 +30,7 @@ def summary(recording: Recording) -> dict[str, Any]:
     clip, momenta = _clip(recording), recording.momentum()
     found: dict[str, Any] = {
         "scene": {"title": recording.title, **({"engine": recording.engine} if recording.engine else {})},
+        "units": recording.units.recorded,
         "bodies": int(recording.info["bodies"]),
         "frames": recording.frames,
         "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,

@@ -94,6 +94,11 @@ class UnitSystem:
         return ", ".join(text for text in self.given.values() if text)
 
     @property
+    def recorded(self) -> str:
+        """Name the units of recorded numbers: "SI", or the scene's own, such as "au, day, solar mass"."""
+        return self.properties()["units"] if self.own else "SI"
+
+    @property
     def converts(self) -> bool:
         """Whether plain numbers are converted to SI."""
         return bool(self.given) and not self.own
