@@ -503,6 +503,15 @@ def test_bodies_from_a_file_take_the_density_of_their_material_unless_the_file_h
 def test_arrays_of_bodies_are_of_a_material_each() -> None:
     materials = [
         {"name": "steel", "density": 7800.0, "restitution": 0.9},
+@pytest.mark.parametrize("write", [write_parquet, write_feather])
+def test_names_that_are_whole_numbers_keep_their_digits_beside_a_missing_one(
+    tmp_path: Path, write: Callable[..., None]
+) -> None:
+    write(tmp_path / "a.arrow" if write is write_feather else tmp_path / "a.parquet", name=[5, None, 2**60 + 1])
+    file = "a.arrow" if write is write_feather else "a.parquet"
+    assert list(place(scene_of(tmp_path, file)).name) == ["5", "body 1", "1152921504606846977"]
+
+
         {"name": "shell", "density": "1 g/cm^3", "inertia_factor": 0.5},
     ]
     steel = Scene.from_arrays(position=POSITION, radius=RADIUS, made_of="steel", material=materials)

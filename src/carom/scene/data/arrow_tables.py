@@ -87,8 +87,8 @@ class _ArrowTable:
             raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(steps)}")
         return steps[self._snapshot]
 
-    def _array(self, name: str, column: pa.ChunkedArray) -> Raw:
-        """Convert a column; nulls of numbers become NaN."""
+    def _array(self, name: str, column: pa.ChunkedArray, is_text: bool) -> Raw:
+        """Convert a column; nulls of numbers become NaN, unless the numbers are texts."""
         kind = column.type
         if pa.types.is_dictionary(kind):
             column, kind = column.cast(kind.value_type), kind.value_type
@@ -96,6 +96,8 @@ class _ArrowTable:
             return self._vectors(name, column)
         if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
             column = column.cast(pa.float64(), safe=False)
+        if is_text and pa.types.is_integer(kind):
+            column, kind = column.cast(pa.string()), pa.string()
         return np.asarray(column.to_numpy())
 
     def _vectors(self, name: str, column: pa.ChunkedArray) -> Raw:
