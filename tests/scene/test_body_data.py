@@ -127,6 +127,27 @@ def test_constants_take_the_place_of_columns(tmp_path: Path) -> None:
 
 def test_columns_are_taken_by_the_names_that_the_scene_gives(tmp_path: Path) -> None:
     write_parquet(tmp_path / "a.parquet", X=POSITION[:, 2], mass=MASS, pinned=[1, 0, 0], vx=None, vy=None, vz=None)
+@pytest.mark.parametrize("given", ["radius = 0.2", "mass = 4.0", "density = 2600.0"])
+def test_a_radius_or_mass_in_place_of_a_column_leaves_out_the_inertia_that_the_file_has_for_it(
+    tmp_path: Path, given: str
+) -> None:
+    write_parquet(tmp_path / "a.parquet", inertia=0.5 * MASS * RADIUS**2)
+    start = place(scene_of(tmp_path, "a.parquet", given))
+    np.testing.assert_allclose(start.inertia, 0.4 * start.mass * start.radius**2, rtol=1e-14)
+    shell = "[[material]]\nname = 'shell'\ninertia_factor = 0.6"
+    start = place(scene_of(tmp_path, "a.parquet", f"{given}\nmaterial = 'shell'", shell))
+    np.testing.assert_allclose(start.inertia, 0.6 * start.mass * start.radius**2, rtol=1e-14)
+
+
+def test_an_inertia_is_kept_where_the_scene_names_its_column_or_replaces_nothing(tmp_path: Path) -> None:
+    inertia = 0.5 * MASS * RADIUS**2
+    write_parquet(tmp_path / "a.parquet", inertia=inertia)
+    start = place(scene_of(tmp_path, "a.parquet", 'radius = 0.2\ncolumns = { inertia = "inertia" }'))
+    assert start.inertia.tolist() == inertia.tolist()
+    write_parquet(tmp_path / "b.parquet", inertia=inertia, r=None)
+    assert place(scene_of(tmp_path, "b.parquet", "radius = 0.2")).inertia.tolist() == inertia.tolist()
+
+
     named = 'columns = { position = ["X", "y", "x"], mass = "m", fixed = "pinned" }'
     scene = scene_of(tmp_path, "a.parquet", named)
     start = place(scene)

@@ -47,7 +47,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> Mapping:
         if asked is not None:
             found[quantity] = tuple(_named(column, names, called, quantity) for column in _several(asked))
         elif not _is_given(section, quantity):
-            candidates = _usual(quantity, names)
+            candidates = _candidates(section, quantity, names)
             if len(candidates) > 1:
                 raise SceneError(_ambiguous(quantity, candidates, called))
             if candidates:
@@ -65,7 +65,9 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
 
     def is_known(*quantities: str) -> bool:
         return any(
-            getattr(section.columns, quantity) is not None or _is_given(section, quantity) or _usual(quantity, names)
+            getattr(section.columns, quantity) is not None
+            or _is_given(section, quantity)
+            or _candidates(section, quantity, names)
             for quantity in quantities
         )
 
@@ -96,6 +98,16 @@ def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str
     if len(exact) > 1:
         raise SceneError(f'{called}: {len(exact)} columns are called "{column}"; give each column its own name')
     return exact[0]
+
+
+def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return the usual columns of a quantity; no inertia, if it is that of a radius or mass that the scene replaces."""
+    columns = _usual(quantity, names)
+    if quantity != "inertia" or not columns:
+        return columns
+    replaced = (("radius",), ("mass", "density"))
+    stale = any(_is_given(section, of[0]) and any(_usual(each, names) for each in of) for of in replaced)
+    return [] if stale else columns
 
 
 def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
