@@ -75,10 +75,12 @@ def write_hdf5(path: Path, **others: Any) -> None:
 def write_rebound(path: Path, **others: Any) -> None:
     rebound = pytest.importorskip("rebound")
     simulation = rebound.Simulation()
+    if others.get("units"):
+        simulation.units = others["units"]
     for k in range(len(MASS)):
         x, v = POSITION[k], VELOCITY[k]
         simulation.add(m=MASS[k], r=RADIUS[k], x=x[0], y=x[1], z=x[2], vx=v[0], vy=v[1], vz=v[2])
-    simulation.save_to_file(str(path))
+    simulation.save_to_file(str(path), delete_file=True)
 
 
 WRITERS: dict[str, Callable[..., None]] = {
@@ -125,8 +127,6 @@ def test_constants_take_the_place_of_columns(tmp_path: Path) -> None:
     assert start.velocity.tolist() == 3 * [[0.0, 0.0, 1.0]]
 
 
-def test_columns_are_taken_by_the_names_that_the_scene_gives(tmp_path: Path) -> None:
-    write_parquet(tmp_path / "a.parquet", X=POSITION[:, 2], mass=MASS, pinned=[1, 0, 0], vx=None, vy=None, vz=None)
 @pytest.mark.parametrize("given", ["radius = 0.2", "mass = 4.0", "density = 2600.0"])
 def test_a_radius_or_mass_in_place_of_a_column_leaves_out_the_inertia_that_the_file_has_for_it(
     tmp_path: Path, given: str
@@ -148,6 +148,8 @@ def test_an_inertia_is_kept_where_the_scene_names_its_column_or_replaces_nothing
     assert place(scene_of(tmp_path, "b.parquet", "radius = 0.2")).inertia.tolist() == inertia.tolist()
 
 
+def test_columns_are_taken_by_the_names_that_the_scene_gives(tmp_path: Path) -> None:
+    write_parquet(tmp_path / "a.parquet", X=POSITION[:, 2], mass=MASS, pinned=[1, 0, 0], vx=None, vy=None, vz=None)
     named = 'columns = { position = ["X", "y", "x"], mass = "m", fixed = "pinned" }'
     scene = scene_of(tmp_path, "a.parquet", named)
     start = place(scene)
@@ -163,6 +165,25 @@ def test_numbers_of_a_file_are_in_the_units_of_the_scene(tmp_path: Path) -> None
     assert start.position == pytest.approx(1e3 * POSITION, rel=1e-15)
     assert start.velocity == pytest.approx(1e3 * VELOCITY, rel=1e-15)
     assert start.mass == pytest.approx(1e-3 * MASS, rel=1e-15)
+
+
+def test_a_simulationarchive_in_other_units_than_si_needs_a_scene_that_names_units(tmp_path: Path) -> None:
+    write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
+    said = complaint(tmp_path, "a.bin")
+    assert said.endswith(
+        'a.bin: its numbers are in au, day, M_sun, and those of the scene in SI; write units = "au, day, M_sun" at the '
+        'top of the scene, or [units] with length = "au", time = "day", mass = "M_sun"'
+    )
+    own = 'units = "au, day, M_sun"\ngravity.constant = 0'
+    assert place(scene_of(tmp_path, "a.bin", top=own)).radius.tolist() == RADIUS.tolist()
+    given = '[units]\nlength = "au"\ntime = "day"\nmass = "M_sun"'
+    assert place(scene_of(tmp_path, "a.bin", top=given)).radius == pytest.approx(RADIUS * 149597870700.0)
+
+
+def test_a_simulationarchive_in_si_or_without_units_is_read_as_it_is(tmp_path: Path) -> None:
+    for units in (("s", "m", "kg"), None):
+        write_rebound(tmp_path / "a.bin", units=units)
+        assert place(scene_of(tmp_path, "a.bin")).radius.tolist() == RADIUS.tolist()
 
 
 def test_of_several_steps_the_last_is_read_or_the_one_asked_for(tmp_path: Path) -> None:
@@ -482,6 +503,15 @@ def test_a_body_whose_name_is_missing_is_numbered(tmp_path: Path, write: Callabl
     assert list(place(scene_of(tmp_path, file)).name) == ["left", "body 1", "top"]
 
 
+@pytest.mark.parametrize("write", [write_parquet, write_feather])
+def test_names_that_are_whole_numbers_keep_their_digits_beside_a_missing_one(
+    tmp_path: Path, write: Callable[..., None]
+) -> None:
+    write(tmp_path / "a.arrow" if write is write_feather else tmp_path / "a.parquet", name=[5, None, 2**60 + 1])
+    file = "a.arrow" if write is write_feather else "a.parquet"
+    assert list(place(scene_of(tmp_path, file)).name) == ["5", "body 1", "1152921504606846977"]
+
+
 def test_names_are_written_only_when_they_are_asked_for() -> None:
     numbered: NumberedNames = NumberedNames("body", 10**12, 5)
     names = JoinedNames([["sun"], numbered])
@@ -524,15 +554,6 @@ def test_bodies_from_a_file_take_the_density_of_their_material_unless_the_file_h
 def test_arrays_of_bodies_are_of_a_material_each() -> None:
     materials = [
         {"name": "steel", "density": 7800.0, "restitution": 0.9},
-@pytest.mark.parametrize("write", [write_parquet, write_feather])
-def test_names_that_are_whole_numbers_keep_their_digits_beside_a_missing_one(
-    tmp_path: Path, write: Callable[..., None]
-) -> None:
-    write(tmp_path / "a.arrow" if write is write_feather else tmp_path / "a.parquet", name=[5, None, 2**60 + 1])
-    file = "a.arrow" if write is write_feather else "a.parquet"
-    assert list(place(scene_of(tmp_path, file)).name) == ["5", "body 1", "1152921504606846977"]
-
-
         {"name": "shell", "density": "1 g/cm^3", "inertia_factor": 0.5},
     ]
     steel = Scene.from_arrays(position=POSITION, radius=RADIUS, made_of="steel", material=materials)

@@ -64,6 +64,8 @@ def open_arrow(path: Path, called: str, snapshot: int) -> Table:
 class _ArrowTable:
     """Columns of an Arrow table."""
 
+    units = ""
+
     def __init__(self, called: str, names: Sequence[str], read: _Read, snapshot: int) -> None:
         self.called = called
         self.names: Sequence[str] = list(names)
@@ -79,7 +81,7 @@ class _ArrowTable:
         table = self._read(list(dict.fromkeys([*names, *steps])), texts)
         if steps:
             table = table.filter(pc.equal(table[_STEP], self._step(table[_STEP])))
-        return {name: self._array(name, table[name]) for name in names}
+        return {name: self._array(name, table[name], name in texts) for name in names}
 
     def _step(self, column: pa.ChunkedArray) -> pa.Scalar:
         steps = pc.unique(column)
@@ -94,10 +96,10 @@ class _ArrowTable:
             column, kind = column.cast(kind.value_type), kind.value_type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
             return self._vectors(name, column)
-        if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
-            column = column.cast(pa.float64(), safe=False)
         if is_text and pa.types.is_integer(kind):
             column, kind = column.cast(pa.string()), pa.string()
+        if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
+            column = column.cast(pa.float64(), safe=False)
         return np.asarray(column.to_numpy())
 
     def _vectors(self, name: str, column: pa.ChunkedArray) -> Raw:

@@ -72,6 +72,7 @@ class _Guarded:
         self._form = form
         self.called: str = table.called
         self.names: Sequence[str] = table.names
+        self.units: str = table.units
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""

@@ -37,6 +37,7 @@ class _Datasets:
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
+        self.units = ""
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:

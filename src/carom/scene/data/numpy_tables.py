@@ -29,6 +29,7 @@ class _Archive:
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
+        self.units = ""
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:

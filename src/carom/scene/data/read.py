@@ -15,10 +15,11 @@ from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
-from carom.scene.units.system import UnitSystem
+from carom.scene.units.system import OWN, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
+_SI = ", ".join(dimension.unit for dimension in OWN)
 _POSITIVE = ("mass", "density", "radius", "inertia")
 _DIMENSIONS = {  # whose product a quantity has
     "position": (LENGTH,),
@@ -39,6 +40,7 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem, material: M
     SceneError
         Naming the table, the column and the row.
     """
+    _refuse_other_units(table, units)
     if material is not None:
         section = with_material(section, material, table.names)
     mapping = mapping_of(section, table.names, table.called)
@@ -162,6 +164,19 @@ class _Reader:
                 place = np.unravel_index(int(np.argmax(rows)), rows.shape)
                 raise SceneError(f"{self._called}: column {column}, row {place[0]}: {given[place]:g} {what}")
         return values
+
+
+def _refuse_other_units(table: Table, units: UnitSystem) -> None:
+    """Refuse a table that says that its numbers are not in SI, where the scene says nothing about units."""
+    if not units.is_si or not table.units or table.units == _SI:
+        return
+    named = ", ".join(
+        f'{dimension.plain} = "{unit}"' for dimension, unit in zip(OWN, table.units.split(", "), strict=True)
+    )
+    raise SceneError(
+        f"{table.called}: its numbers are in {table.units}, and those of the scene in SI; write units = "
+        f'"{table.units}" at the top of the scene, or [units] with {named}'
+    )
 
 
 def _refuse_moving_fixed(columns: BodyColumns, called: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from carom.scene.data.table import Raw, Table, refuse_many_rows
 from carom.scene.error import SceneError
+from carom.scene.units.rebound import units_of_rebound
 
 
 def open_rebound(path: Path, called: str, snapshot: int) -> Table:
@@ -33,14 +34,16 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
     simulation.serialize_particle_data(
         xyz=arrays["position"], vxvyvz=arrays["velocity"], m=arrays["mass"], r=arrays["radius"]
     )
-    return _Particles(called, {name: array for name, array in arrays.items() if array.any() or name == "position"})
+    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
+    return _Particles(called, there, units_of_rebound(simulation.units))
 
 
 class _Particles:
     """Particles of one snapshot; a radius or mass that REBOUND has as 0 throughout is left out."""
 
-    def __init__(self, called: str, arrays: dict[str, Raw]) -> None:
+    def __init__(self, called: str, arrays: dict[str, Raw], units: str) -> None:
         self.called = called
+        self.units = units
         self._arrays = arrays
         self.names: Sequence[str] = list(arrays)
 

@@ -28,6 +28,10 @@ class Table(Protocol):
     def names(self) -> Sequence[str]:
         """The names of its columns."""
 
+    @property
+    def units(self) -> str:
+        """The length, time and mass that its numbers are in, such as "au, day, M_sun"; empty if it does not say."""
+
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
 
@@ -36,6 +40,7 @@ class Arrays:
     """Columns that a Python program gives as arrays."""
 
     called = "the arrays"
+    units = ""
 
     def __init__(self, arrays: Mapping[str, Raw]) -> None:
         self._arrays = arrays

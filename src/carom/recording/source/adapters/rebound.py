@@ -13,17 +13,10 @@ from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.snapshot import Snapshot
 from carom.recording.source.source import Model, State
+from carom.scene.units.rebound import units_of_rebound
 from carom.scene.units.system import WITHOUT
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
-UNITS = {  # by REBOUND's names, as far as both know them
-    **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
-    **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
-    **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),
-    **{"myr": "Myr", "gyr": "Gyr", "gram": "g", "mearth": "M_earth", "mjupiter": "M_jupiter"},
-    **dict.fromkeys(("msun", "solarmass", "sunmass", "msolar"), "M_sun"),
-}
-UNITS.update({name: name for name, known in UNITS.items() if not known})
 READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory
 ROW = np.dtype((np.void, 8 * len(READ)))  # all of them, copied as one: six times as fast as six numbers
 
@@ -111,10 +104,8 @@ def _setting(simulation: Any, name: str) -> str:
 
 def _units(simulation: Any) -> str:
     """Name the units that the simulation was given; without any, its G tells whether they are SI."""
-    known = [UNITS.get(simulation.units[what], "") for what in ("length", "time", "mass")]
-    if all(known):
-        return ", ".join(known)
-    return "" if math.isclose(simulation.G, G_SI, rel_tol=1e-3) else WITHOUT
+    without = "" if math.isclose(simulation.G, G_SI, rel_tol=1e-3) else WITHOUT
+    return units_of_rebound(simulation.units) or without
 
 
 def _box(simulation: Any) -> Any:
