@@ -81,6 +81,13 @@ def pythagorean(duration: float = 60.0) -> Problem:
     return Problem(f"Pythagorean, t = {duration:g}", np.array([3.0, 4.0, 5.0]), position, np.zeros((3, 3)), duration)
 
 
+def figure_eight(periods: float = 10.0) -> Problem:
+    """Let three equal masses chase each other around a figure eight (Chenciner & Montgomery 2000)."""
+    end, speed = np.array([0.97000436, -0.24308753, 0.0]), np.array([0.466203685, 0.43236573, 0.0])
+    position, velocity = np.array([end, -end, 0.0 * end]), np.array([speed, speed, -2.0 * speed])
+    return Problem(f"figure eight, {periods:g} periods", np.ones(3), position, velocity, 6.32591398 * periods)
+
+
 def planets(periods: float, seed: int = 8) -> Problem:
     """Put the Sun and eight planets on circles at random phases, for so many periods of the innermost."""
     angle = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, len(AXES))
@@ -256,7 +263,7 @@ def measure_errors(repeats: int, periods: float) -> list[dict[str, Any]]:
     rows = [
         compare([binary(e, phase, 100.0) for phase in PHASES], phase_error, 1) for e in (0.1, 0.5, 0.9, 0.999, 0.9999)
     ]
-    rows.append(compare([pythagorean()], energy_error, repeats))
+    rows += [compare([problem], energy_error, repeats) for problem in (pythagorean(), figure_eight())]
     rows += [
         compare([planets(span, seed) for seed in range(SYSTEMS)], energy_error, 1)
         for span in (periods / 1000, periods / 100, periods / 10, periods)

@@ -101,6 +101,17 @@ def test_a_body_that_nothing_pulls_at_the_start_does_not_stop_the_figure_eight()
     space.reach(scene.time.duration)
     # two periods, as accurate as the published initial values, eight decimals
     assert np.abs(space.state.position - start).max() <= 1e-6
+    assert space.step < 600  # 2000 if steps follow the change relative to an acceleration of 0
+
+
+def test_a_body_that_swings_through_the_middle_of_a_binary_keeps_its_energy() -> None:
+    """Sitnikov's problem: the pull on the body passes 0 in the middle, and its change relative to it has no bound."""
+    pair = [{"mass": 0.5, "radius": 1e-6, "position": [x, 0, 0], "velocity": [0, x, 0]} for x in (-0.5, 0.5)]
+    probe = {"mass": 1e-13, "radius": 1e-6, "position": [0, 0, 1.0]}
+    space = final(points([*pair, probe], 100.0))
+    height, speed = space.state.position[2, 2], space.state.velocity[2, 2]
+    energy = 0.5 * speed**2 - 1.0 / np.sqrt(height**2 + 0.25)
+    assert abs(energy + 1.0 / np.sqrt(1.25)) < 1e-11  # the probe's pull moves the pair by some 1e-13 a period
     assert space.step < 3000
 
 

@@ -15,10 +15,13 @@ lets each node in turn improve one g. All terms after g_{s-1} vanish at h_s, so 
 the error of g_{s-1} times h_s (h_s - h₁) … (h_s - h_{s-1}). With compensated rounding, the energy error of a planetary
 system is a random walk of the last bit (Rein & Spiegel 2015).
 
-The next step is a fraction η of the shortest time in which the acceleration of a body changes, from its first two
-derivatives at the end of the step (Pham, Rein & Spiegel 2024):
+The next step is a fraction η of the shortest time in which the acceleration of a body changes, from its first three
+derivatives at the end of the step (Pham, Rein & Spiegel 2024; Aarseth 1985):
 
-    T' = η min_i √(2 a² / (ȧ² + a ä)),        η = (5040 ε)^{1/7}, ε = 10⁻⁹
+    T' = η min_i max(τ_i, τ'_i / 4),        η = (5040 ε)^{1/7}, ε = 10⁻⁹
+    τ_i = √(2 a² / (ȧ² + a ä)),             τ'_i = √((a ä + ȧ²) / (ȧ a⃛ + ä²))
+
+τ alone vanishes where an acceleration passes 0, as in the figure eight, which then takes five times as many steps.
 
 It uses sums, products, quotients and square roots only, so the bits are the same on any processor.
 """

@@ -26,6 +26,7 @@ from carom.physics.parallel.jit import inline, unowned
 FloatArray = NDArray[np.float64]
 
 LANES_FROM = 16  # bodies
+PASSING = 1.0 / 16.0  # (τ / τ')², below which an acceleration passes 0; Kepler orbits up to e = 0.99 never are
 MAX_ITERATIONS = 12  # rounding prevents some from converging
 
 
@@ -160,17 +161,19 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
     start, b = motion.start, motion.b
     shortest = np.inf
     for i in range(len(start)):
-        a, jerk, snap = 0.0, 0.0, 0.0  # squares, times powers of dt
+        a, jerk, snap, crackle = 0.0, 0.0, 0.0, 0.0  # squares, times powers of dt
         for k in range(3):
             c = 3 * i + k
-            a1, j1, s1 = start[i, k], 0.0, 0.0
+            a1, j1, s1, c1 = start[i, k], 0.0, 0.0, 0.0
             for j in range(TERMS):
                 a1 += b[c, j]
                 j1 += (j + 1) * b[c, j]
                 s1 += (j + 1) * j * b[c, j]
-            a, jerk, snap = a + a1 * a1, jerk + j1 * j1, snap + s1 * s1
+                c1 += (j + 1) * j * (j - 1) * b[c, j]
+            a, jerk, snap, crackle = a + a1 * a1, jerk + j1 * j1, snap + s1 * s1, crackle + c1 * c1
         if jerk > 0.0:
-            shortest = min(shortest, 2.0 * a / (jerk + np.sqrt(a * snap)))
+            passing = (np.sqrt(a * snap) + jerk) / (np.sqrt(jerk * crackle) + snap)
+            shortest = min(shortest, max(2.0 * a / (jerk + np.sqrt(a * snap)), PASSING * passing))
     return float(fraction * dt * np.sqrt(shortest))
 
 
