@@ -281,6 +281,12 @@ def test_what_is_no_run_of_bodies_is_refused_before_a_file_is_made(tmp_path: Pat
         ({"mass": [1.0, -2.0, 1.0]}, r"mass\[1\] is -2; it cannot be negative"),
         ({"radius": [0.1, 0.1]}, r"radius has the shape \(2,\) in place of \(3,\)"),
         ({"names": ["a"]}, "names has 1 entries for 3 bodies"),
+        ({"fixed": ["no", "yes", "no"]}, r"fixed\[0\] is 'no'; it must be True or False"),
+        ({"judged": [1, 0, 2]}, r"judged\[2\] is 2; it must be True or False"),
+        ({"fixed": [True]}, r"fixed has the shape \(1,\) in place of \(3,\)"),
+        ({"constant": -1.0}, "constant is -1; it must be a number that is not negative"),
+        ({"softening": -0.5}, "softening is -0.5; it must be a number that is not negative"),
+        ({"softening": float("nan")}, "softening is nan; it must be a number that is not negative"),
     ]
     for change, message in changes:
         toy = Toy()
@@ -291,6 +297,28 @@ def test_what_is_no_run_of_bodies_is_refused_before_a_file_is_made(tmp_path: Pat
     path.touch()
     with pytest.raises(carom.errors.RecordingError, match="exists"):
         carom.record.Recorder(Toy(), path)
+
+
+@pytest.mark.parametrize(
+    ("frames", "message"),
+    [
+        ({"last": 2.5}, "last = 2.5: keep a whole number of frames, at least one"),
+        ({"last": 0}, "last = 0: keep a whole number of frames, at least one"),
+        ({"every": 1.5}, "every = 1.5: record each call of `frame`, or each second, and so on"),
+    ],
+)
+def test_a_number_of_frames_that_is_not_whole_and_positive_is_refused(
+    tmp_path: Path, frames: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(RecordingError, match=message):
+        carom.record.Recorder(Toy(), tmp_path / "run.rrd", **frames)
+
+
+def test_whole_numbers_of_numpy_are_numbers_of_frames_and_flags(tmp_path: Path) -> None:
+    toy = Toy()
+    toy.model = replace(toy.model, fixed=np.array([0, 0, 0]), judged=[1.0, True, np.True_])
+    with carom.record.Recorder(toy, tmp_path / "run.rrd", every=np.int64(2), last=np.int32(2)) as recorder:  # type: ignore[arg-type]
+        recorder.frame()
 
 
 def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import operator
 import queue
 import threading
 import time
@@ -94,9 +95,9 @@ class Recorder:
         units: str | None = None,
         force: bool = False,
     ) -> None:
-        if last is not None and last < 1:
-            raise RecordingError(f"last = {last}: keep at least one frame")
-        if every is not None and every < 1:
+        if last is not None and not _counts(last):
+            raise RecordingError(f"last = {last}: keep a whole number of frames, at least one")
+        if every is not None and not _counts(every):
             raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
         try:
             named = units or source.model.units
@@ -115,7 +116,7 @@ class Recorder:
         self._time = -np.inf
         self._ended = ""  # why no more frames are taken
         self._setup: Setup | None = None
-        self._ring: deque[tuple[int, Snapshot]] | None = None if last is None else deque(maxlen=last)
+        self._ring: deque[tuple[int, Snapshot]] | None = None if last is None else deque(maxlen=int(last))
         self._free: Snapshot | None = None  # whose memory can be used again
         self._new: Callable[[], Snapshot]  # makes memory; known once a state was seen
         self._sink: _Writer | None = None
@@ -356,3 +357,11 @@ class _Writer:
             self._last = (step, state.time)
         except Exception as error:
             self._error = error
+
+
+def _counts(number: int) -> bool:
+    """Tell whether a caller's number is whole and positive."""
+    try:
+        return operator.index(number) > 0
+    except TypeError:
+        return False

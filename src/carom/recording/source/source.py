@@ -176,8 +176,8 @@ def setup_of(model: Model, first: State) -> Setup:
         fixed=_flags(engine, "fixed", model.fixed, n, False),
         judged=_flags(engine, "judged", model.judged, n, True),
         gravity=array_of(engine, "gravity", model.gravity, (3,)),
-        constant=float(model.constant),
-        softening=float(model.softening),
+        constant=_not_negative(engine, "constant", model.constant),
+        softening=_not_negative(engine, "softening", model.softening),
         planes=_planes(engine, model.planes),
         box=np.zeros(3) if model.box is None else array_of(engine, "box", model.box, (3,)),
         collides=collides and (n > 1 or len(model.planes) > 0),
@@ -210,10 +210,21 @@ def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatA
 
 
 def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> NDArray[np.bool_]:
-    flags = np.full(n, default) if values is None else np.array(values, dtype=bool)
-    if flags.shape != (n,):
-        raise RecordingError(f"{engine}: {name} has the shape {flags.shape} in place of ({n},)")
-    return flags
+    if values is None:
+        return np.full(n, default)
+    given = np.array(values, dtype=object)
+    if given.shape != (n,):
+        raise RecordingError(f"{engine}: {name} has the shape {given.shape} in place of ({n},)")
+    for body, value in enumerate(given.tolist()):
+        if isinstance(value, (str, bytes)) or value not in (False, True):
+            raise RecordingError(f"{engine}: {name}[{body}] is {value!r}; it must be True or False")
+    return given.astype(np.bool_)
+
+
+def _not_negative(engine: str, name: str, value: float) -> float:
+    if not 0.0 <= value < np.inf:
+        raise RecordingError(f"{engine}: {name} is {value:g}; it must be a number that is not negative")
+    return float(value)
 
 
 def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
