@@ -121,7 +121,6 @@ class Audit:
         self._scale = 0.0  # J, the largest kinetic energy so far
         self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
         self._unjudged = 0.0  # J, that clusters with a body that is not judged gained so far
-        self._told: dict[str, int] = {}
         self.counts: dict[str, int] = {}  # frames that broke each law
         self.first: dict[str, Fault] = {}
         self.broken: list[tuple[float, str]] = []  # s and law, of each of these frames
