@@ -198,6 +198,15 @@ def test_the_overlay_shows_both_and_a_line_where_they_part(tmp_path: Path) -> No
     assert both.finished and both.is_overlay and both.frames == 200 and both.layout()
     paths = {entry.entity_path for entry in both.store.entries}
     assert paths >= {"world/a/bodies", "world/b/bodies", "world/apart", "difference/rms", "difference/energy"}
+
+
+def test_the_bodies_of_an_overlay_are_refused_because_it_shows_several_runs(tmp_path: Path) -> None:
+    a, b = record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", chaos)
+    overlay(a, b, diff(a, b), tmp_path / "both.rrd")
+    both = Recording.open(tmp_path / "both.rrd")
+    for read in (lambda: both.bodies, lambda: both.bodies(0.1), lambda: both.trajectory(0)):
+        with pytest.raises(RecordingError, match=r"both\.rrd shows several runs; it can only be looked at"):
+            read()
     with pytest.raises(RecordingError, match="shows several runs"):
         both.summary()
     last = [e for e in both.store.entries if e.entity_path == "world/apart" and not e.is_static][-1]

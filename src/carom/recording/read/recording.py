@@ -74,6 +74,7 @@ class Recording(Statics):
 
         In a partial clip the numbers of bodies that it does not show are NaN.
         """
+        self.refuse_overlay()
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
         n = len(self.shown) if self.is_partial else n
         names, groups = names_of(stored), np.asarray(stored["group"])
