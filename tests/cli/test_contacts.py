@@ -27,6 +27,16 @@ def test_a_step_without_contacts_is_told_with_its_time(folder: Path) -> None:
     assert carom("contacts", "run.rrd", "--at", "0.5", cwd=folder).stdout == "0 contacts at t = 0.5 s, recorded\n"
 
 
+def test_an_impact_as_a_step_ends_is_named_where_that_step_has_no_contacts(tmp_path: Path) -> None:
+    bodies = [{"position": [x, 0, 0], "velocity": [-x / 1.5, 0, 0], "radius": 0.5, "mass": 1} for x in (-1.5, 1.5)]
+    scene = scene_of(bodies, time={"duration": 1.5, "fixed_dt": 1e-3}, gravity={"constant": 0})
+    library.run(scene, tmp_path / "run.rrd")
+    said = carom("contacts", "run.rrd", "--at", "1", cwd=tmp_path).stdout
+    command = "--impacts --from 1 --to 1"
+    assert said == f"0 contacts at t = 1 s, recorded; 1 impact at this time in step 1001: see {command}\n"
+    assert carom("contacts", "run.rrd", *command.split(), cwd=tmp_path).stdout.startswith("1 impact, recorded\n")
+
+
 def test_a_wide_table_has_its_steps_and_modes_whole(tmp_path: Path) -> None:
     units = "au, day, solar mass"
     bodies = [

@@ -233,7 +233,8 @@ def _print(recording: Recording, table: pa.Table, at: Seconds) -> None:
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
     if at is not None:
         moment = f" at t = {units.text(table['time'][0].as_py() if table.num_rows else at, TIME, '.9g')}"
-    say(f"{count}{moment}, {_source(table)}")
+    later = "" if at is None or table.num_rows else _in_next_step(recording, at)
+    say(f"{count}{moment}, {_source(table)}{later}")
     if table.num_rows == 0:
         return
     shown = Table(box=None, padding=(0, 1), header_style="bold")
@@ -250,6 +251,21 @@ def _print(recording: Recording, table: pa.Table, at: Seconds) -> None:
     print_whole(shown)
     if table.num_rows > MOST_ROWS:
         say(f"… and {table.num_rows - MOST_ROWS} more; --csv, --json or -o FILE.parquet has all.")
+
+
+def _in_next_step(recording: Recording, at: float) -> str:
+    """Say which step has the impacts at the very end of the step that a time (s) is in, if they are recorded."""
+    from carom.recording.read.moment import frame_of
+
+    row = frame_of(recording, at)
+    if row is None or not recording.records_contacts:
+        return ""
+    own = recording.fingerprints()["step"][row].as_py()
+    later = [step for step in recording.impacts(at, at)["step"].to_pylist() if step > own]
+    if not later:
+        return ""
+    when = f"{recording.units.shown(at, TIME):.9g}"
+    return f"; {counted(len(later), 'impact')} at this time in step {later[0]}: see --impacts --from {when} --to {when}"
 
 
 def _number(value: float | None, dimension: Dimension, units: UnitSystem) -> str:
