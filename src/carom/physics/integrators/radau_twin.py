@@ -89,11 +89,8 @@ def _follow(
     enough: float = math.inf,
     iterations: int = 0,
 ) -> tuple[Orbits, FloatArray]:
-    path, apart, progress = (
-        np.full((len(times), *start.position.shape), np.inf),
-        np.full(len(times), np.inf),
-        np.zeros(1, PROGRESS),
-    )
+    path, apart = np.full((len(times), *start.position.shape), np.inf), np.full(len(times), np.inf)
+    progress = np.zeros(1, PROGRESS)
     progress["next_dt"], progress["fraction"] = FIRST_PART * times[-1], STEP_FRACTION / refinement
     progress["tolerance"] = tolerance(refinement)
     motion, eps2 = _motion(scene, start, start.position), scene.gravity.softening**2

@@ -10,8 +10,9 @@ extrapolation to the required step is short. Then the run itself takes that step
 
 Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. The error r(t) by rounding is
 proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
-Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. The largest
-Lyapunov exponent is the growth rate of their distance, to the end or until it is `APART`.
+Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. Its longer
+steps err by multiples of the distance of two runs ahead, see `RADAU_ERRORS`. The largest Lyapunov exponent is the
+growth rate of the distance of twins, to the end or until it is `APART`.
 """
 
 from __future__ import annotations
