@@ -88,6 +88,37 @@ MISTAKES = {
     "duration 0": ("[time]\nduration = 0\n" + ONE_BODY, [":2:", "time.duration = 0", "more than 0"]),
     "a number for a section": ("time = 3\n" + ONE_BODY, [":1:", "time = 3", "section"]),
     "density and mass": ("[[body]]\nmass = 1\ndensity = 1\n", ["body.0", "leave one out"]),
+    "a time between frames below 0": (
+        "[record]\nevery = -1\n" + ONE_BODY,
+        [":2:", "record.every = -1: must be more than 0"],
+    ),
+    "more iterations than there may be": (
+        "[contact]\nsweeps = 20_000\n" + ONE_BODY,
+        [":2:", "contact.sweeps = 20000: must be at most 10000"],
+    ),
+    "neither one of the words nor a number": (
+        "[contact]\nsweeps = 2.5\n[record]\nevery = 'often'\n[time]\ncfl = 'small'\n" + ONE_BODY,
+        [
+            "contact.sweeps = 2.5: must be 'auto' or 'as-needed', or a whole number",
+            "record.every = 'often': must be 'auto' or 'step', or a number",
+            "time.cfl = 'small': must be 'auto', or a number",
+        ],
+    ),
+    "one warning in place of a list": (
+        "[expect]\nwarned = 'limit'\n" + ONE_BODY,
+        [":2:", "expect.warned = 'limit': must be a list"],
+    ),
+    "a number in place of parts": ("[model]\nforce = 3\n" + ONE_BODY, [":2:", "model.force = 3: must be a list"]),
+    "a pair of one name": (
+        "[[pair]]\nmaterials = 'default'\nrestitution = 0.5\n" + ONE_BODY,
+        [":2:", "pair.0.materials = 'default': must be a list of two"],
+    ),
+    "two columns for a position": (
+        "[[bodies]]\nfile = 'a.csv'\ncolumns = { position = ['a', 'b'] }\n",
+        [":3:", "bodies.0.columns.position", "must be the names of three columns"],
+    ),
+    "a number in place of bodies": ("body = 3\n", [":1:", "body = 3: must be a list of sections"]),
+    "a number in place of a vector": ("[[body]]\nvelocity = 3\n", ["velocity = 3: must be three numbers [x, y, z]"]),
     "a word that is none of the choices": (
         "[time]\nintegrator = 'rk4'\n" + ONE_BODY,
         [

@@ -201,6 +201,16 @@ def parts_of(annotation: Any) -> Iterator[Any]:
         yield annotation
 
 
+def members_of_list(annotation: Any) -> tuple[Any, ...]:
+    """Return the members of the tuple in an annotation, with `...` last where there may be any number; () if none."""
+    origin, members = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is tuple:
+        return members
+    if origin in (typing.Union, types.UnionType, typing.Annotated):
+        return next((found for part in members if (found := members_of_list(part))), ())
+    return ()
+
+
 def dimension_in(metadata: list[Any]) -> Dimension | None:
     """Return the dimension among the metadata of a field; None if it is not a quantity."""
     return next((entry for entry in metadata if isinstance(entry, Dimension)), None)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from pydantic import BaseModel
 
-from carom.scene.conversion import Wrong, place_of
+from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.hint import hint, model_in
 from carom.scene.key_places import KeyPlaces
 from carom.scene.lines import KeyPath
@@ -40,12 +40,24 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
     if detail["type"] == "value_error":
         return f"{place}{key}{': ' if key else ''}{detail['ctx']['error']}"
     shown = repr(given) if isinstance(given, str) else str(given)
-    return f"{place}{key} = {shown[:80]}: {_wrong(detail)}{_expected(path, units)}"
+    return f"{place}{key} = {shown[:80]}: {_wrong(detail, path)}{_expected(path, units)}"
 
 
 def _is_union_member(key: str | int) -> bool:
     """Tell whether a key names a member of a union, which Pydantic adds to the path and nobody wrote."""
     return isinstance(key, str) and ("[" in key or key.startswith("constrained") or key in ("float", "nan", "literal"))
+
+
+def with_words(details: Sequence[Any]) -> Iterator[Any]:
+    """Yield what is wrong; where a word or a number may stand, what is wrong as a number, with the words."""
+    words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
+    numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
+    for detail in details:
+        key = detail["loc"][:-1]
+        if key not in words or key not in numbers:
+            yield detail
+        elif detail is not words[key]:
+            yield detail | {"words": words[key]["ctx"]["expected"]}
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
@@ -78,7 +90,7 @@ def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     return found if isinstance(found, str | int | float) else given
 
 
-def _wrong(detail: Any) -> str:
+def _wrong(detail: Any, path: KeyPath) -> str:
     context = detail.get("ctx", {})
     match detail["type"]:
         case "greater_than":
@@ -98,19 +110,30 @@ def _wrong(detail: Any) -> str:
                 "string": "text in quotes",
                 "bool": "true or false",
             }
-            return f"must be {kinds[detail['type'].split('_')[0]]}"
+            words = f"{detail['words']}, or " if "words" in detail else ""
+            return f"must be {words}{kinds[detail['type'].split('_')[0]]}"
         case "literal_error":
             return f"must be {context['expected']}"
-        case "tuple_type" if isinstance(detail["input"], dict):
-            return "must be a list of sections; write it in double brackets"
-        case "too_short" | "too_long" if all(isinstance(each, str) for each in detail["input"]):
-            return "must be the names of three columns"
         case "too_short" | "too_long" | "tuple_type" | "missing":
-            return "must be three numbers [x, y, z]"
+            return f"must be {_list_at(path)}"
         case "model_type" | "model_attributes_type" | "dict_type":
             return "must be a section with keys"
         case _:
             return str(detail["msg"])
+
+
+def _list_at(path: KeyPath) -> str:
+    _, field = _field(path)
+    members = members_of_list(field.annotation) if field is not None else ()
+    if members[-1:] == (...,):
+        return "a list" if model_in(field.annotation) is None else "a list of sections; write it in double brackets"
+    if len(members) == 2:
+        return "a list of two"
+    return (
+        "the names of three columns"
+        if any(str in parts_of(member) for member in members)
+        else "three numbers [x, y, z]"
+    )
 
 
 def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:

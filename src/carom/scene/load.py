@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from carom.scene.conversion import converted
 from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
 from carom.scene.error import SceneError
-from carom.scene.explanation import explain, is_known, not_a_quantity, written_path
+from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
 from carom.scene.key_places import KeyPlaces
 from carom.scene.lines import KeyPath
 from carom.scene.materials import material_called
@@ -165,7 +165,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
     try:
         scene = Scene.model_validate(numbers)
     except ValidationError as error:
-        for detail in error.errors():
+        for detail in with_words(error.errors()):
             path = written_path(detail, data)
             if not is_known(path, messages):
                 messages[path] = partial(explain, detail, path, places, data, units)
