@@ -31,6 +31,11 @@ def test_the_page_of_the_format_is_up_to_date() -> None:
     assert written == page(), "python -m carom.scene.format_page > docs/scene-format.md"
 
 
+@pytest.mark.parametrize("row", ['| `warned` | list of `"energy-rise"`', "| `materials` | list of texts |"])
+def test_the_page_says_where_a_list_stands(row: str) -> None:
+    assert row in page()
+
+
 def test_the_schema_for_editors_is_up_to_date() -> None:
     written = (ROOT / "configs" / FILE).read_text(encoding="utf-8")
     assert written == schema_text(), f"carom scenes --schema > configs/{FILE}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import types
 import typing
 from collections.abc import Iterator
 from typing import Any, Literal
@@ -11,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from carom.scene.conversion import parts_of
+from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
@@ -81,6 +80,9 @@ def _values(info: FieldInfo) -> Iterator[str]:
     if _is_vector(info):
         known.pop("number", None)
         known["[x, y, z]"] = None
+    elif members_of_list(info.annotation) and not _models(info):
+        yield f"list of {', '.join(_PLURALS.get(word, word) for word in known)}"
+        return
     yield from known
 
 
@@ -95,6 +97,7 @@ def _words(part: Any) -> Iterator[str]:
         yield "table"
 
 
+_PLURALS = {"number": "numbers", "text": "texts"}
 _NAMES = {float: "number", int: "whole number", str: "text", bool: "`true`, `false`"}
 
 
@@ -113,14 +116,7 @@ def _is_list(info: FieldInfo) -> bool:
 
 def _is_vector(info: FieldInfo) -> bool:
     """Tell whether a value is three numbers."""
-    found = [info.annotation]
-    while found:
-        part = found.pop()
-        if typing.get_origin(part) is tuple and len(typing.get_args(part)) == 3:
-            return True
-        if typing.get_origin(part) in (typing.Union, types.UnionType, typing.Annotated):
-            found += typing.get_args(part)
-    return False
+    return len(members_of_list(info.annotation)) == 3
 
 
 if __name__ == "__main__":

@@ -54,7 +54,7 @@ class Contact(Section):
     sweeps: Literal["auto", "as-needed"] | Annotated[Count, Field(le=10_000)] = Field(
         "auto",
         description="solver iterations in a step: until the impulses converge (auto), only until no contact changes by "
-        "3e-6 of a radius, which makes heaps at rest cheaper (as-needed), or at most this many",
+        "3e-6 of a radius, which makes heaps at rest cheaper (as-needed), or at most this many, up to 10000",
     )
     sleep: Sleep | None = Field(
         None,
