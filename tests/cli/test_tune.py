@@ -34,6 +34,16 @@ def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measureme
     assert again.returncode == 2 and "exists; give --force" in again.stderr
 
 
+def test_a_cheaper_setting_that_loses_frames_is_named_with_its_reason(tmp_path: Path) -> None:
+    frames = ("--set", "time.duration=20.0", "--set", "record.every=0.02")
+    vary = ("--vary", "step=1,32", "--repeats", "1")
+    done = carom("tune", "figure-eight", "--error", "energy=1e-3", *vary, *frames, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (left_out,) = (line for line in done.stdout.splitlines() if line.startswith("Cheaper, but left out"))
+    assert left_out.startswith("Cheaper, but left out: step × 32, ")
+    assert left_out.endswith(" s; a recording would have 314 frames of 1001.")
+
+
 def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replaces(tmp_path: Path) -> None:
     command = ("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT)
     study = tmp_path / "recordings" / "tradeoff" / "figure-eight" / "tradeoff.json"

@@ -113,4 +113,7 @@ def _lines(tuning: Tuning) -> list[str]:
     worse = [f"{name} {after:.2g} (was {before:.2g})" for name, (before, after) in tuning.worse().items()]
     if worse:
         lines.append(f"Worse than as written: {', '.join(worse)}.")
+    if (passed := tuning.passed_over) is not None:
+        frames = f"a recording would have {', '.join(tuning.misses(passed))}"
+        lines.append(f"Cheaper, but left out: {passed.setting.name}, {passed.cost:.3g} s; {frames}.")
     return lines

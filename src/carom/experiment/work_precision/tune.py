@@ -58,6 +58,18 @@ class Tuning:
             missed.append(f"{result.frames} frames of {self.written.frames}")
         return missed
 
+    @property
+    def passed_over(self) -> Result | None:
+        """The cheapest setting that keeps every limit and is cheaper than the best, but loses frames; None if none."""
+        if self.best is None:
+            return None
+        cheaper = [
+            result
+            for result in self.tried
+            if result.cost < self.best.cost and loses_frames(self.study, self.written, result)
+        ]
+        return min((each for each in cheaper if len(self.misses(each)) == 1), key=lambda each: each.cost, default=None)
+
     def worse(self) -> dict[str, tuple[float, float]]:
         """Return the errors that are worse in the best setting than as written: both values, by name."""
         if self.best is None or self.best.errors is None or self.written.errors is None:
