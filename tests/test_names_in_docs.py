@@ -296,3 +296,10 @@ def broken_links(text: str, page: Path) -> Iterator[str]:
 def headings(page: Path) -> set[str]:
     lines = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
     return {re.sub(r"[^\w -]", "", line.lower()).strip().replace(" ", "-") for line in lines}
+
+
+def test_the_bodies_that_the_page_of_recordings_asks_for_are_in_its_scene() -> None:
+    text = (ROOT / "docs" / "recording.md").read_text(encoding="utf-8")
+    asked = re.findall(r'^recording\.(?:trajectory|impacts)\(.*?"(\w+)"', text, re.MULTILINE)
+    names = {body.name for body in Scene.load("two-spheres").body}
+    assert asked and set(asked) <= names
