@@ -11,6 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from carom.physics.contact.constraints import CONTACT_STATE
+from carom.physics.contact.continuous.next_impact import step_by_impacts
 from carom.physics.contact.islands import Islands
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.space import Space
@@ -92,3 +93,14 @@ def test_an_impact_keeps_its_bounce_beside_a_heavy_pile_far_away() -> None:
         pass
     # The heavy pair pulls the light ones by 80/10⁸ m/s² for 4 s, both alike to a part in 10⁴.
     assert np.allclose(space.state.velocity[:2, 0], [-0.2, 0.2], rtol=0, atol=1e-5)
+
+
+def test_balls_at_rest_on_each_other_that_close_by_rounding_end_no_step() -> None:
+    """In a uniform field nothing pulls one towards the other, so any closing speed seems to be an impact."""
+    position = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 1.5]])
+    velocity = np.array([[0.0, 0.0, -4e-23], [0.0, 0.0, -8e-22]])
+    field, radius = np.full((2, 3), [0.0, 0.0, -9.81]), np.full(2, 0.5)
+    none = np.zeros((0, 3)), np.zeros(0)
+    assert step_by_impacts(position, velocity, field, radius, *none, 0.01) == np.inf
+    velocity[1, 2] = -1e-6
+    assert step_by_impacts(position, velocity, field, radius, *none, 0.01) < 0.01

@@ -19,6 +19,9 @@ FloatArray = NDArray[np.float64]
 
 PASSES = 3  # each uses the mean velocity until the impact that the pass before found
 SLOW = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts
+ROUNDING = (
+    2.0**-50
+)  # of R, gap whose closing in the span is no impact; balls at rest on each other have no pull between
 APPROACH = 0.9  # of the time until the impact
 SHORT = 1e-4  # of the span; an impact that is nearer is passed by as much
 
@@ -78,7 +81,7 @@ def _meeting(
     tau = span
     for _ in range(PASSES):
         h = 0.5 * tau
-        slow = SLOW * span * np.sqrt(ax * ax + ay * ay + az * az)
+        slow = SLOW * span * np.sqrt(ax * ax + ay * ay + az * az) + ROUNDING * R / span
         tau = time_of_impact(dx, dy, dz, vx + ax * h, vy + ay * h, vz + az * h, ax, ay, az, R, span, -h, slow)
         if tau == np.inf:
             break
