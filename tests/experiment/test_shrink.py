@@ -293,14 +293,19 @@ position = ["0 m", "5 cm", 0]
 """
 
 
-def said_of(name: str) -> str:
-    space = Space(scene_from_text(IN_CM, ""), threads=1)
+def said_of(name: str, text: str = IN_CM) -> str:
+    space = Space(scene_from_text(text, ""), threads=1)
     return Varies(f"invariance {name}", name).said(Observation(space, 0.0, 1, [], Touches(space)))
 
 
 @pytest.mark.parametrize("name", INVARIANCES)
 def test_an_image_of_a_scene_with_units_runs_alike(name: str) -> None:
     assert said_of(name) == ""
+
+
+def test_a_scene_with_an_accuracy_takes_the_same_steps_in_other_units() -> None:
+    """What carom has promised for it is scaled, too."""
+    assert said_of("scaling", "body = [{}]\n[time]\nduration = 2e6\nmax_dt = 6e6\naccuracy = 1e-8\n") == ""
 
 
 def test_an_image_that_does_not_run_alike_is_told_in_the_units_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
