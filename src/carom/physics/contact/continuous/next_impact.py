@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.continuous.time_of_impact import time_of_impact
+from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.parallel.jit import inline, kernel
 from carom.physics.vector import between, vector
 
@@ -19,9 +20,6 @@ FloatArray = NDArray[np.float64]
 
 PASSES = 3  # each uses the mean velocity until the impact that the pass before found
 SLOW = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts
-ROUNDING = (
-    2.0**-50
-)  # of R, gap whose closing in the span is no impact; balls at rest on each other have no pull between
 APPROACH = 0.9  # of the time until the impact
 SHORT = 1e-4  # of the span; an impact that is nearer is passed by as much
 
