@@ -76,11 +76,12 @@ def contacts(
     """
     from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened
+    from carom.recording.export.export import refuse_format
     from carom.recording.read.recording import Recording
 
     _refuse_contradictions(at, impacts, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:
-        _refuse_format(output)
+        refuse_format(output, FORMATS)
         refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)
@@ -110,14 +111,6 @@ def _refuse_contradictions(
         raise RecordingError("--at asks for the contacts of one step; with --impacts give --from and --to")
     if not impacts and (start is not None or end is not None):
         raise RecordingError("--from and --to choose impacts: add --impacts, or ask for one step with --at")
-
-
-def _refuse_format(path: Path) -> None:
-    """Raise RecordingError if the ending of a file names no format."""
-    from carom.recording.errors import RecordingError
-
-    if path.suffix not in FORMATS:
-        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known endings: {", ".join(FORMATS)}')
 
 
 def _table(

@@ -10,8 +10,8 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 
 
-def continued_scene(recording: Recording, overrides: list[str]) -> Scene:
-    """Return the scene of a recording with overrides, for a run that goes on from one of its checkpoints.
+def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:
+    """Return the ``scene`` of a recording with overrides, for a run that goes on from one of its checkpoints.
 
     Some values of "auto" follow from the duration: the interval between frames, and the integrator of orbits. They stay
     as they were, unless the overrides set them.
@@ -21,7 +21,6 @@ def continued_scene(recording: Recording, overrides: list[str]) -> Scene:
     SceneError, RecordingError
         As `recorded_scene`, or if an override contradicts the integrator.
     """
-    scene = recorded_scene(recording)
     changed = recorded_scene(recording, overrides)
     interval, chosen, kept = frame_interval(scene), integrator(scene).name, list(overrides)
     if changed.record.every == "auto" and frame_interval(changed) != interval:

@@ -70,7 +70,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
-        scene = continued_scene(recording, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
+        scene = continued_scene(recording, scene, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
     # the last step of a run that has got to its end was cut short, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:

@@ -289,9 +289,9 @@ def _accuracy(scene: Scene) -> Part:
 def _steps(refinement: float) -> str:
     if refinement == 1.0:
         return "steps of the usual length"
-    return (
-        f"steps {max(refinement, 1.0 / refinement):.3g} times {'longer' if refinement < 1.0 else 'shorter'} than usual"
-    )
+    if refinement < 1.0:
+        return f"steps {1.0 / refinement:.3g} times longer than usual"
+    return f"steps {refinement:.3g} times shorter than usual"
 
 
 def _adaptive_step(scene: Scene) -> Part:

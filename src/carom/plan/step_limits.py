@@ -58,8 +58,8 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
     """Return limits for steps so many times shorter than the longest useful ones, with impacts at their own times.
 
     Every limit shrinks alike, so that runs with different refinements differ wherever the step matters. No step is
-    longer than the interval between the frames of an automatic recording of ``until`` seconds, which
-    the look ahead covered. A resumed run may be longer, and keeps its step.
+    longer than the interval between the frames of an automatic recording of ``until`` seconds, the part that was
+    looked ahead. A resumed run may be longer, and keeps its step.
     """
     touches = cfl(scene) is not None
     return StepLimits(

@@ -157,19 +157,17 @@ class _Factors(UnitSystem):
 
 
 def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -> dict[str, Any]:
-    """Return a scene whose plain numbers are multiplied by a factor that depends on their dimension."""
-    factors = _Factors(factor_of=factor_of)
-    return {key: _walked(value, place(key), factors, (key,), []) for key, value in data.items()}
+    """Return a scene in units of the simulation, whose numbers are multiplied by a factor of their dimension."""
+    factors, places = _Factors(factor_of=factor_of), _places(Scene)
+    return {key: _walked(value, places.get(key), factors, (key,), []) for key, value in data.items()}
+
+
+def place(key: str) -> _Place | None:
+    """Return what may stand at a key of a scene, at any depth below it; None if no quantity may."""
+    return None if key == _WRITTEN_BY_CAROM else _places(Scene).get(key)
 
 
 @cache
-def place(key: str) -> _Place | None:
-    """Return what may stand at a key of a scene, at any depth below it; None if no quantity may."""
-    if key == _WRITTEN_BY_CAROM:
-        return None
-    return _places(Scene).get(key)
-
-
 def _places(model: type[BaseModel]) -> dict[str, _Place]:
     found = {key: _place(info.annotation, dimension_in(info.metadata)) for key, info in model.model_fields.items()}
     return {key: at for key, at in found.items() if at.dimension or at.below}

@@ -78,7 +78,7 @@ def start_of(branch: Branch) -> Start:
     recording.refuse_overlay()
     original = recorded_scene(recording)
     _refuse_state(branch.overrides)
-    scene = continued_scene(recording, list(branch.overrides)) if branch.overrides else original
+    scene = continued_scene(recording, original, list(branch.overrides)) if branch.overrides else original
     checkpoint = _checkpoint_at(recording, original, recording.moment(branch.at))
     _refuse_other_state(branch, original, scene)
     end, units = scene.time.duration, scene.unit_system

@@ -88,9 +88,6 @@ class Image:
             self._change(changed["gravity"], "uniform", np.zeros(3))
         if "drag" in changed:
             self._change(changed["drag"], "medium_velocity", self.boost)
-        for key, power in PROMISED.items():
-            if key in changed.get("promise", {}):
-                changed["promise"][key] *= self.time**power
         return changed | {BODIES: changed[BODIES][::-1]} if self.backwards else changed
 
     def _change(self, section: Document, key: str, offset: FloatArray, axial: bool = False) -> None:
@@ -126,7 +123,6 @@ IMAGES: dict[str, Callable[[Space], Image]] = {
     "rotation": _turned,
     "numbering": lambda space: Image(backwards=True, exact=False),
 }
-PROMISED = {"until": 1, "horizon": 1, "lyapunov": -1}  # powers of time of what carom writes, in units of its own
 STEPS, ARRAYS = "steps", "arrays"
 INVARIANCES = (*IMAGES, STEPS, ARRAYS)
 

@@ -172,8 +172,9 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
                 c1 += (j + 1) * j * (j - 1) * b[c, j]
             a, jerk, snap, crackle = a + a1 * a1, jerk + j1 * j1, snap + s1 * s1, crackle + c1 * c1
         if jerk > 0.0:
-            passing = (np.sqrt(a * snap) + jerk) / (np.sqrt(jerk * crackle) + snap)
-            shortest = min(shortest, max(2.0 * a / (jerk + np.sqrt(a * snap)), PASSING * passing))
+            change = jerk + np.sqrt(a * snap)
+            passing = change / (np.sqrt(jerk * crackle) + snap)
+            shortest = min(shortest, max(2.0 * a / change, PASSING * passing))
     return float(fraction * dt * np.sqrt(shortest))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from carom.recording.errors import ExistsError, RecordingError
@@ -19,10 +19,10 @@ SERIES = ".series"  # appended to the name of a .vtk of many steps
 FORMATS = (*WRITERS, VTK)
 
 
-def refuse_format(path: Path) -> None:
+def refuse_format(path: Path, formats: Sequence[str] = FORMATS) -> None:
     """Raise RecordingError if the ending of a file names no format."""
-    if path.suffix not in FORMATS:
-        known = ", ".join(FORMATS)
+    if path.suffix not in formats:
+        known = ", ".join(formats)
         raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known endings: {known}')
 
 
