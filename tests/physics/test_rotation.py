@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from carom.physics.rotation import rotate, sine_cosine
+from carom.physics.rotation import BLOCK, rotate, sine_cosine, turn_one
 
 
 @settings(max_examples=500, deadline=None)
@@ -58,3 +58,17 @@ def test_a_thousand_turns_in_a_thousand_steps_end_where_they_began() -> None:
         rotate(q, np.array([[0.0, 0.0, 2 * math.pi]]), 1.0)
     # Each turn is ω dt = 2π rounded, 2.4e-16 rad off the real 2π, and adds a rounding of the product.
     assert abs(q[0, 2]) <= 1000 * 2.3e-16
+
+
+@settings(max_examples=50, deadline=None)
+@given(count=st.integers(1, 2 * BLOCK + 1), seed=st.integers(0, 2**32 - 1), dt=st.sampled_from([1e-3, -0.7, 1e6]))
+def test_bodies_turned_in_blocks_have_the_bits_of_bodies_turned_one_by_one(count: int, seed: int, dt: float) -> None:
+    rng = np.random.default_rng(seed)
+    spins = rng.normal(size=(count, 3)) * rng.choice([0.0, 1e-160, 1.0, 50.0], size=(count, 1))
+    in_blocks = rng.normal(size=(count, 4))
+    in_blocks /= np.linalg.norm(in_blocks, axis=1)[:, None]
+    one_by_one = in_blocks.copy()
+    rotate(in_blocks, spins, dt)
+    for i in range(count):
+        turn_one(i, one_by_one, spins, dt)
+    assert np.array_equal(in_blocks, one_by_one)

@@ -24,7 +24,7 @@ from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
 from carom.physics.periodic_box import minimum_image
-from carom.physics.rotation import turn
+from carom.physics.rotation import turn_one
 from carom.physics.vector import add, along, between, vector
 
 Records = NDArray[np.void]
@@ -294,6 +294,6 @@ def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectorie
     if s == 0.0:
         return
     left = T.drift[0].dt - T.drift[0].clock
-    turn(i, i + 1, T.q, T.omega, -left)
+    turn_one(i, T.q, T.omega, -left)
     add(T.omega, i, s, tx, ty, tz)
-    turn(i, i + 1, T.q, T.omega, left)
+    turn_one(i, T.q, T.omega, left)
