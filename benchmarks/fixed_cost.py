@@ -17,7 +17,7 @@ from pathlib import Path
 from carom.physics.space import Space
 from carom.scene.load import load_scene
 from carom.scene.schema import Scene
-from heap import QUICK, in_carom
+from heap import SETTINGS, in_carom
 from measurement import medians, merge
 from step import in_open_space
 
@@ -55,7 +55,7 @@ CASES: dict[str, tuple[Callable[[int], Callable[[], object]], int, int]] = {  # 
     "10 spheres on a floor": (lambda threads: on_a_floor(10, threads), 300, 300),
     "cloud-collapse": (lambda threads: scene("cloud-collapse", threads), 2000, 40),
     "marbles-in-a-box": (lambda threads: scene("marbles-in-a-box", threads), 400, 40),
-    "heap of 1000 at rest": (lambda threads: in_carom(1000, threads, **QUICK).step, 1200, 40),
+    "heap of 1000 at rest": (lambda threads: in_carom(1000, threads, **SETTINGS["quick"]).step, 1200, 40),
     "10⁴ bodies, contacts only": (lambda threads: crowd(10**4, threads), 20, 40),
     "10⁵ bodies, contacts only": (lambda threads: crowd(10**5, threads), 20, 20),
 }

@@ -1,14 +1,13 @@
 """A heap of spheres in a box, falling, settling and at rest, beside Box3D with four substeps.
 
-    python benchmarks/heap.py [--bodies 1000 10000] [--threads 1 2] [--rounds 5] [--calm 20] [--dry]
+    python benchmarks/heap.py [--bodies 1000 10000] [--threads 1 2] [--rounds 5] [--calm 20] [--only NAME ...] [--dry]
 
 Spheres of radius 0.1 m fall from a jittered lattice into a box that they fill to about its width; friction 0.5,
 restitution 0, 60 steps a second, sleep off in Box3D and in all but one of carom's runs. carom runs with its defaults,
-with sweeps as needed (`AS_NEEDED`), with these and islands that sleep (`ASLEEP`), and with impacts at the end of the
-step and eight sweeps at most (`QUICK`). "Falling" is the first three seconds, "at rest" what follows `--calm` seconds.
-The engines take turns in one process. A step's time is the median of the rounds: CPU time of the process with one
-thread, wall time with more. Residual motion is the root mean square of the speeds at rest, most of it in spheres that
-roll; overlaps are the deepest that were seen, in radii.
+with the settings of `SETTINGS`, and `--only` names those to run. "Falling" is the first three seconds, "at rest" what
+follows `--calm` seconds. The engines take turns in one process. A step's time is the median of the rounds: CPU time of
+the process with one thread, wall time with more. Residual motion is the root mean square of the speeds at rest, most of
+it in spheres that roll; overlaps are the deepest that were seen, in radii.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,9 +32,13 @@ FloatArray = NDArray[np.float64]
 RADIUS, SPACING, FRICTION = 0.1, 2.4, 0.5  # m, radii, 1
 RATE, FALL, TURN = 60, 180, 10  # steps a second; steps; steps before the next engine's turn
 SUBSTEPS = 4  # of Box3D
-AS_NEEDED = {"sweeps": "as-needed"}
-ASLEEP = {**AS_NEEDED, "sleep": {"speed": 0.02}}
-QUICK = {"timing": "end-of-step", "sweeps": 8}
+SETTINGS: dict[str, dict[str, Any]] = {  # sections [contact] of carom's runs
+    "carom": {},
+    "as needed": {"sweeps": "as-needed"},
+    "as needed, impacts at the end": {"timing": "end-of-step", "sweeps": "as-needed"},
+    "asleep": {"sweeps": "as-needed", "sleep": {"speed": 0.02}},
+    "quick": {"timing": "end-of-step", "sweeps": "quick"},
+}
 
 
 class Heap(NamedTuple):
@@ -116,17 +120,14 @@ def deepest(position: FloatArray, side: float) -> float:
     return float(-min(gap.min(initial=0.0), position[:, 2].min() - RADIUS, walls)) / RADIUS
 
 
-def compare(n: int, threads: int, rounds: int, calm: int) -> dict[str, Any]:
+def compare(n: int, threads: int, rounds: int, calm: int, only: list[str]) -> dict[str, Any]:
     """Let the heaps of both engines fall in turns, several times, then lie."""
     side = lattice(n)[1]
     clock = time.process_time if threads == 1 else time.perf_counter
     engines: dict[str, Callable[[], Heap]] = {
-        "carom": lambda: in_carom(n, threads),
-        "carom, as needed": lambda: in_carom(n, threads, **AS_NEEDED),
-        "carom, asleep": lambda: in_carom(n, threads, **ASLEEP),
-        "carom, quick": lambda: in_carom(n, threads, **QUICK),
-        "Box3D": lambda: in_box3d(n, threads),
+        name: partial(in_carom, n, threads, **contact) for name, contact in SETTINGS.items() if name in only
     }
+    engines["Box3D"] = partial(in_box3d, n, threads)
     falls: dict[str, list[float]] = {name: [] for name in engines}
     rests: dict[str, list[float]] = {name: [] for name in engines}
     for _ in range(max(1, rounds // 2)):
@@ -174,12 +175,13 @@ def main() -> None:
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--calm", type=int, default=20, help="seconds until the heap counts as at rest")
+    parser.add_argument("--only", nargs="+", default=list(SETTINGS), choices=list(SETTINGS), help="settings of carom")
     parser.add_argument("--dry", action="store_true", help="write no results")
     given = parser.parse_args()
     rows = []
     for n in given.bodies:
         for threads in given.threads:
-            rows.append(compare(n, threads, given.rounds, given.calm))
+            rows.append(compare(n, threads, given.rounds, given.calm, given.only))
             print(rows[-1], flush=True)
     if not given.dry:
         print(merge("heap", {"rows": rows}, "robox3d"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
 from carom.scene.materials import PairCoefficients
 from carom.scene.schema import Scene
+from carom.scene.schema.contact import Sweeps
 from carom.scene.start import Start
 
 FloatArray = NDArray[np.float64]
@@ -83,7 +84,7 @@ def solver_of(
     law: list[float] | PairCoefficients,
     box: FloatArray | None = None,
     threads: int = 1,
-    sweeps: Literal["auto", "as-needed"] = "auto",
+    sweeps: Sweeps = "auto",
 ) -> ContactSolver:
     """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction of all or of pairs."""
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.experiment.hunt.documents import Document
-from carom.physics.contact.pipeline import SWEEPS
+from carom.physics.contact.pipeline import MOST_SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -80,7 +80,8 @@ class Auditor:
         """Add up what may have been rounded since the frame before, and how large it was."""
         scene, state = self.space.scene, self.space.state
         substeps = 3 if scene.time.integrator == "yoshida4" else 1
-        most = SWEEPS if isinstance(scene.contact.sweeps, str) else scene.contact.sweeps
+        asked = scene.contact.sweeps
+        most = asked if isinstance(asked, int) else MOST_SWEEPS[asked]
         passes = frame.sweeps + (most if scene.contact.stabilisation == "split" else 0)
         struck = self.space.extremes.impacts - self.impacts
         self.impacts += struck

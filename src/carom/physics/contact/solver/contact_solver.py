@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,12 +40,15 @@ from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.jit import entry_of, inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.half_space import HalfSpaces
+from carom.scene.schema.contact import Sweeps
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
+REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
+AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # small changes end these
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 
@@ -79,7 +82,7 @@ class ContactSolver:
         friction: bool,
         team: Team,
         records: bool = False,
-        sweeps: Literal["auto", "as-needed"] | int = "auto",
+        sweeps: Sweeps | int = "auto",
     ) -> None:
         count = len(bodies.ends.velocity)
         self._bodies = bodies
@@ -105,7 +108,7 @@ class ContactSolver:
         self._island_sums = np.empty(count, ISLAND)
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
-        self._settings["refines"], self._settings["as_needed"] = isinstance(sweeps, str), sweeps == "as-needed"
+        self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["settles"] = sweeps == "auto" or alternates
         self._code = PhaseCode(friction)

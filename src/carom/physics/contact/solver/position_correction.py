@@ -38,7 +38,7 @@ LEAVING = 0.1  # of the rest speed; contacts that separate faster are not pushed
 # the energy in the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms)
 NEVER = -2  # in place of the iteration in which a body was last pushed
 ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
-ENOUGH_AS_NEEDED = 1e-5  # the same with `contact.sweeps = "as-needed"`; the next step has one iteration for them
+ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed and quick ones; the next step has one iteration for them
 
 
 @long_kernel
