@@ -97,6 +97,13 @@ def test_the_same_command_measures_nothing_twice(checked: Path) -> None:
     assert before == {path.name: path.stat().st_mtime_ns for path in (checked / "out").glob("mujoco*.rrd")}
 
 
+def test_the_document_names_the_units_of_its_numbers(tmp_path: Path) -> None:
+    for units, first in (("SI", ""), ("cm, ms, g", 'units = "cm, ms, g"')):
+        (tmp_path / "pair.toml").write_text(first + SCENE, encoding="utf-8")
+        check = Crosscheck(Scene.load(tmp_path / "pair.toml"), engines_called(["rebound"]), tmp_path / units)
+        assert check.document()["units"] == units
+
+
 class InterruptedRuns(Runs):
     """Follows runs in this process, and is interrupted in place of following one more than it may."""
 

@@ -109,6 +109,14 @@ def test_json_names_the_units_of_its_numbers(folder: Path, command: tuple[str, .
     assert {name: document["units"] for name, document in told.items()} == {"si": "SI", "cm": "SI", "own": "cm, ms, g"}
 
 
+def test_json_of_a_fork_and_of_a_comparison_names_the_units_of_its_numbers(folder: Path) -> None:
+    change = ("--at", "0.1 s", "--set", "contact.restitution=0.9", "--json")
+    for name, units in (("cm", "SI"), ("own", "cm, ms, g")):
+        forked = json.loads(printed(folder, "fork", f"{name}.rrd", *change, "-o", f"{name}-forked.rrd"))
+        compared = json.loads(printed(folder, "diff", f"{name}.rrd", f"{name}.rrd", "--json"))
+        assert forked["units"] == compared["units"] == units
+
+
 @pytest.mark.parametrize("name", ["cm", "own"])
 def test_clip_replay_and_resume_take_times_with_units_and_keep_the_bits(folder: Path, name: str) -> None:
     run, clipped, longer = f"{name}.rrd", f"{name}-clip.rrd", f"{name}-longer.rrd"

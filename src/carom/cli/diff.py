@@ -60,14 +60,14 @@ def diff(
         overlay(*recordings, found, output)
     names = names_of(recordings[0])
     if as_json:
-        say(json.dumps(_document(found, names), indent=2, ensure_ascii=False))
+        say(json.dumps(_document(found, names, recordings[0].units), indent=2, ensure_ascii=False))
     else:
         _print(found, names, recordings[0].units, output)
     if not found.same:
         raise typer.Exit(1)
 
 
-def _document(found: Diff, names: Names) -> dict[str, Any]:
+def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
     """Return the result as JSON can hold it, without NaN and infinity."""
     from dataclasses import asdict
     from math import isfinite
@@ -79,6 +79,7 @@ def _document(found: Diff, names: Names) -> dict[str, Any]:
     document: dict[str, Any] = {
         "a": str(found.paths[0]),
         "b": str(found.paths[1]),
+        "units": units.recorded,
         "same_bits": found.same,
         "verdict": {"kind": verdict.kind, "text": verdict.text, "jump": verdict.jump, "allowed": verdict.allowed},
         "scene": {key: list(values) for key, values in found.scene.items()},

@@ -125,6 +125,7 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
     found: Fork = go_on(start, target, shift, ulps)
     text = text_of(start, found.diff)
     document = {
+        "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
         "step": start.checkpoint.step,
         "end": found.outcome.sim_time,
@@ -198,6 +199,7 @@ def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevit
         return [float(v) if np.isfinite(v) else None for v in values]
 
     return {
+        "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
         "step": start.checkpoint.step,
         "seeds": len(found.rms),

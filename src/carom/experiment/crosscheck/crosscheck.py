@@ -134,6 +134,7 @@ class Crosscheck:
             runs.append({**self.study.entry(result), **({} if examined is None else asdict(examined))})
         return {
             "version": VERSION,
+            "units": self.scene.unit_system.recorded,
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
             "reference": reference,
             "refused": self.refused,
