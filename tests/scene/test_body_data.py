@@ -180,6 +180,32 @@ def test_a_simulationarchive_in_other_units_than_si_needs_a_scene_that_names_uni
     assert place(scene_of(tmp_path, "a.bin", top=given)).radius == pytest.approx(RADIUS * 149597870700.0)
 
 
+@pytest.mark.parametrize(
+    ("top", "said"),
+    [
+        ('units = "au, yr, M_sun"', "and the scene has velocity in au/yr; write units"),
+        ('units = "km, day, M_sun"', "and the scene has length in km; write units"),
+        ('[units]\nlength = "au"\ntime = "day"', "and the scene has mass in kg; write units"),
+        (
+            '[units]\nlength = "au"\ntime = "day"\nmass = "M_sun"\nvelocity = "km/s"',
+            "has velocity in km/s; write units",
+        ),
+    ],
+)
+def test_a_simulationarchive_whose_units_the_scene_contradicts_is_refused(tmp_path: Path, top: str, said: str) -> None:
+    write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
+    message = complaint(tmp_path, "a.bin", top=f"{top}\n[gravity]\nconstant = 0")
+    assert "a.bin: its numbers are in au, day, M_sun" in message and said in message
+
+
+def test_units_of_a_simulationarchive_contradict_only_numbers_that_are_read_from_it(tmp_path: Path) -> None:
+    write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
+    masses = '[units]\nlength = "au"\ntime = "day"\nmass = "kg"'
+    assert place(scene_of(tmp_path, "a.bin", "mass = 5", top=masses)).mass.tolist() == 3 * [5.0]
+    without = 'units = "dimensionless"\n[gravity]\nconstant = 0'
+    assert place(scene_of(tmp_path, "a.bin", top=without)).mass.tolist() == MASS.tolist()
+
+
 def test_a_simulationarchive_in_si_or_without_units_is_read_as_it_is(tmp_path: Path) -> None:
     for units in (("s", "m", "kg"), None):
         write_rebound(tmp_path / "a.bin", units=units)

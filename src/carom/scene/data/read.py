@@ -19,7 +19,6 @@ from carom.scene.units.system import OWN, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
-_SI = ", ".join(dimension.unit for dimension in OWN)
 _POSITIVE = ("mass", "density", "radius", "inertia")
 _DIMENSIONS = {  # whose product a quantity has
     "position": (LENGTH,),
@@ -40,10 +39,10 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem, material: M
     SceneError
         Naming the table, the column and the row.
     """
-    _refuse_other_units(table, units)
     if material is not None:
         section = with_material(section, material, table.names)
     mapping = mapping_of(section, table.names, table.called)
+    _refuse_other_units(table, units, mapping)
     wanted = list(dict.fromkeys(column for columns in mapping.values() for column in columns))
     raw = table.read(wanted, texts=mapping.get("name", ()))
     reader = _Reader(section, table.called, mapping, raw, units)
@@ -166,15 +165,21 @@ class _Reader:
         return values
 
 
-def _refuse_other_units(table: Table, units: UnitSystem) -> None:
-    """Refuse a table that says that its numbers are not in SI, where the scene says nothing about units."""
-    if not units.is_si or not table.units or table.units == _SI:
+def _refuse_other_units(table: Table, units: UnitSystem, mapping: Mapping) -> None:
+    """Refuse a table that says that the numbers to be read are in other units than those of the scene."""
+    if not table.units or units.dimensionless:
+        return
+    its = UnitSystem.of_text(table.units)
+    read = (dimension for quantity in mapping for dimension in _DIMENSIONS.get(quantity, ()))
+    other = next((dimension for dimension in read if not units.agrees(its, dimension)), None)
+    if other is None:
         return
     named = ", ".join(
         f'{dimension.plain} = "{unit}"' for dimension, unit in zip(OWN, table.units.split(", "), strict=True)
     )
+    scene = "those of the scene in SI" if units.is_si else f"the scene has {other.name} in {units.unit(other)}"
     raise SceneError(
-        f"{table.called}: its numbers are in {table.units}, and those of the scene in SI; write units = "
+        f"{table.called}: its numbers are in {table.units}, and {scene}; write units = "
         f'"{table.units}" at the top of the scene, or [units] with {named}'
     )
 

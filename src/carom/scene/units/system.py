@@ -143,6 +143,10 @@ class UnitSystem:
         """Return the units of the simulation in one unit of the scene's plain numbers; 1 in SI."""
         return nearest_float(self._size(dimension)) if self.converts else 1.0
 
+    def agrees(self, other: UnitSystem, dimension: Dimension) -> bool:
+        """Tell whether numbers of a dimension are in the same unit in both."""
+        return self._size(dimension) == other._size(dimension)
+
     def shown(self, number: float, dimension: Dimension) -> float:
         """Return a number of the simulation in the unit that it is printed in."""
         factor = self.factor(dimension)
