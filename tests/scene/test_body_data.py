@@ -538,6 +538,34 @@ def test_names_that_are_whole_numbers_keep_their_digits_beside_a_missing_one(
     assert list(place(scene_of(tmp_path, file)).name) == ["5", "body 1", "1152921504606846977"]
 
 
+@pytest.mark.parametrize("write", [write_parquet, write_feather])
+def test_names_that_are_whole_numbers_stored_as_floats_have_no_fraction(
+    tmp_path: Path, write: Callable[..., None]
+) -> None:
+    file = "a.arrow" if write is write_feather else "a.parquet"
+    write(tmp_path / file, name=pa.array([5.0, None, 2.0**52], pa.float64()))
+    assert list(place(scene_of(tmp_path, file)).name) == ["5", "body 1", "4503599627370496"]
+    write(tmp_path / file, name=pa.array([5.0, 5.5, 1e300], pa.float64()))
+    assert list(place(scene_of(tmp_path, file)).name) == ["5", "5.5", "1e+300"]
+
+
+@pytest.mark.parametrize(
+    ("written", "names"),
+    [
+        (("5.0", "", "60.0"), ["5", "body 1", "60"]),  # as pandas writes whole numbers beside a missing one
+        (("5.0", "5.5", "6.0"), ["5.0", "5.5", "6.0"]),
+        (("5.0", "007.0", "6.0"), ["5.0", "007.0", "6.0"]),
+        (("5.0", "Körper", "6.0"), ["5.0", "Körper", "6.0"]),
+    ],
+)
+def test_names_in_a_csv_file_lose_a_fraction_of_zero_only_where_all_are_whole_numbers(
+    tmp_path: Path, written: tuple[str, ...], names: list[str]
+) -> None:
+    rows = "".join(f"{name},{3 * k},0,0,1,1\n" for k, name in enumerate(written))
+    (tmp_path / "a.csv").write_text(f"name,x,y,z,m,r\n{rows}", encoding="utf-8")
+    assert list(place(scene_of(tmp_path, "a.csv")).name) == names
+
+
 def test_names_are_written_only_when_they_are_asked_for() -> None:
     numbered: NumberedNames = NumberedNames("body", 10**12, 5)
     names = JoinedNames([["sun"], numbered])

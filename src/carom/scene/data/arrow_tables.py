@@ -32,9 +32,17 @@ def open_csv(path: Path, called: str, snapshot: int) -> Table:
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         table = pyarrow.csv.read_csv(path, parse_options=parse, convert_options=convert)
         refuse_many_rows(called, table.num_rows)
+        for text in texts:
+            table = table.set_column(table.column_names.index(text), text, _without_fractions(table[text]))
         return table
 
     return _ArrowTable(called, names, read, snapshot)
+
+
+def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Return 5 for 5.0 in a column of whole numbers, as pandas writes them where one is missing."""
+    whole = pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")
+    return pc.replace_substring_regex(column, r"\.0$", "") if pc.all(whole).as_py() else column
 
 
 def open_parquet(path: Path, called: str, snapshot: int) -> Table:

@@ -14,6 +14,8 @@ from carom.scene.error import SceneError
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
 MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
 
+_EXACT = 2**53  # whole numbers below it are floats without rounding
+
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
 
 
@@ -107,6 +109,10 @@ def texts_of(raw: Raw) -> list[str]:
 def _text(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks what is missing
         return ""
+    if (
+        isinstance(value, float) and value.is_integer() and abs(value) < _EXACT
+    ):  # as pandas stores 5 beside a missing one
+        return str(int(value))
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
 
