@@ -29,10 +29,19 @@ def test_many_forks_run_on_workers_and_give_a_band(folder: Path) -> None:
     done = carom_process("fork", "run.rrd", "--at", "0.5", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert told["seeds"] == 3 and len(told["median"]) == len(told["time"]) == 200
+    assert told["seeds"] == 3 and len(told["median"]) == len(told["time"]) == 201 and told["time"][-1] == 2.0
     assert None not in told["median"]
     assert [chance["probability"] for chance in told["outcome"]["chances"]] == [1.0] * 8
     assert told["outcome"]["hits"] == 3 and told["outcome"]["unperturbed"]
+
+
+@pytest.mark.slow
+def test_distances_of_many_forks_are_told_with_their_time(folder: Path) -> None:
+    options = ("--perturb", "1ulp", "--seeds", "2", "--set", "time.duration=1.997", "-o", "two.rrd")
+    done = carom_process("fork", "run.rrd", "--at", "0.5", *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "2 forks at step 5, t = 0.5 s, up to t = 1.997 s." in done.stdout
+    assert "At t = 1.997 s bodies are" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,17 @@ def test_a_distance_at_the_end_that_interpolation_explains_is_not_stated_as_one(
     start = start_of(Branch(orbits, 20.0, ("time.duration=70", "record.every=0.5", "gravity.softening=1e-9")))
     found = fork(start, tmp_path / "both.rrd", None, 0)
     assert 1e-3 < found.diff.curve.rms[-1] < found.diff.curve.floor[-1] < 0.1
-    assert "at the end counterparts are less than" in text_of(start, found.diff)
+    assert "at t = 60 s counterparts are less than" in text_of(start, found.diff)  # where the recording ends
+
+
+@pytest.mark.parametrize(("at", "samples"), [(2.22, [2.3, 2.37]), (2.34, [2.37])])
+def test_branches_are_compared_at_their_end_whatever_the_interval_of_frames(
+    gas: Path, at: float, samples: list[float]
+) -> None:
+    branch = Branch(gas, at, ("time.duration=2.37",))
+    found = ensemble(start_of(branch), branch, 2, 1, cast(Workers, Here()))
+    assert found.time[-len(samples) :] == pytest.approx(samples)
+    assert np.isfinite(found.rms).all() and (found.rms[:, -1] > 0.0).all()
 
 
 def test_a_perturbed_start_differs_by_one_unit_in_the_last_place_of_each_coordinate(gas: Path) -> None:

@@ -254,7 +254,7 @@ def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitabl
     begin, end = at(start.checkpoint.time), at(found.time[-1])
     yield f"{len(found.rms)} forks at step {start.checkpoint.step}, {begin}, up to {end}."
     yield (
-        f"At the end bodies are {units.text(median, LENGTH, '.3g')} apart (rms, median); "
+        f"At {end} bodies are {units.text(median, LENGTH, '.3g')} apart (rms, median); "
         f"5 to 95 %: {units.span(low, high, LENGTH, '.3g')}."
     )
     lost = int(np.count_nonzero(found.spread[-1] > radius))

@@ -56,7 +56,7 @@ def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher |
 
 
 def text_of(start: Start, found: Diff) -> str:
-    """Say when a branch left its recording, what is other in it, and how far they are apart at the end."""
+    """Say when a branch left its recording, what is other in it, and how far they are apart in the last frame."""
     changes = ", ".join(
         f"{key} = {_value(found, key, other)}, before {_value(found, key, one)}"
         for key, (one, other) in found.scene.items()
@@ -64,12 +64,13 @@ def text_of(start: Start, found: Diff) -> str:
     what = f" with {changes}" if changes else ""
     curve, first, units = found.curve, found.verdict.first, start.scene.unit_system
     forked = f"forked at step {start.checkpoint.step}, t = {units.text(start.checkpoint.time, TIME, '.9g')}{what}"
+    last = f"t = {units.text(curve.time[-1], TIME, '.9g')}"
     if first is None:
-        return f"{forked}: the same bits up to the end"
+        return f"{forked}: the same bits up to {last}"
     when, apart, resolved = units.text(curve.time[first], TIME), curve.rms[-1], curve.floor[-1]
     distance = units.text(max(apart, resolved), LENGTH, ".3g")
     return (
-        f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at the end counterparts are "
+        f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at {last} counterparts are "
         f"{'' if apart > resolved else 'less than '}{distance} apart (rms), in a system of "
         f"{units.text(curve.size, LENGTH, '.3g')}"
     )

@@ -22,7 +22,7 @@ _MULTIPLE = 1e-9  # relative, as in `Every`
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Positions at multiples of an interval, and whether an outcome came about."""
+    """Positions at multiples of an interval and at the end, and whether an outcome came about."""
 
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
@@ -37,24 +37,22 @@ def interval_of(start: Start) -> float:
 def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | None, threads: int | None = 1) -> Path:
     """Run a branch to its end.
 
-    Frames come at the first step at or after each multiple. The bodies are taken back to it along their velocities,
-    since branches may take other steps.
+    Frames come at the first step at or after each multiple, and at the end. The bodies are taken back to the multiple
+    along their velocities, since branches may take other steps.
     """
-    interval, origin = interval_of(start), start.checkpoint.time
+    interval = interval_of(start)
     space = start.space(threads, shift, ulps)
-    first = int(np.floor(origin / interval * (1.0 + _MULTIPLE))) + 1
-    last = int(np.floor(start.scene.time.duration / interval * (1.0 + _MULTIPLE)))
-    time = interval * np.arange(first, last + 1).astype(np.float64)
+    time = _times(start.checkpoint.time, start.scene.time.duration, interval)
     position = np.full((len(time), *space.state.position.shape), np.nan)
     seen, initial, count, filled = Touches(space), space.status.energy.total, 0, 0
     for frame in space.run(schedule=Every(interval)):
         count += 1
         if outcome is not None:
             seen.see(frame)
-        row = int(np.floor(frame.time / interval * (1.0 + _MULTIPLE))) - first
-        for earlier in range(filled, min(row + 1, len(time))):  # more than one where steps are longer
-            position[earlier] = frame.position - frame.velocity * (frame.time - time[earlier])
-        filled = max(filled, row + 1)
+        reached = int(np.searchsorted(time, frame.time * (1.0 + _MULTIPLE), side="right"))
+        for row in range(filled, reached):  # more than one where steps are longer
+            position[row] = frame.position - frame.velocity * (frame.time - time[row])
+        filled = max(filled, reached)
     came = None
     if outcome is not None:
         summary = Observation(space, initial, count, [], seen).summary
@@ -65,6 +63,13 @@ def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | No
             explained = explain_unknown(outcome.text, error.name, summary)
             raise ExperimentError(explained.replace("--while", "--outcome", 1)) from None
     return Path(time, position, came)
+
+
+def _times(origin: float, end: float, interval: float) -> FloatArray:
+    """Return the multiples of an interval after a time, and the end (s)."""
+    first, last = (int(np.floor(time / interval * (1.0 + _MULTIPLE))) for time in (origin, end))
+    time = interval * np.arange(first + 1, last + 1).astype(np.float64)
+    return time if len(time) and time[-1] * (1.0 + _MULTIPLE) >= end else np.append(time, end)
 
 
 def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
