@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision import tradeoff, trajectory
+from carom.experiment.work_precision.figure import draw
 from carom.experiment.work_precision.overlay import record
 from carom.experiment.work_precision.settings_grid import default_settings, vary
 from carom.experiment.work_precision.tradeoff import Study
@@ -223,6 +225,17 @@ def test_threads_change_the_cost_and_no_bit(tmp_path: Path) -> None:
     assert np.array_equal(study.trajectory(one).position, study.trajectory(two).position)
     again, said = measured(scene, tmp_path, "threads=1,2")
     assert said == [] and [result.setting.threads for result in again.results] == [1, 2]
+
+
+def test_a_figure_of_settings_with_the_same_error_is_drawn_without_a_warning(tmp_path: Path) -> None:
+    measured(eight(), tmp_path, "step=8,4,2,1")
+    document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))
+    for entry in document["settings"]:
+        entry["errors"]["position"], entry["spread"] = 1.0489772850920652e-08, 0.1  # of which matplotlib warned
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw(document, tmp_path / "same.png")
+    assert (tmp_path / "same.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:

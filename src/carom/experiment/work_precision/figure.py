@@ -28,6 +28,7 @@ PANELS = {
     "impacts": "number of impacts, relative",
 }
 MOST_PANELS = 6
+OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
 LEAST = 1e-14  # rounding; smaller errors are drawn here
 INK, FAINT = "#1b2a3a", "#8a94a0"
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
@@ -150,6 +151,7 @@ def _panel(
     one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
     ax.set(xscale="log", yscale="log", xlabel="cost / s", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
     points: list[tuple[float, float]] = []
+    ax.autoscale(enable=False, axis="y")
     for name, group in families.items():
         look = looks[name]
         known = [entry for entry in group if entry["errors"][error] is not None]
@@ -174,14 +176,14 @@ def _panel(
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)
-    floor = document["reference"]["uncertainty"][error]
-    if (
-        error not in ("energy", "energy_gain", "overlap", "sinking")
-        and floor
-        and floor > LEAST
-        and one * floor > wrong.min() / 30
-    ):
-        ax.axhline(one * floor, color=FAINT, linewidth=0.8, linestyle=":")
+    floor = one * (document["reference"]["uncertainty"][error] or 0.0)
+    seen = error not in OF_THE_RUN_ALONE and floor > max(one * LEAST, wrong.min() / 30)
+    if seen:
+        ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
         words, where = "the reference's own uncertainty", ("axes fraction", "data")
-        ax.annotate(words, (1.0, one * floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
-    ax.margins(x=0.06, y=0.08)
+        ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
+    ax.margins(x=0.06)
+    drawn = [*wrong, floor] if seen else wrong
+    least, most = min(drawn), max(drawn)
+    room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits of equal errors come with a warning
+    ax.set_ylim(least / room, most * room)
