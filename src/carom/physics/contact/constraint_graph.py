@@ -1,4 +1,4 @@
-"""The collision graph: the contacts of a step, and the colours that set their order.
+"""The constraint graph: the contacts of a step, and the graph colouring that sets their order.
 
 carom colours *contacts* so that no two contacts of a colour share a body. The contacts of a colour can then be solved
 in parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions of a

@@ -1,4 +1,4 @@
-"""Rest speeds: the closing speed up to which a contact is at rest rather than an impact.
+"""Rest speeds, the restitution thresholds of islands: a contact that closes no faster is at rest, not an impact.
 
 A contact at rest closes no faster than gravity makes it close in a step. Bodies that rest on each other share a load,
 so the largest acceleration of their whole island counts, not their own: in the middle of an island nothing accelerates,

@@ -85,7 +85,7 @@ class Audit:
 
     @property
     def monitor_state(self) -> MonitorState:
-        """The state of the energy watch between two checks."""
+        """The state of the energy monitor between two checks."""
         return self._watch.tally
 
     def reopen(self, books: Books, ledger: Ledger) -> None:
@@ -155,7 +155,7 @@ class Audit:
         self.step = step
 
     def check(self, time: float, extremes: Extremes) -> list[Event]:
-        """Check the energy; return the warnings of the energy watch."""
+        """Check the energy; return the warnings of the energy monitor."""
         warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, self._suspects)
         self._suspects = []
         return warnings

@@ -1,4 +1,4 @@
-"""The energy watch: warns if the energy rises or becomes wrong.
+"""The energy monitor: warns if the energy rises or becomes wrong.
 
 A closed system cannot gain energy, so a gain is an error. A warning lists the contacts that may have caused it.
 """

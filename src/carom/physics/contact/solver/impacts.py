@@ -1,4 +1,4 @@
-"""Impacts: contacts that approach are resolved colour by colour, until none approaches any more.
+"""The restitution pass: contacts that approach are resolved colour by colour, until none approaches any more.
 
 `carom.physics.reference_api` has the equations, and `contact.law` the impulses. Each impulse changes the energy by
 

@@ -6,6 +6,9 @@ centres). Scaling v_t by d/(d + δ) conserves it:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
+This is `contact.stabilisation = "split"`. With `"baumgarte"` the pipeline asks `impacts` and `prepare` for a velocity
+bias instead, `BAUMGARTE` of the overlap per step.
+
 Only contacts at rest are pushed. An impact separates by its rebound, and pushing it would take tangential energy from a
 gas at every collision.
 
