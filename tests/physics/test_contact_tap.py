@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.contact import contact_tap
+from carom.physics.contact import impact_store
 from carom.physics.contact.contact_table import CONTACT_ROW, MODES
-from carom.physics.contact.contact_tap import ImpactStore
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space
@@ -256,12 +255,12 @@ def test_a_restored_run_has_the_contacts_of_the_one_that_went_on() -> None:
 def test_of_too_many_impacts_the_largest_are_kept_in_order_of_time_and_the_others_counted(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    monkeypatch.setattr(contact_tap, "MOST_IMPACTS", 50)
+    monkeypatch.setattr(impact_store, "MOST_IMPACTS", 50)
     rng = np.random.default_rng(seed)
     rows = np.zeros(1000, CONTACT_ROW)
     rows["time"] = np.arange(1000.0)
     rows["normal_impulse"] = rng.integers(0, 200, 1000)  # ties, too
-    store = ImpactStore()
+    store = impact_store.ImpactStore()
     for part in np.array_split(rows, rng.integers(1, 60)):
         store.add(part)
     kept = store.rows()

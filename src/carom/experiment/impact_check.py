@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.mismatch import Mismatch, different, same
 from carom.physics.contact.contact_table import CONTACT_ROW
-from carom.physics.contact.contact_tap import MOST_IMPACTS
+from carom.physics.contact.impact_store import MOST_IMPACTS
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
 from carom.recording.read.damage import reading

@@ -12,7 +12,7 @@ from carom.physics.aligned import Room
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
-from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.contact.contact_table import NO_ROWS
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
@@ -248,7 +248,7 @@ class Simulation:
         if not self._records_contacts:
             return None, 0, None
         if self._contact is None or self._contact.tap is None:
-            return np.empty(0, CONTACT_ROW), 0, np.empty(0, CONTACT_ROW)
+            return NO_ROWS, 0, NO_ROWS
         return *self._contact.tap.take_impacts(), self._contact.rows(room)
 
     def _publish(self) -> None:

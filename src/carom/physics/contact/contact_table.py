@@ -37,3 +37,4 @@ CONTACT_ROW = np.dtype(
     ],
     align=True,
 )
+NO_ROWS = np.empty(0, CONTACT_ROW)

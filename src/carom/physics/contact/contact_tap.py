@@ -6,34 +6,32 @@ The tap only reads the solver's records, so it changes no bit of the run:
 - impacts during the drift: its log, `see_drift`
 - impacts found at the end of the step, `see_impacts`, and the holding after the last kick: the solver's own records
 
-Rows are made on demand, since few steps are frames. Only impacts are gathered in every step, up to `MOST_IMPACTS`.
+Rows are made on demand, since few steps are frames. Only impacts are gathered in every step (`impact_store`).
+`contact_rows` has the kernels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import Room, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
+from carom.physics.contact.contact_rows import NOT_HELD, Ends, Found, Held, merge, pick_impacts, write_log
+from carom.physics.contact.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
-from carom.physics.contact.law import IMPULSES, LAW, Materials, material_index
+from carom.physics.contact.impact_store import ImpactStore
+from carom.physics.contact.law import IMPULSES, Materials
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.periodic_box import minimum_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
-
-MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; beyond that the largest are kept and the others counted
 
 
 class Impulses(NamedTuple):
@@ -46,38 +44,6 @@ class Impulses(NamedTuple):
     time: FloatArray  # (k,) s, when
     turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
     holds: bool = False  # whether they hold contacts at rest
-
-
-class _Ends(NamedTuple):
-    """The data of bodies and materials from which rows are computed."""
-
-    position: FloatArray  # (n, 3) m
-    box: FloatArray  # (3,) m, zeros in open space
-    materials: Materials
-    friction: bool
-
-
-class _Held(NamedTuple):
-    """Contacts as they were held after the first kick."""
-
-    pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) where the record of each stands
-    contacts: Records  # (m,) CONTACT
-    terms: FloatArray  # (m, 3) J, by place
-
-
-class _Found(NamedTuple):
-    """Contacts that were found at the end of the step."""
-
-    pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) where the records of each stand
-    contacts: Records  # (m,) CONTACT
-    states: Records  # (m,) CONTACT_STATE
-    recorded: Records  # (m,) RECORDED
-
-
-_NO_ROWS = np.empty(0, CONTACT_ROW)
-_NOT_HELD = _Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0, CONTACT), np.empty((0, 3)))
 
 
 class ContactTap:
@@ -96,7 +62,7 @@ class ContactTap:
     """
 
     def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
-        self._ends = _Ends(bodies.position, box, materials, friction)
+        self._ends = Ends(bodies.position, box, materials, friction)
         self._room = Room(CONTACT_ROW)
         self.forget()
         self._compile()
@@ -109,7 +75,7 @@ class ContactTap:
     def begin(self, step: int, began: float, ended: float) -> None:
         """Begin a step; the times of its beginning and end in s."""
         self._step, self._began, self._ended = step, began, ended
-        self._held = _NOT_HELD
+        self._held = NOT_HELD
         self._drift = NO_IMPACTS
 
     def see_hold(self, pairs: IntArray, solver: ContactSolver) -> None:
@@ -117,7 +83,7 @@ class ContactTap:
 
         Their records do not change until the next step finds its contacts. The ledger does, so it is copied.
         """
-        self._held = _Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
+        self._held = Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 
     def see_waking(self) -> None:
         """Copy the records of the held contacts, which the solver will overwrite."""
@@ -134,7 +100,7 @@ class ContactTap:
         """Note the impacts found at the end of the step, before contacts are held once more."""
         rows = self._room.take(len(pairs))
         position, box = self._ends.position, self._ends.box
-        count = _pick_impacts(_found(pairs, solver), position, box, self._step, self._ended, rows)
+        count = pick_impacts(_found(pairs, solver), position, box, self._step, self._ended, rows)
         if count:
             self._impacts.add(raw(rows[:count]).copy().view(CONTACT_ROW))
 
@@ -151,24 +117,24 @@ class ContactTap:
         It has the contacts of the graph, and those that gave an impulse and have opened since. ``slept`` are the
         contacts of sleepers, with the forces from when they fell asleep.
         """
-        struck = _NO_ROWS
+        struck = NO_ROWS
         if len(self._drift):
             struck = self._rows_of_drift()
             struck = picked(struck, np.lexsort((-struck["approach_speed"], struck["j"], struck["i"])))
         merged = self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended
         room = Room(CONTACT_ROW) if room is None else room
         rows = room.whole if len(room.whole) else room.take(len(pairs) + 1)
-        count = _merge(*merged, rows)
+        count = merge(*merged, rows)
         if count >= len(rows):  # more contacts than ever before in this room
             rows = room.take(count + 1)
-            _merge(*merged, rows)
+            merge(*merged, rows)
         return self._with_sleepers(rows[:count], slept) if len(slept.pairs) else rows[:count]
 
     def _with_sleepers(self, rows: Records, slept: SleepingContacts) -> Records:
         """Add the rows of sleepers."""
-        found = _Found(*slept.records(self._ended - self._began))
+        found = Found(*slept.records(self._ended - self._began))
         more = np.empty(len(slept.pairs) + 1, CONTACT_ROW)
-        count = _merge(_NOT_HELD, _NO_ROWS, found, self._ends, self._step, self._ended, more)
+        count = merge(NOT_HELD, NO_ROWS, found, self._ends, self._step, self._ended, more)
         merged = joined((rows, more[:count]), CONTACT_ROW)
         return picked(merged, np.lexsort((merged["j"], merged["i"])))
 
@@ -198,7 +164,7 @@ class ContactTap:
 
     def _rows_of_drift(self) -> Records:
         rows = np.empty(len(self._drift), CONTACT_ROW)
-        _write_log(self._drift.log, self._ends, self._step, self._began, self._ended, rows)
+        write_log(self._drift.log, self._ends, self._step, self._began, self._ended, rows)
         return rows
 
     def _compile(self) -> None:
@@ -206,197 +172,10 @@ class ContactTap:
         self._rows_of_drift()
 
 
-class ImpactStore:
-    """The impacts since the last frame, in bounded memory."""
-
-    def __init__(self) -> None:
-        self.left_out = 0
-        self._count = 0
-        self._parts: list[Records] = []
-
-    def add(self, rows: Records) -> None:
-        """Add impacts, all of them later than those before."""
-        self._parts.append(rows)
-        self._count += len(rows)
-        if self._count > 2 * MOST_IMPACTS:
-            self._leave_out()
-
-    def rows(self) -> Records:
-        """Return the impacts in order of time, at most `MOST_IMPACTS`."""
-        if self._count > MOST_IMPACTS:
-            self._leave_out()
-        if len(self._parts) > 1:
-            return joined(self._parts, CONTACT_ROW)
-        return self._parts[0] if self._parts else _NO_ROWS
-
-    def _leave_out(self) -> None:
-        """Keep those with the largest normal impulses; of equal ones the first."""
-        rows = joined(self._parts, CONTACT_ROW)
-        kept = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:MOST_IMPACTS])
-        self.left_out += len(rows) - len(kept)
-        self._parts, self._count = [picked(rows, kept)], len(kept)
-
-
 def _geometry(records: Records) -> tuple[FloatArray, FloatArray]:
     """Return normals, (k, 3), and lever arms, (k, 2) m."""
     return columns(records, ("nx", "ny", "nz")), columns(records, ("arm_i", "arm_j"))
 
 
-def _found(pairs: IntArray, solver: ContactSolver) -> _Found:
-    return _Found(pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)
-
-
-# The kernels below take arrays out of their tuples once. Passing a tuple to an inlined function counts references to
-# all its arrays, which costs 400 ns a row.
-
-
-@long_kernel
-def _pick_impacts(found: _Found, position: FloatArray, box: FloatArray, step: int, ended: float, rows: Records) -> int:
-    """Write the contacts that closed faster than their rest speed and were resolved; return how many."""
-    pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
-    count = 0
-    for k in range(len(pairs)):
-        c = place[k]
-        state, given = states[c], recorded[c]
-        if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
-            row = rows[count]
-            _begin(row, step, ended, pairs[k, 0], pairs[k, 1])
-            _place(row, contacts[c], position, box)
-            _add(row, given)
-            _add_losses(row, state.restitution_loss, state.friction_loss, state.stabilisation_gain)
-            row.approach_speed, row.mode = state.approach_speed, IMPACT_MODE
-            count += 1
-    return count
-
-
-@long_kernel
-def _merge(held: _Held, struck: Records, found: _Found, ends: _Ends, step: int, ended: float, rows: Records) -> int:
-    """Write one row for each pair that was held, met in the drift, touches or gave an impulse; return how many.
-
-    ``struck`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
-    fit are counted, and overwrite the last one.
-    """
-    held_pairs, held_place, held_contacts, terms = held.pairs, held.place, held.contacts, held.terms
-    pairs, place, contacts, states, recorded = found.pairs, found.place, found.contacts, found.states, found.recorded
-    position, box, friction, n = ends.position, ends.box, ends.friction, len(ends.position)
-    materials, places = ends.materials.rows, ends.materials.places
-    a, b, c, count = 0, 0, 0, 0
-    while a < len(held_pairs) or b < len(struck) or c < len(pairs):
-        i, j = n, 0  # the first pair of the three lists
-        if a < len(held_pairs):
-            i, j = held_pairs[a, 0], held_pairs[a, 1]
-        if b < len(struck) and (struck[b].i < i or (struck[b].i == i and struck[b].j < j)):
-            i, j = struck[b].i, struck[b].j
-        if c < len(pairs) and (pairs[c, 0] < i or (pairs[c, 0] == i and pairs[c, 1] < j)):
-            i, j = pairs[c, 0], pairs[c, 1]
-        row, seen = rows[min(count, len(rows) - 1)], False
-        _begin(row, step, ended, i, j)
-        touches = c < len(pairs) and pairs[c, 0] == i and pairs[c, 1] == j
-        if a < len(held_pairs) and held_pairs[a, 0] == i and held_pairs[a, 1] == j:
-            k = held_place[a]
-            _add(row, held_contacts[k])
-            _add_losses(row, terms[k, 0], terms[k, 1], terms[k, 2])
-            row.mode = _mode(held_contacts[k], materials[material_index(i, j, n, places)], friction)
-            if not touches:
-                _place(row, held_contacts[k], position, box)
-            a += 1
-        if b < len(struck) and struck[b].i == i and struck[b].j == j:
-            hardest = struck[b]
-            row.time, row.mode, row.approach_speed = hardest.time, hardest.mode, hardest.approach_speed
-            row.nx, row.ny, row.nz = hardest.nx, hardest.ny, hardest.nz
-            row.x, row.y, row.z = hardest.x, hardest.y, hardest.z
-            while b < len(struck) and struck[b].i == i and struck[b].j == j:
-                _add(row, struck[b])
-                _add_losses(row, struck[b].restitution_loss, struck[b].friction_loss, struck[b].stabilisation_gain)
-                b += 1
-        if touches:
-            k = place[c]
-            contact, state, given = contacts[k], states[k], recorded[k]
-            row.time = ended
-            _place(row, contact, position, box)
-            _add(row, given)
-            _add(row, contact)
-            _add_losses(row, state.restitution_loss, state.friction_loss, state.stabilisation_gain)
-            row.approach_speed = max(row.approach_speed, state.approach_speed)
-            if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
-                row.mode = IMPACT_MODE
-            elif row.mode != IMPACT_MODE and contact.normal_impulse > 0.0:
-                row.mode = _mode(contact, materials[material_index(i, j, n, places)], friction)
-            elif row.mode != IMPACT_MODE and given.normal_impulse > 0.0:
-                row.mode = _mode(given, materials[material_index(i, j, n, places)], friction)
-            seen = not state.apart
-            c += 1
-        if seen or row.normal_impulse > 0.0 or row.stabilisation_gain != 0.0:
-            count += 1
-    return count
-
-
-@kernel
-def _write_log(log: Records, ends: _Ends, step: int, began: float, ended: float, rows: Records) -> None:
-    """Write a row for each impact during the drift, in order of time."""
-    box, friction, n = ends.box, ends.friction, len(ends.position)
-    materials, places = ends.materials.rows, ends.materials.places
-    for k in range(len(log)):
-        entry, row = log[k], rows[k]
-        _begin(row, step, min(began + entry.time, ended), entry.i, entry.j)
-        row.nx, row.ny, row.nz = entry.nx, entry.ny, entry.nz
-        row.x, row.y, row.z = entry.x, entry.y, entry.z
-        if box[0] > 0.0:
-            row.x, row.y, row.z = _inside(entry.x, entry.y, entry.z, box)
-        _add(row, entry)
-        _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
-        row.approach_speed = entry.approach
-        material = materials[material_index(entry.i, entry.j, n, places)]
-        row.mode = IMPACT_MODE if entry.approach > entry.rest_speed else _mode(entry, material, friction)
-
-
-@inline
-def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
-    """Begin the row of a contact, without an impulse."""
-    row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
-    row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
-    row.restitution_loss = row.friction_loss = row.stabilisation_gain = 0.0
-
-
-@inline
-def _mode(given: Any, material: Any, friction: bool) -> int:
-    """Return the mode of a contact that was not an impact."""
-    if not given.normal_impulse > 0.0:
-        return OPEN
-    if not friction:
-        return RESTING
-    slides = LAW.slides(material, given.normal_impulse, given.friction_x, given.friction_y, given.friction_z)
-    return SLIDING if slides else STICKING
-
-
-@inline
-def _place(row: Any, contact: Any, position: FloatArray, box: FloatArray) -> None:
-    """Write the normal and the contact point."""
-    i, arm = row.i, contact.arm_i
-    nx, ny, nz = contact.nx, contact.ny, contact.nz
-    row.nx, row.ny, row.nz = nx, ny, nz
-    row.x, row.y, row.z = position[i, 0] + arm * nx, position[i, 1] + arm * ny, position[i, 2] + arm * nz
-    if box[0] > 0.0:
-        row.x, row.y, row.z = _inside(row.x, row.y, row.z, box)
-
-
-@inline
-def _inside(x: float, y: float, z: float, box: FloatArray) -> tuple[float, float, float]:
-    """Return the image of a point inside the periodic box."""
-    return minimum_image(x, box[0]), minimum_image(y, box[1]), minimum_image(z, box[2])
-
-
-@inline
-def _add(row: Any, given: Any) -> None:
-    """Add an impulse."""
-    row.normal_impulse += given.normal_impulse
-    row.friction_x += given.friction_x
-    row.friction_y += given.friction_y
-    row.friction_z += given.friction_z
-
-
-@inline
-def _add_losses(row: Any, restitution: float, friction: float, stabilisation: float) -> None:
-    row.restitution_loss += restitution
-    row.friction_loss += friction
-    row.stabilisation_gain += stabilisation
+def _found(pairs: IntArray, solver: ContactSolver) -> Found:
+    return Found(pairs, solver.order.place, solver.contacts, solver.states, solver.recorded)

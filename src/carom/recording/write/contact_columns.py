@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.physics.aligned import picked
-from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.contact.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
 from carom.recording.view import impulse_scale
@@ -21,8 +21,6 @@ from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, sin
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-
-_NO_ROWS = np.empty(0, CONTACT_ROW)
 
 
 class BatchContacts:
@@ -76,8 +74,8 @@ class BatchContacts:
 
 def _contiguous(frame: Frame) -> tuple[NDArray[Any], ...]:
     graph = frame.contacts
-    rows = _NO_ROWS if frame.contact_rows is None else frame.contact_rows
-    impacts = _NO_ROWS if frame.impacts is None else frame.impacts
+    rows = NO_ROWS if frame.contact_rows is None else frame.contact_rows
+    impacts = NO_ROWS if frame.impacts is None else frame.impacts
     arrays = graph.pairs, graph.normals, graph.overlaps, graph.colours, rows, impacts
     return tuple(map(np.ascontiguousarray, arrays))
 
