@@ -27,7 +27,7 @@ from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.parallel.jit import borrowing, entry_of, unowned
 from carom.physics.periodic_box import minimum_image
-from carom.physics.rotation import turn
+from carom.physics.rotation import turn_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, settle, target
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
@@ -249,7 +249,8 @@ def _fly(
         if not is_free:
             _copy(saved[0], saved[1], saved[2], position, velocity, acceleration)
             break
-        turn(0, len(orientation), orientation, angular_velocity, length)
+        for i in range(len(orientation)):
+            turn_one(i, orientation, angular_velocity, length)
         if steps > 0:
             struck = remembered(struck, 0.0)
         before, time, dt, limit, average = time, after, length, why, following
