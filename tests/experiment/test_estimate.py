@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from carom.experiment.estimate import MARKS, Estimate, estimate
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, recording_space, run
 from carom.physics.space import Space
+from carom.physics.time_step import Timestep
 from carom.recording.read.recording import Recording
 from carom.recording.schema.inventory import contents
 from carom.scene.parts import PARTS
@@ -118,6 +120,19 @@ def test_a_scene_as_short_as_a_step_is_estimated() -> None:
     scene = scene_of([{"velocity": [1, 0, 0]}], time={"duration": 1e-3}, record={"every": "auto"})
     found = estimate(scene)
     assert found.cost.steps >= 1 and found.cost.seconds > 0.0
+
+
+def test_what_the_first_step_loads_is_no_part_of_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+    choose, waits = Timestep.choose, [0.5]  # s, ten times what the 200 steps of this estimate take
+
+    def choose_slowly_at_first(*given: Any) -> tuple[float, str]:
+        time.sleep(waits.pop() if waits else 0.0)
+        return choose(*given)
+
+    monkeypatch.setattr(Timestep, "choose", choose_slowly_at_first)
+    few = cloud(gravity={"constant": 0.0}, contact=SMOOTH, time={"duration": 0.2})
+    shares = {part.name: part.share for part in estimate(few).parts}
+    assert shares["adaptive-step"] is not None and shares["adaptive-step"] < 0.5
 
 
 def test_a_bundled_scene_that_is_forced_says_so() -> None:
