@@ -105,7 +105,7 @@ def _resolve(spoil: Callable[[Bodies, np.ndarray, np.ndarray, np.ndarray], None]
     def resolved(self: Any, *given: Any) -> None:
         velocity, spin = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
         resolve(self, *given)
-        pairs = self._pairs
+        pairs = self._found.pairs
         if len(pairs) and not np.array_equal(velocity, self._bodies.velocity):
             spoil(self._bodies, pairs, velocity, spin)
 

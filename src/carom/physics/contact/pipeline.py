@@ -20,22 +20,21 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.checkpoint import ContactCheckpoint
-from carom.physics.contact.constraint_graph import OVERFLOW, colour_bodies, colour_contacts, empty_graph
+from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.next_impact import step_by_impacts
-from carom.physics.contact.islands import largest_values
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of
+from carom.physics.contact.near_pairs import NearPairs
+from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.plane_guard import PlaneGuard
+from carom.physics.contact.seen_contacts import SeenContacts
 from carom.physics.contact.sleep import NOTHING_LOST, Sleepers
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS
-from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
-from carom.physics.contact.solve_order import SolveOrder, solve_order_of
-from carom.physics.contact.solver.contact_solver import TOUCHING, ContactSolver
+from carom.physics.contact.snapshot import ContactSnapshot
+from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.position_correction import BAUMGARTE
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS
@@ -53,11 +52,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
 # Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
 # with five and 1.32 with three, which leave four times the overlap after 3 s (benchmarks/heap.py, 1000 spheres).
 MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "as-needed": 8, "quick": 4}
-LARGEST_SKIN = 0.1  # of the smallest radius
 NOTHING_HELD: FloatArray = np.zeros((0, 3))
 
 
@@ -99,32 +96,25 @@ class ContactPipeline:
         self._contact = contact
         self._bodies = bodies
         self._planes = planes
-        self._box = box
         self._field = field
         self._team = team
-        self._search = search_by(contact.search, bodies.radius, box, team)
-        fixed = bodies.ends.inverse_mass[: len(bodies)] == 0.0
-        self._plane_search = PlaneSearch(bodies.radius, bodies.ends.inverse_mass, planes, team)
-        self._most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
-        self._pushes = contact.stabilisation == "split"
-        self._smallest = float(bodies.radius.min())
-        self._rounding = 0.0  # m, of the coordinates
-        self._has_statics = len(planes) > 0 or bool(fixed.any())
-        self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
-        self._was_crossed = False  # whether a body would have passed through a plane in this step
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
+        self._near = NearPairs(contact, bodies, planes, box, field, self._lasts, team)
+        self._most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
+        self._pushes = contact.stabilisation == "split"
+        self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
+        self._was_crossed = False  # whether a body would have passed through a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
         self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
         self._torques = Torques(bodies, team)
-        self._pairs = empty_graph().pairs  # the contacts of the step, sorted
-        self._body_colours: IntArray | None = None
-        self._order = self._colour()
+        self._found = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
+        self._seen = SeenContacts(self._solver, bodies.ends.inverse_mass)
         self._event_drift = None
         if requirements.impact_time.modelled:
-            drift = (friction, self._has_statics, requirements.resting.modelled)
-            self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._search, team)
+            drift = (friction, self._near.has_statics, requirements.resting.modelled)
+            self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._near.search, team)
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers = Sleepers(contact.sleep, bodies, planes, box) if contact.sleep and self._lasts else None
         self._compile()
@@ -145,8 +135,7 @@ class ContactPipeline:
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self.counts_impacts = True  # whether they include impacts during the drift; a look ahead needs no statistics
-        self._seen: ContactSnapshot | None = EMPTY_SNAPSHOT  # made at the first access to `seen`
-        self._seen_place = np.empty(0, dtype=np.int64)  # (m,) places of the records of the contacts in `seen`
+        self._seen.forget()
         if self.tap:
             self.tap.forget()
 
@@ -156,7 +145,7 @@ class ContactPipeline:
         if not self._lasts:
             return None
         hold, sleepers = self._hold, self._sleepers
-        pairs, rest_speed, impulse = self._pairs, self._solver.rest_speeds_by_pair(), hold.impulse
+        pairs, rest_speed, impulse = self._found.pairs, self._solver.rest_speeds_by_pair(), hold.impulse
         if sleepers is None:
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
@@ -195,7 +184,7 @@ class ContactPipeline:
     def begin(self, dt: float) -> None:
         """Find the contacts at the start of a run whose first step is about dt s."""
         if self._lasts:
-            self._order_contacts(self._near(dt), dt)
+            self._order_contacts(self._near.find(dt), dt)
 
     def hold(self, kick: float, dt: float, share: float, against: FloatArray | None = None) -> None:
         """Hold the contacts of the previous step after the first kick, so that they do not close during the drift.
@@ -223,7 +212,7 @@ class ContactPipeline:
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.held = self._solver.audited
             if self.tap:
-                self.tap.see_hold(self._pairs, self._solver)
+                self.tap.see_hold(self._found.pairs, self._solver)
 
     def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
@@ -234,14 +223,14 @@ class ContactPipeline:
         if self._sleepers and self._sleepers.all:
             self.impacts = NO_IMPACTS
             return
-        self.impacts = self._event_drift.drift(kick, dt, *self._nearness(dt), along)
+        self.impacts = self._event_drift.drift(kick, dt, *self._near.margins(dt), along)
         if self.tap:
             self.tap.see_drift(self.impacts)
 
     @property
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step and nothing is held as the next one begins."""
-        touches = len(self._pairs) or self.statistics.contacts or len(self._hold.pairs)
+        touches = len(self._found) or self.statistics.contacts or len(self._hold.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     @property
@@ -258,8 +247,7 @@ class ContactPipeline:
     def rest(self) -> None:
         """Note steps in which nothing touched, after a step that was quiet."""
         self.held, self.impacts, self.statistics = NOTHING_HELD, NO_IMPACTS, NO_CONTACTS
-        if self._seen is EMPTY_SNAPSHOT:  # of no step; otherwise that of the last step is empty, too
-            self._seen = None
+        self._seen.rest(self._found)
 
     def begin_flight(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
@@ -286,9 +274,9 @@ class ContactPipeline:
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
         self._was_crossed = self._guard is not None and self._guard.stop()
-        pairs = self._near_awake(dt, self._sleepers) if self._sleepers else self._near(dt)
+        pairs = self._near_awake(dt, self._sleepers) if self._sleepers else self._near.find(dt)
         profile.mark("search")
-        if len(pairs) == 0 and len(self._pairs) == 0:
+        if len(pairs) == 0 and len(self._found) == 0:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
@@ -310,17 +298,16 @@ class ContactPipeline:
         """
         if self._guard and self._guard.has_stopped:
             self.held = np.concatenate((self.held, self._guard.work()))
-        if len(self._pairs):
+        if len(self._found):
             self._resolve(dt, kick, profile)
         else:
             self._hold = ImpulseCache.empty()
-        self._seen = None
-        self.statistics = self._solver.statistics() if len(self._pairs) else NO_CONTACTS
+        self._seen.begin(self._found, self._slept, self.impacts, dt)
+        self.statistics = self._solver.statistics() if len(self._found) else NO_CONTACTS
         if len(self._slept.pairs):
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
-            self._seen = self._snapshot(dt)
-            self.statistics = self.statistics.with_impacts(self._seen, self.impacts.ledger, self._bodies.ends)
+            self.statistics = self.statistics.with_impacts(self.seen, self.impacts.ledger, self._bodies.ends)
 
     @property
     def sleeps(self) -> bool:
@@ -335,7 +322,7 @@ class ContactPipeline:
     def fall_asleep(self, dt: float) -> None:
         """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.tire(self._pairs, self._hold, dt)
+        lost = self._sleepers.tire(self._found.pairs, self._hold, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
@@ -357,7 +344,7 @@ class ContactPipeline:
     def rows(self, room: Room | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.rows(self._pairs, self._solver, room, self._slept)
+        return self.tap.rows(self._found.pairs, self._solver, room, self._slept)
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
@@ -374,7 +361,7 @@ class ContactPipeline:
         """Return the limits of the method that this step met for the first time: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
             self._contact,
-            serial_stage=self._contact.colouring == "contacts" and self._solver.order.count > OVERFLOW,
+            serial_stage=self._found.overflows,
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self._event_drift is not None and self._event_drift.is_exhausted,
             crossed=self._was_crossed,
@@ -386,61 +373,26 @@ class ContactPipeline:
         self.warned.update(text for _, text in fresh)
         return fresh
 
-    def _near(self, dt: float) -> IntArray:
-        """Find the pairs that touch and, if contacts last, those that a fall from rest could close within a step.
-
-        Iterations that end early leave small gaps. Without the second kind of pairs such a contact would start without
-        an impulse in the next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy in
-        place of 10⁻²².
-        """
-        position = self._bodies.position
-        scale, skin = self._nearness(dt)
-        pairs = self._search.pairs(position, scale, skin)
-        return self._plane_search.merged(pairs, position, scale, skin) if self._has_statics else pairs
-
     def _near_awake(self, dt: float, sleepers: Sleepers) -> IntArray:
         """Find the pairs with an end that is awake, after waking the islands that are disturbed."""
         if sleepers.all and not sleepers.is_disturbed():
             return empty_graph().pairs
-        pairs = self._near(dt)
+        pairs = self._near.find(dt)
         self._hold, self._lost = sleepers.wake(pairs, self._hold, self._first_kick, dt)
         if self.tap and len(self._lost):
             self.tap.see_waking()
         self._slept = sleepers.contacts
         return sleepers.awake(pairs)
 
-    def _nearness(self, dt: float) -> tuple[float, float]:
-        """Return scale and skin (in m): a pair is near if its distance is at most ``(r_i + r_j) scale + skin``."""
-        if not self._lasts:
-            return 1.0, 0.0
-        bodies = self._bodies
-        square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
-        fall = np.sqrt(square) * dt * dt
-        if fall == 0.0:  # all contacts are impacts, for which near pairs do not count
-            self._rounding = 0.0
-            return 1.0, 0.0
-        self._rounding = ROUNDING * float(np.spacing(coordinate))
-        return 1.0 + TOUCHING, self._rounding + min(fall, LARGEST_SKIN * self._smallest)
-
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Begin the contacts of a step of dt s: order them, lay out their records, find their rest speeds."""
-        if not np.array_equal(pairs, self._pairs):  # a pile at rest keeps its contacts, and thus their order
-            self._pairs = pairs
-            self._order = self._colour()
-        self._solver.lay(self._order, self._hold.contacts, self._rounding)
+        if not np.array_equal(pairs, self._found.pairs):  # a pile at rest keeps its contacts, and thus their order
+            self._found = OrderedContacts.of(pairs, self._bodies, self._contact.colouring)
+        self._solver.lay(self._found.order, self._hold.contacts, self._near.rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
-
-    def _colour(self) -> SolveOrder:
-        """Colour the contacts; return the order in which they are solved."""
-        self._body_colours = None
-        if self._contact.colouring == "bodies":
-            self._colours, self._body_colours = colour_bodies(self._pairs, len(self._bodies))
-        else:
-            self._colours = colour_contacts(self._pairs, self._bodies.ends.inverse_mass)
-        return solve_order_of(self._pairs, self._colours, independent=self._body_colours is None)
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
         contact, solver = self._contact, self._solver
@@ -451,7 +403,7 @@ class ContactPipeline:
         lasting = self._is_at_rest()
         self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
         if self.tap:
-            self.tap.see_impacts(self._pairs, solver)
+            self.tap.see_impacts(self._found.pairs, solver)
         profile.mark("response")
         if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate, kick)
@@ -471,7 +423,7 @@ class ContactPipeline:
         self, dt: float, kick: float, drift: float, bias_rate: float, share: float, against: FloatArray | None = None
     ) -> int:
         """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
-        solver, pairs = self._solver, self._pairs
+        solver, pairs = self._solver, self._found.pairs
         place = solver.order.place
         self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
@@ -481,25 +433,11 @@ class ContactPipeline:
     @property
     def seen(self) -> ContactSnapshot:
         """The contacts of the step that touch or carry an impulse; near pairs are left out."""
-        if self._seen is None:
-            self._seen = self._snapshot(self._dt)
-        return self._seen
+        return self._seen.snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
         """Keep the ledger of this step; the function returns that of each contact seen, (m, 3) J, at any later time."""
-        seen, place, struck = self.seen, self._seen_place, self.impacts.ledger
-        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is of sleepers
-        return lambda: seen.sums(late[place], struck)
-
-    def _snapshot(self, dt: float) -> ContactSnapshot:
-        """Copy the contacts that are seen; `_seen_place` gets the places of their records."""
-        solver = self._solver
-        found = (solver.order.place, solver.contacts, solver.states, solver.found_normals)
-        late, self._seen_place = late_contacts(self._pairs, self._colours, self._body_colours, *found)
-        if len(self._slept.pairs):
-            late, place = late.joined(self._slept.graph(), self._bodies.ends.inverse_mass)
-            self._seen_place = np.append(self._seen_place, -1)[place]
-        return late.after(self.impacts, dt, self._bodies.ends.inverse_mass)
+        return self._seen.keep_contributions()
 
     def _compile(self) -> None:
         """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
