@@ -24,7 +24,7 @@ from carom.experiment.output import claimed_output, refuse_output
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.source.audit import Fault, Tolerances
+from carom.recording.source.faults import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
 from carom.recording.source.snapshot import Snapshot, memory_of, reader_of
 from carom.recording.source.source import Model, Setup, Source, State, SteppedSource, array_of, setup_of

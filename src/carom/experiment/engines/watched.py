@@ -21,7 +21,7 @@ from carom.experiment.work_precision.run_bound import RunStoppedError
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, between
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.frame import Frame
-from carom.recording.source.audit import Fault, Tolerances
+from carom.recording.source.faults import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
 from carom.recording.source.source import Setup, State, setup_of
 from carom.recording.write.recorder import Recorder

@@ -14,15 +14,14 @@ cluster.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.union_find import number_sets
 from carom.physics.diagnostics.energy import Energy
-from carom.physics.event import Event
-from carom.recording.source.proximity import Moment, Near
+from carom.recording.source.clusters import Clusters, clusters_of
+from carom.recording.source.faults import Fault, Finding, Tolerances
+from carom.recording.source.proximity import Moment, Near, lengths
 from carom.recording.source.source import Setup
 from carom.scene.names import Names, bodies_called
 from carom.scene.units.dimension import ENERGY, VELOCITY
@@ -39,61 +38,6 @@ STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces 
 AT_LEAST = 1e-2  # of a typical body's momentum or energy: what changes by less is noise
 MOST_NAMED = 8  # bodies in a sentence
 TOLD = 3  # events of one law
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerances:
-    """How much may be wrong before a law counts as broken."""
-
-    energy: float = 1e-3  # of the energy scale, between two frames
-    drift: float = 1e-2  # of the energy scale, since the start
-    momentum: float = 1e-3  # of Σ m |v|
-    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|)
-    overlap: float = 0.05  # of the smaller radius
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A broken law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
-
-    law: str
-    step: int
-    time: float  # s
-    amount: float  # in units of the law's scale
-    text: str  # a sentence
-    bodies: tuple[int, ...] = ()  # from n on planes
-
-    @property
-    def event(self) -> Event:
-        """The fault as a line of the log."""
-        return Event(self.step, self.time, "WARN", self.text, f"law-{self.law}")
-
-
-@dataclass(slots=True)
-class Finding:
-    """What the audit of one frame found."""
-
-    faults: list[Fault] = field(default_factory=list)
-    taken: float = 0.0  # J, by contacts; negative where they gave some back
-    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
-    impacts: int = 0  # how many did
-    hardest: float = 0.0  # J
-    hardest_pair: tuple[int, int] = (0, 0)
-
-
-@dataclass(slots=True)
-class _Clusters:
-    label: IntArray  # (n,)
-    count: int
-    touched: NDArray[np.bool_]  # (count,) whether anything in it may have touched
-    judged: NDArray[np.bool_]  # (count,) whether it holds no body whose laws are unknown
-    free: NDArray[np.bool_]  # (count,) whether it also met nothing fixed
-
-    def sum(self, values: FloatArray) -> FloatArray:
-        """Add up values of bodies, (n,) or (n, 3), by cluster."""
-        if values.ndim == 1:
-            return np.asarray(np.bincount(self.label, values, self.count), dtype=np.float64)
-        return np.stack([np.bincount(self.label, column, self.count) for column in values.T], axis=1)
 
 
 class Audit:
@@ -144,7 +88,7 @@ class Audit:
         found = Finding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
         self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
-        clusters = self._clusters(near, whole=potentials is not None)
+        clusters = clusters_of(self._setup, near, whole=potentials is not None)
         place = step, now.time
         faults = [
             *self._momenta(place, before, now, clusters),
@@ -183,38 +127,15 @@ class Audit:
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
         return self.counts[fault.law] <= TOLD
 
-    def _clusters(self, near: Near, *, whole: bool) -> _Clusters:
-        """Divide the bodies into clusters that cannot have touched each other; into one if they pull each other."""
-        setup, n = self._setup, len(self._setup)
-        anchored = np.zeros(n, bool)
-        i, j = near.pairs.T
-        plane = j >= n
-        anchored[i[plane]] = True
-        i, j = i[~plane], j[~plane]
-        loose = ~(setup.fixed[i] | setup.fixed[j])
-        anchored[i[setup.fixed[j]]] = True
-        anchored[j[setup.fixed[i]]] = True
-        touched = np.zeros(n, bool)
-        touched[near.pairs[near.pairs < n]] = True
-        if whole:
-            label, count = np.zeros(n, dtype=np.int64), 1
-            anchored |= setup.fixed.any()
-        else:
-            label = np.empty(n, dtype=np.int64)
-            count = number_sets(i[loose], j[loose], label)
-        strange = np.bincount(label, ~setup.judged, count) > 0
-        held = np.bincount(label, anchored | setup.fixed, count) > 0
-        return _Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)
-
-    def _momenta(self, place: tuple[int, float], before: Moment, now: Moment, clusters: _Clusters) -> Iterator[Fault]:
+    def _momenta(self, place: tuple[int, float], before: Moment, now: Moment, clusters: Clusters) -> Iterator[Fault]:
         """Compare the momenta of every free cluster."""
         m, dt = self._setup.mass, now.time - before.time
         mass = clusters.sum(m)
         bulk = m @ before.velocity / m.sum()
         v0, v1 = before.velocity - bulk, now.velocity - bulk
         p0, p1 = clusters.sum(m[:, None] * v0), clusters.sum(m[:, None] * v1)
-        speed = np.maximum(_lengths(v0), _lengths(v1))
-        change = _lengths(p1 - p0 - mass[:, None] * self._setup.gravity * dt)
+        speed = np.maximum(lengths(v0), lengths(v1))
+        change = lengths(p1 - p0 - mass[:, None] * self._setup.gravity * dt)
         scale = clusters.sum(m * speed) + AT_LEAST * mass * self._typical
         yield from self._worst("momentum", place, clusters, change, scale, self._tolerances.momentum)
         if self._setup.box[0] > 0.0:
@@ -223,25 +144,25 @@ class Audit:
         size = clusters.sum(m * self._setup.radius)
         scale = np.maximum(s0, s1) + AT_LEAST * size * self._typical
         tolerance = self._tolerances.angular_momentum
-        yield from self._worst("angular-momentum", place, clusters, _lengths(l1 - l0), scale, tolerance)
+        yield from self._worst("angular-momentum", place, clusters, lengths(l1 - l0), scale, tolerance)
 
-    def _spin(self, moment: Moment, clusters: _Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _spin(self, moment: Moment, clusters: Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each cluster's angular momentum about its centre of mass, and Σ (m |x| |v| + I |ω|)."""
         m = self._setup.mass
         x = moment.position - m @ moment.position / m.sum()
         x = x - (clusters.sum(m[:, None] * x) / mass[:, None])[clusters.label]
         v = moment.velocity - (clusters.sum(m[:, None] * moment.velocity) / mass[:, None])[clusters.label]
-        each, size = m[:, None] * _cross(x, v), m * _lengths(x) * _lengths(v)
+        each, size = m[:, None] * _cross(x, v), m * lengths(x) * lengths(v)
         if len(moment.spin):
             each = each + self._setup.inertia[:, None] * moment.spin
-            size = size + self._setup.inertia * _lengths(moment.spin)
+            size = size + self._setup.inertia * lengths(moment.spin)
         return clusters.sum(each), clusters.sum(size)
 
     def _worst(
         self,
         law: str,
         place: tuple[int, float],
-        clusters: _Clusters,
+        clusters: Clusters,
         change: FloatArray,
         scale: FloatArray,
         most: float,
@@ -266,7 +187,7 @@ class Audit:
         place: tuple[int, float],
         before: Moment,
         now: Moment,
-        clusters: _Clusters,
+        clusters: Clusters,
         potentials: tuple[float, float] | None,
         found: Finding,
     ) -> Iterator[Fault]:
@@ -306,7 +227,7 @@ class Audit:
         text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(who)}."
         yield Fault("energy", *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
 
-    def _book(self, clusters: _Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
+    def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
         """Divide what contacts took among the bodies of each cluster; one that touches nothing is owed nothing."""
         label = clusters.label
         members = np.bincount(label, minlength=clusters.count)
@@ -333,7 +254,7 @@ class Audit:
             text = f"{self._pair(near, deepest)} overlap by {depth[deepest]:.1%} of the smaller radius."
             yield Fault("overlap", *place, float(depth[deepest]), text, tuple(near.pairs[deepest].tolist()))
         still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
-        at = _touch(near)
+        at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
         normal = np.where(plane[:, None], near.normal, at)
         # a plane does not fall: what the field adds to the speed towards it is no impulse
@@ -344,7 +265,7 @@ class Audit:
         ignored = (near.gap_before < -FOUND * near.small) & (closing > still) & (after > (1.0 - UNCHANGED) * closing)
         inside = np.einsum("ij,ij->i", near.now, normal) < 0.0
         passed = np.where(plane, inside, (near.gap_now >= -SHALLOW * near.small) | inside)
-        through = _deep(near) & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
+        through = near.passed_deep() & ~overlapped & passed & (closing > still) & (after > TUNNELLED * closing)
         missed = np.flatnonzero(known & (ignored | through))
         if len(missed):
             worst = int(missed[np.argmax(closing[missed])])
@@ -376,33 +297,6 @@ class Audit:
         if len(who) == len(self._setup) and len(who) > 2:
             return "all bodies together"
         return bodies_called(who.tolist(), self._names.bodies)
-
-
-def _touch(near: Near) -> FloatArray:
-    """Return the directions from i to j in which the pairs first touched on straight paths, or were nearest."""
-    path = near.now - near.before
-    a, b = np.einsum("ij,ij->i", path, path), np.einsum("ij,ij->i", near.before, path)
-    c = np.einsum("ij,ij->i", near.before, near.before) - near.reach**2
-    root = b * b - a * c
-    moving = a > 0.0
-    first = np.where(
-        root > 0.0, (-b - np.sqrt(np.maximum(root, 0.0))) / np.where(moving, a, 1.0), -b / np.where(moving, a, 1.0)
-    )
-    at = near.before + np.where(moving, np.clip(first, 0.0, 1.0), 0.0)[:, None] * path
-    length = _lengths(at)
-    return np.asarray(np.where(length[:, None] > 0.0, at / np.where(length > 0.0, length, 1.0)[:, None], near.normal))
-
-
-def _deep(near: Near) -> NDArray[np.bool_]:
-    """Tell of each pair whether its straight path led more than a twentieth of the reach into the other."""
-    path = near.now - near.before
-    a = np.einsum("ij,ij->i", path, path)
-    s = np.clip(-np.einsum("ij,ij->i", near.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
-    return np.asarray(_lengths(near.before + s[:, None] * path) < 0.95 * near.reach)
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

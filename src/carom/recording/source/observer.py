@@ -22,7 +22,8 @@ from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.source.audit import Audit, Fault, Finding, Tolerances
+from carom.recording.source.audit import Audit
+from carom.recording.source.faults import Fault, Finding, Tolerances
 from carom.recording.source.proximity import Moment, Proximity
 from carom.recording.source.source import LARGEST, Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD

@@ -47,6 +47,27 @@ class Near:
     def __len__(self) -> int:
         return len(self.pairs)
 
+    def directions_of_touch(self) -> FloatArray:
+        """Return the directions from i to j in which the pairs first touched on straight paths, or were nearest."""
+        path = self.now - self.before
+        a, b = np.einsum("ij,ij->i", path, path), np.einsum("ij,ij->i", self.before, path)
+        c = np.einsum("ij,ij->i", self.before, self.before) - self.reach**2
+        root = b * b - a * c
+        moving = a > 0.0
+        first = np.where(
+            root > 0.0, (-b - np.sqrt(np.maximum(root, 0.0))) / np.where(moving, a, 1.0), -b / np.where(moving, a, 1.0)
+        )
+        at = self.before + np.where(moving, np.clip(first, 0.0, 1.0), 0.0)[:, None] * path
+        length = lengths(at)[:, None]
+        return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
+
+    def passed_deep(self) -> NDArray[np.bool_]:
+        """Tell of each pair whether its straight path led more than a twentieth of the reach into the other."""
+        path = self.now - self.before
+        a = np.einsum("ij,ij->i", path, path)
+        s = np.clip(-np.einsum("ij,ij->i", self.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
+        return np.asarray(lengths(self.before + s[:, None] * path) < 0.95 * self.reach)
+
 
 class Proximity:
     """Finds ends near each other."""
@@ -60,7 +81,7 @@ class Proximity:
         setup, dt = self._setup, now.time - before.time
         moved = now.position - before.position
         drift = np.median(moved, axis=0)
-        speed = np.maximum(_lengths(now.velocity - np.median(now.velocity, axis=0)) * dt, _lengths(moved - drift))
+        speed = np.maximum(lengths(now.velocity - np.median(now.velocity, axis=0)) * dt, lengths(moved - drift))
         parts = [self._bodies(before, now, speed)] if self._grid else []
         parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []
         if not parts:
@@ -93,7 +114,7 @@ class Proximity:
         i, j = pairs.T
         apart = self._image(now.position[j] - now.position[i])
         reach = radius[i] + radius[j]
-        distance = _lengths(apart)
+        distance = lengths(apart)
         gap = distance - reach
         small = np.minimum(radius[i], radius[j])
         close = np.flatnonzero(gap <= MARGIN * small + 2.0 * (travel[i] + travel[j]))
@@ -105,7 +126,7 @@ class Proximity:
             small=small[close],
             before=earlier,
             now=apart,
-            gap_before=_lengths(earlier) - reach,
+            gap_before=lengths(earlier) - reach,
             gap_now=gap[close],
             normal=apart / np.where(distance > 0.0, distance, 1.0)[:, None],
             relative_before=before.velocity[j] - before.velocity[i],
@@ -141,5 +162,6 @@ def _columns(near: Near) -> tuple[Any, ...]:
     return tuple(getattr(near, field.name) for field in fields(Near))
 
 
-def _lengths(vectors: FloatArray) -> FloatArray:
+def lengths(vectors: FloatArray) -> FloatArray:
+    """Return the length of each row."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
