@@ -60,7 +60,7 @@ def _grid() -> Table:
 
 
 def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
-    from carom.experiment.contact_counts import counts_text
+    from carom.experiment.contact_counts import counts_text, overlap_text
     from carom.experiment.ending import accuracy_text, in_words
     from carom.recording.schema.impacts import RecordedImpacts
     from carom.scene.names import in_series
@@ -92,7 +92,8 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     table.add_row("contacts", counts)
     if summary["impacts"]:
         table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
-    table.add_row("", f"deepest overlap {contacts['max_overlap']:.3%} of the smaller radius")
+    if deepest := overlap_text(contacts["max_overlap"]):
+        table.add_row("", deepest)
     if summary["accuracy"]:
         table.add_row("accuracy", accuracy_text(summary["accuracy"], units))
     for name, verdict in summary["expect"].items():

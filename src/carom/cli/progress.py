@@ -13,7 +13,7 @@ from carom.cli.live_line import LiveLine, bar
 from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
-from carom.experiment.contact_counts import counts_text
+from carom.experiment.contact_counts import counts_text, overlap_text
 from carom.experiment.ending import accuracy_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
@@ -76,8 +76,8 @@ class Progress(LiveLine):
             table.add_row("contacts", counts)
             if outcome.impacts:
                 table.add_row("", f"impacts: {outcome.impacts}")
-            deepest = f"deepest overlap {moments.overlap.value:.2%} of the smaller radius"
-            table.add_row("", f"at most {moments.contacts.value:.0f} at once; {deepest}")
+            most = f"at most {moments.contacts.value:.0f} at once"
+            table.add_row("", "; ".join(filter(None, (most, overlap_text(moments.overlap.value)))))
         if outcome.accuracy:
             table.add_row("accuracy", accuracy_text(outcome.accuracy, units))
         for line in warning_lines(outcome.warnings, units):

@@ -1,4 +1,4 @@
-"""The counts of contacts and impacts of a run, in words."""
+"""The counts of contacts and impacts of a run and its deepest overlap, in words."""
 
 from __future__ import annotations
 
@@ -25,3 +25,8 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None) -> st
         return steps
     how = f" (counted {each})" if each not in (None, EACH) else ""
     return f"{counted(impacts, 'impact')}{how}, {steps}"
+
+
+def overlap_text(deepest: float) -> str:
+    """Describe the deepest overlap over the smaller radius; empty where nothing overlapped."""
+    return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > 0.0 else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from carom.experiment.contact_counts import counts_text
+from carom.experiment.contact_counts import counts_text, overlap_text
 from carom.experiment.ending import in_words
 from carom.recording.read.recording import Recording
 from carom.scene.counted import counted
@@ -14,7 +14,7 @@ from carom.scene.units.system import UnitSystem
 
 MOMENTS = {
     "impact": "hardest impact, {value} of approach (½ μ v_n²)",
-    "overlap": "deepest overlap, {value:.3%} of the smaller radius",
+    "overlap": "deepest overlap, {value:.3g}% of the smaller radius",
     "contacts": "most contacts, {value:.0f}",
     "energy_error": "largest integration error, {value:.2e} of the energy scale",
 }
@@ -34,11 +34,18 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
     found = []
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
-        if moment:
+        if moment and not (name == "overlap" and moment["value"] == 0.0):
             who = f", {moment['between']}" if moment["between"] else ""
-            value = units.text(moment["value"], ENERGY, ".4g") if name == "impact" else moment["value"]
+            value = value_shown(name, moment["value"], units)
             found.append(Moment(wording.format(value=value) + who, moment["step"], moment["time"]))
     return found
+
+
+def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
+    """Return the value of a moment as it is printed: an impact with its unit, an overlap in per cent."""
+    if name == "impact":
+        return units.text(value, ENERGY, ".4g")
+    return 100.0 * value if name == "overlap" else value
 
 
 def overview(recording: Recording) -> list[tuple[str, str]]:
@@ -59,7 +66,7 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
             f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last; "
             f"integration error at most {energy['max_error']:.3g} of the scale",
         ),
-        ("contacts", f"{counts}; deepest overlap {contacts['max_overlap']:.3g} of the smaller radius"),
+        ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"]))))),
         *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
         ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),
         ("machine", f"{recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')}"),

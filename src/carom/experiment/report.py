@@ -12,7 +12,7 @@ from typing import Any
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.excerpt import excerpt
-from carom.experiment.overview import overview
+from carom.experiment.overview import overview, value_shown
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
 from carom.recording.edit import bundle
@@ -32,7 +32,7 @@ ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
 MOST_WARNINGS = 3
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
-    "overlap": "the deepest overlap, {value:.3%} of the smaller radius",
+    "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
 }
 LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss))
 
@@ -107,9 +107,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     if error and error["value"] > ENERGY_ERROR:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
     for name, wording in WORST.items():
-        if name in moments and moments[name]["between"]:
-            value = moments[name]["value"]
-            what = wording.format(value=recording.units.text(value, ENERGY, ".4g") if name == "impact" else value)
+        if name in moments and moments[name]["between"] and moments[name]["value"] > 0.0:
+            what = wording.format(value=value_shown(name, moments[name]["value"], recording.units))
             return moments[name]["time"], f"{what}, {moments[name]['between']}"
     return recording.moment(), "the fullest moment"
 

@@ -33,7 +33,11 @@ def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
         f"{units.text(summary['sim_time'], TIME)}",
         "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
         "energy error": f"{_number(energy['max_error'])} of the energy scale",
-        "deepest overlap": f"{_number(contacts['max_overlap'])} of a radius",
+        **(
+            {"deepest overlap": f"{_number(contacts['max_overlap'])} of a radius"}
+            if contacts["max_overlap"] != 0.0
+            else {}
+        ),
     }
 
 

@@ -1,0 +1,50 @@
+"""The deepest overlap of a run is named where something overlapped, and only there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import carom as library
+from carom.experiment.overview import overview
+from carom.experiment.report import worst_moment
+from carom.recording.read.recording import Recording
+from command import carom
+from examples import pair
+
+TIMINGS = {"exact": "time-of-impact", "late": "end-of-step"}  # of an impact in the middle of a step
+
+
+def words(folder: Path, run: str) -> dict[str, str]:
+    """Return all that carom says of a run, by where it stands."""
+    offset = 9.0 if run == "missed" else 0.0
+    contact = {"timing": TIMINGS.get(run, "auto")}
+    scene = pair(offset=offset, contact=contact, time={"duration": 2.0, "fixed_dt": 0.15})
+    (folder / f"{run}.toml").write_text(scene.toml, encoding="utf-8")
+    said = {}
+    for command in (("run", f"{run}.toml", "-o", f"{run}.rrd"), ("inspect", f"{run}.rrd")):
+        done = carom(*command, cwd=folder)
+        assert done.returncode == 0, done.stderr
+        said[command[0]] = " ".join(done.stdout.split())
+    recording = Recording.open(folder / f"{run}.rrd")
+    report = f"{overview(recording)} {worst_moment(recording)}"
+    return said | {"report": report, "notebook": recording._repr_html_()}
+
+
+@pytest.mark.parametrize("run", ["missed", "exact"])
+def test_no_overlap_is_named_where_nothing_overlapped(tmp_path: Path, run: str) -> None:
+    assert [command for command, said in words(tmp_path, run).items() if "overlap" in said] == []
+
+
+def test_the_deepest_overlap_is_named_where_two_bodies_overlapped(tmp_path: Path) -> None:
+    said = words(tmp_path, "late")
+    assert [command for command, text in said.items() if "deepest overlap" in text] == list(said)
+    assert "deepest overlap, 10% of the smaller radius, body 0 and body 1" in said["inspect"]
+
+
+def test_a_small_overlap_keeps_its_digits(tmp_path: Path) -> None:
+    late = 1e-7  # s, after the impact at 1 s, so that the bodies overlap by 2e-7 of their radius
+    scene = pair(time={"duration": 2.0, "fixed_dt": 1.0 + late}, contact={"timing": "end-of-step"})
+    library.run(scene, tmp_path / "run.rrd")
+    assert "deepest overlap 2e-05% of the smaller radius" in carom("inspect", "run.rrd", cwd=tmp_path).stdout
