@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from carom.experiment.work_precision.coordinate_descent import excess
+from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Point, default_points, knobs, vary
-from carom.experiment.work_precision.tradeoff import Result, Study
+from carom.experiment.work_precision.tradeoff import Study
 from carom.experiment.work_precision.tune import Tuning, tuned
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene

@@ -17,8 +17,9 @@ from carom.scene.units.dimension import TIME
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom.experiment.work_precision.result import Result
     from carom.experiment.work_precision.settings_grid import Setting
-    from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+    from carom.experiment.work_precision.tradeoff import Study, Teller
     from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[

@@ -21,8 +21,10 @@ from carom.experiment.engines.watched import Watched
 from carom.experiment.error import ExperimentError
 from carom.experiment.run import recording_space, simulate
 from carom.experiment.whole_file import write_whole
+from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Setting
-from carom.experiment.work_precision.tradeoff import Result, Study
+from carom.experiment.work_precision.stored_study import result_entry
+from carom.experiment.work_precision.tradeoff import Study
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
 from carom.physics.error import PhysicsError
 from carom.physics.placement import place
@@ -131,7 +133,7 @@ class Crosscheck:
         runs = []
         for result in self.results:
             examined = self.examinations.get(result.setting.name)
-            runs.append({**self.study.entry(result), **({} if examined is None else asdict(examined))})
+            runs.append({**result_entry(result), **({} if examined is None else asdict(examined))})
         return {
             "version": VERSION,
             "units": self.scene.unit_system.recorded,

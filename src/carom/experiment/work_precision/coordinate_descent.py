@@ -15,8 +15,9 @@ from __future__ import annotations
 
 import math
 
+from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Point, default_points, knobs
-from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+from carom.experiment.work_precision.tradeoff import Study, Teller
 from carom.plan.auto import auto_interval
 
 FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky

@@ -10,10 +10,8 @@ import hashlib
 import json
 import math
 import os
-import time
 import zipfile
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -25,16 +23,16 @@ from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
 from carom.experiment.whole_file import write_whole
-from carom.experiment.work_precision.error_measures import NAMES, Errors
+from carom.experiment.work_precision.cost import cost_of
+from carom.experiment.work_precision.error_measures import NAMES
 from carom.experiment.work_precision.pareto_front import pareto_front
-from carom.experiment.work_precision.reference import BUDGET, Reference, fineness, make_reference, scale_of
+from carom.experiment.work_precision.reference import BUDGET, Reference, fineness, make_reference
+from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.run_bound import RunBound, RunStoppedError
 from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting, refusal
+from carom.experiment.work_precision.stored_study import reference_entry, reference_of, result_entry, result_of
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, follow, sample_times
 from carom.physics.error import PhysicsError
-from carom.physics.look_ahead.settle import settled
-from carom.physics.parallel.cores import cores
-from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -53,36 +51,7 @@ MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, a
 
 Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
-Examiner = Callable[["Result", Teller], None]  # of a run that was followed
-
-
-@dataclass
-class Result:
-    """A setting and its measurements so far."""
-
-    setting: Setting
-    status: str = "pending"  # "measured", "refused", "stopped" or "failed"
-    reason: str = ""  # why it was refused, stopped or failed
-    costs: list[float] = field(default_factory=list)  # s, of each run
-    steps: int = 0
-    frames: int = 0  # in a recording of it
-    errors: Errors | None = None
-    spent: float = 0.0  # s of CPU time, after which it was stopped
-
-    @property
-    def cost(self) -> float:
-        """Median cost in s; NaN if there is none."""
-        return median(self.costs) if self.costs else math.nan
-
-    @property
-    def spread(self) -> float:
-        """Half the range of the costs over their median; 0 for a single one."""
-        return (max(self.costs) - min(self.costs)) / 2 / self.cost if self.costs else 0.0
-
-    @property
-    def complete(self) -> bool:
-        """Whether it has both an error and a cost."""
-        return bool(self.costs) and self.errors is not None
+Examiner = Callable[[Result, Teller], None]  # of a run that was followed
 
 
 class Study:
@@ -207,32 +176,14 @@ class Study:
             "environment": environment(self.threads or 0),
             "noise": self.noise,
             "load": self._busy,  # of the machine while costs were measured: the largest mean of a minute
-            "reference": None if self.reference is None else _reference_entry(self.reference),
+            "reference": None if self.reference is None else reference_entry(self.reference),
             "settings": [
                 {
-                    **self.entry(result),
+                    **result_entry(result),
                     "marks": {e: marks[e].get(result.setting.name, "") for e in NAMES} if result.complete else {},
                 }
                 for result in self.results
             ],
-        }
-
-    def entry(self, result: Result) -> dict[str, Any]:
-        """Return the results of one setting for the JSON document."""
-        return {
-            "name": result.setting.name,
-            "overrides": list(result.setting.overrides),
-            "threads": result.setting.threads,
-            "engine": result.setting.engine,
-            "status": result.status,
-            "reason": result.reason,
-            "steps": result.steps,
-            "frames": result.frames,
-            "costs": result.costs,
-            "spent": result.spent,
-            "cost": _number(result.cost),
-            "spread": result.spread,
-            "errors": result.errors and _numbers(result.errors),
         }
 
     def _result(self, setting: Setting) -> Result:
@@ -296,23 +247,7 @@ class Study:
         return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
 
     def _cost(self, result: Result) -> float:
-        """Run a setting once without recording; return the time it took in s, with that of a look ahead.
-
-        On one thread that is CPU time, which other programs on the machine hardly change.
-        """
-        if result.setting.engine:
-            return engine_called(result.setting.engine).run(self.scene, result.setting)
-        threads = result.setting.threads or self.threads or cores()
-        clock = time.thread_time if threads == 1 else time.perf_counter
-        asked = result.setting.apply(self.scene)
-        began = clock()
-        scene = settled(asked, threads)
-        ahead = clock() - began
-        space = Space(scene, threads)
-        began = clock()
-        for _ in space.run(schedule=at(())):
-            pass
-        return ahead + clock() - began
+        return cost_of(result.setting, self.scene, self.threads)
 
     def _path(self, result: Result) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
@@ -342,22 +277,9 @@ class Study:
 
     def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:
         if known is not None:
-            trajectory = Trajectory.load(self.folder / REFERENCE)
-            self.reference = Reference(
-                trajectory,
-                scale_of(self.scene, trajectory),
-                known["kind"],
-                math.inf if known["fineness"] is None else known["fineness"],
-                known["samples"],
-                known["whole"],
-                Errors(**{e: math.nan if known["uncertainty"][e] is None else known["uncertainty"][e] for e in NAMES}),
-                known["text"],
-            )
+            self.reference = reference_of(known, self.scene, Trajectory.load(self.folder / REFERENCE))
         for entry in settings:
-            overrides = tuple(entry["overrides"])
-            setting = Setting(entry["name"], overrides, entry.get("threads"), entry.get("engine", ""))
-            result = Result(setting, entry["status"], entry["reason"], entry["costs"], entry["steps"], entry["frames"])
-            result.spent = entry.get("spent", 0.0)
+            result = result_of(entry)
             if result.status == "measured" and self.reference is not None:
                 result.errors = self.reference.errors(self.trajectory(result))
             elif result.status in ("refused", "measured"):  # another version may run it
@@ -386,27 +308,5 @@ def _left(results: list[Result], repeats: int) -> str:
     return f"; about {seconds:.2g} s left"
 
 
-def _reference_entry(reference: Reference) -> dict[str, Any]:
-    return {
-        "kind": reference.kind,
-        "text": reference.text,
-        "fineness": None if math.isinf(reference.fineness) else reference.fineness,
-        "samples": reference.samples,
-        "horizon": reference.horizon,
-        "duration": float(reference.trajectory.time[-1]),
-        "whole": reference.whole,
-        "uncertainty": _numbers(reference.uncertainty),
-    }
-
-
-def _numbers(errors: Errors) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in asdict(errors).items()}
-
-
 def _leave(result: Result, tell: Teller) -> None:
     """Examine nothing besides the errors."""
-
-
-def _number(value: float) -> float | None:
-    """Return None for NaN, which JSON does not have."""
-    return value if math.isfinite(value) else None

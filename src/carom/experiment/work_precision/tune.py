@@ -10,8 +10,10 @@ from typing import Any
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.coordinate_descent import Search, excess, loses_frames, unsure
 from carom.experiment.work_precision.error_measures import NAMES
+from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting
-from carom.experiment.work_precision.tradeoff import Result, Study, Teller
+from carom.experiment.work_precision.stored_study import result_entry
+from carom.experiment.work_precision.tradeoff import Study, Teller
 from carom.scene.data.moved import toml_for
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
@@ -98,8 +100,8 @@ class Tuning:
             "scene": {"title": self.study.scene.title, "bodies": self.study.scene.count},
             "limits": self.limits,
             "tried": len(self.tried),
-            "best": best and self.study.entry(best),
-            "as_written": self.study.entry(self.written),
+            "best": best and result_entry(best),
+            "as_written": result_entry(self.written),
             "speed": None if math.isnan(speed) else speed,
             "worse": {name: list(values) for name, values in self.worse().items()},
             "why_none": None if best else self.why_none(),
