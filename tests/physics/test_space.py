@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import threading
 from collections.abc import Callable
@@ -17,8 +18,10 @@ from hypothesis import strategies as st
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
+from carom.scene.schema.time import LARGEST_ACCURACY
 from examples import cloud, momentum_of, pair, scene_of
 
 TOUCHING = [{"position": [-1, 0, 0], "mass": 1.0}, {"position": [1, 0, 0], "mass": 1.0}]
@@ -414,6 +417,27 @@ def test_a_step_that_no_longer_moves_the_clock_stops_the_run() -> None:
     space._world.clock.time = 5e8
     with pytest.raises(PhysicsError, match="no longer moves the clock"):
         list(islice(space.run(), 2))
+
+
+@pytest.mark.parametrize("constant", [0.0, 1.0])
+@pytest.mark.parametrize("time", [{"accuracy": 1e-3}, {"accuracy": LARGEST_ACCURACY}, {"fixed_dt": 0.1}, {}], ids=str)
+def test_a_scene_can_follow_the_advice_for_a_clock_that_stands_still(time: dict[str, float], constant: float) -> None:
+    scene = pair(gravity={"constant": constant}, time={"duration": 5.0, **time})
+    clock = Space(scene)._world.clock
+    values: dict[str, float | str] = {"time.accuracy": 2e-3, "contact.enabled": "true"}
+    for limit in (*LIMIT_NAMES, "error", "impact", "orbit"):
+        with pytest.raises(PhysicsError) as error:
+            clock.advance(1, 1.0, 1.0, 1e-17, limit)
+        keys = re.findall(r"[a-z]+\.[a-z]+[a-z_]*", str(error.value).split(";")[1])
+        assert keys
+        for key in keys:
+            scene.changed([f"{key}={values.get(key, 0.5)}"])  # which refuses what contradicts another key
+
+
+def test_a_fixed_step_that_does_not_move_the_clock_is_to_be_raised() -> None:
+    clock = Space(pair(time={"fixed_dt": 0.1}))._world.clock
+    with pytest.raises(PhysicsError, match=r"\(limit: fixed\); raise time\.fixed_dt$"):
+        clock.advance(1, 1.0, 1.0, 1e-17, "fixed")
 
 
 def test_the_first_contact_is_an_event() -> None:

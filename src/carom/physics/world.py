@@ -73,7 +73,7 @@ class World:
             falling=falling,
             forces=forces,
             contact=contact,
-            clock=Clock(units=scene.unit_system),
+            clock=Clock(scene, scene.unit_system),
             team=team,
             profile=profile,
         )
