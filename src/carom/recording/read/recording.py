@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.physics.event import Event
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.body_states import bodies_at
@@ -19,13 +18,12 @@ from carom.recording.read.body_table import BodyTable
 from carom.recording.read.contacts import contacts
 from carom.recording.read.damage import reading
 from carom.recording.read.entities import Values
-from carom.recording.read.events import event_table, warnings_of
+from carom.recording.read.frame_tables import FrameTables
 from carom.recording.read.given_time import check_times
 from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import moment
-from carom.recording.read.series import scalar_series
-from carom.recording.read.statics import Statics, named
+from carom.recording.read.statics import named
 from carom.recording.read.summary import summary
 from carom.recording.read.trajectory import trajectory
 from carom.recording.rrd.index import Container
@@ -34,7 +32,6 @@ from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.body_names import names_of
 from carom.recording.schema.given_bodies import decode
-from carom.recording.schema.series import is_recorded
 from carom.recording.schema.timelines import STEP
 from carom.scene.counted import counted
 from carom.scene.data.columns import BodyColumns
@@ -44,7 +41,7 @@ if TYPE_CHECKING:
     from carom.recording.read.window import Watcher
 
 
-class Recording(Statics):
+class Recording(FrameTables):
     """A recording on disk. Make one with :meth:`open`."""
 
     @classmethod
@@ -193,65 +190,6 @@ class Recording(Statics):
             raise DamageError(f"{name} of its bodies is not {n} positive numbers")
         return array
 
-    @property
-    @named
-    def frames(self) -> int:
-        """Number of frames."""
-        return int(self._fingerprints.num_rows)
-
-    def require_frames(self) -> None:
-        """Raise a RecordingError that says how the run ended, if it ended before its first frame."""
-        if self.frames == 0:
-            raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
-
-    @named
-    def fingerprints(self) -> pa.Table:
-        """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
-        return self._fingerprints
-
-    @named
-    def energy(self, *names: str) -> pa.Table:
-        """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
-
-        With names, only these are read. RecordingError if nothing is left of one that the scene has.
-        """
-        return self._series(paths.ENERGY, names)
-
-    @named
-    def steps(self, *names: str) -> pa.Table:
-        """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame.
-
-        With names, only these are read. RecordingError if nothing is left of one that the scene has.
-        """
-        return self._series(paths.STEP, names)
-
-    @named
-    def momentum(self) -> pa.Table:
-        """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
-        return self._entities.table(paths.MOMENTUM, tables.MOMENTA)
-
-    @named
-    def events(self) -> pa.Table:
-        """Columns step, sim_time, level, text and kind, in the order of steps.
-
-        Recordings made before events had kinds say only of some, by their texts, which kind they are.
-        """
-        return event_table(self._entities)
-
-    def warnings(self, until: int | None = None) -> list[Event]:
-        """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
-        return warnings_of(self.events(), float(self.info["time_scale"]), until)
-
-    @named
-    def phases(self) -> pa.Table:
-        """Columns step, sim_time, state: a row where the phase changes."""
-        return self._states(paths.PHASE)
-
-    @named
-    def dt_limits(self) -> pa.Table:
-        """Columns step, sim_time, state: a row where what limits dt changes."""
-        return self._states(paths.DT_LIMIT)
-
     @cached_property
     @named
     def checkpoint_times(self) -> dict[int, float]:
@@ -284,24 +222,6 @@ class Recording(Statics):
     def checkpoints(self) -> Iterator[Checkpoint]:
         """All exact states, in order."""
         return (self.checkpoint(step) for step in self.checkpoint_steps)
-
-    @named
-    def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
-        """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
-        for chunk in self._entities.chunks_at(step, paths.BODIES):
-            rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
-            for name in paths.CENTRES:
-                if len(rows) and name in chunk.components:
-                    return np.asarray(chunk.batch[name][int(rows[0])].values.flatten().to_numpy()).reshape(-1, 3)
-        return None
-
-    @named
-    def drawn_box(self, path: str) -> NDArray[np.float64]:
-        """Return the size of the walls or of the periodic box as drawn, (3,) m."""
-        half = np.asarray(self._entities.static(path)["Boxes3D:half_sizes"], dtype=np.float64)
-        if half.shape != (3,) or not np.all((half > 0.0) & np.isfinite(half)):
-            raise DamageError(f"/{path} is not one box")
-        return 2.0 * half
 
     @named
     def moment(self, at: float | None = None) -> float:
@@ -386,25 +306,6 @@ class Recording(Statics):
     @cached_property
     def _start(self) -> dict[str, Values]:
         return self._entities.static(paths.START, required=False)
-
-    @cached_property
-    def _fingerprints(self) -> pa.Table:
-        found = self._entities.table(paths.FINGERPRINT, tables.FINGERPRINTS)
-        times = found["time"].to_numpy()
-        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
-            raise DamageError("times that do not rise")
-        return found
-
-    def _states(self, path: str) -> pa.Table:
-        table = self._entities.table(path, tables.STATES)
-        return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
-
-    def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        found = scalar_series(self._entities, root, names, self._fingerprints)
-        for name in names:
-            if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
-                raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
-        return found
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
         """Read chunks one by one, unchanged."""
