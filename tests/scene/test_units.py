@@ -15,7 +15,7 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import DIMENSIONS, ENERGY, LENGTH, TIME, Dimension
 from carom.scene.units.quantity_text import quantity
 from carom.scene.units.system import SI, UnitSystem
-from carom.scene.units.unit import UnitError, names, unit
+from carom.scene.units.unit import UnitError, _joined, _with_signs, names, unit
 from carom.scene.variation import texts_of, values_of
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
@@ -186,6 +186,23 @@ def test_prefixes_and_plurals_are_only_where_they_are_in_use(name: str) -> None:
 )
 def test_prefixes_and_plurals_in_use_are_read(name: str, size: float) -> None:
     assert float(unit(name).size) == size
+
+
+@pytest.mark.parametrize(
+    ("text", "handed_to_pint"),
+    [
+        ("m (km/s)^2", "m*(km/s)**2"),
+        ("pc (km/s)^2 / solar mass", "pc*(km/s)**2 / solar_mass"),
+        ("m^3 kg^-1 s^-2", "m**3*kg**-1*s**-2"),
+        ("(kg m) / (s ^ 2)", "(kg*m) / (s**2)"),
+        ("kg·m^2", "kg*m**2"),
+        ("° (s)", "°*(s)"),
+    ],
+)
+def test_products_and_powers_have_signs_since_versions_of_pint_read_them_differently_without(
+    text: str, handed_to_pint: str
+) -> None:
+    assert _with_signs(_joined(text)) == handed_to_pint
 
 
 def test_a_number_without_a_dimension_has_no_unit() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 import typing
 from collections.abc import Iterator
@@ -41,7 +42,7 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
         for inner in _models(info):
             title = f"{above}{key}"
             heading = f"`{title}`" if above else f"`[[{key}]]`" if _is_list(info) else f"`[{key}]`"
-            yield _table(inner, heading, (inner.__doc__ or "").strip())
+            yield _table(inner, heading, inspect.getdoc(inner) or "")
             yield from _sections(inner, f"{title}.")
 
 

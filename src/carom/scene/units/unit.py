@@ -35,6 +35,7 @@ _GROUP = rf"(?:{_ONE}|\(\s*{_ONE}(?:{_TIMES}{_ONE})*\s*\)(?:{_POWER})?)"
 _UNIT = re.compile(rf"{_GROUP}(?:{_TIMES}{_GROUP})*")  # products and powers of names
 _WORDS = re.compile(r"([^\W\d]+) (?=([^\W\d]+))")
 _NAMES = re.compile(_NAME)
+_BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between two factors
 
 
 class UnitError(ValueError):
@@ -81,7 +82,7 @@ def unit(text: str) -> Unit:
             raise UnknownUnitError(name, _written())
     known: Any = registry()
     try:
-        size, base = known.get_root_units(_POWERS.sub(r"\1**\2", written).replace("·", "*"))
+        size, base = known.get_root_units(_with_signs(written))
         dimensions = known.get_dimensionality(base)
     except Exception:  # of a parser that is not ours: a text is data, and must never end with a traceback
         raise UnitError(f'"{text}" is not a unit') from None
@@ -130,6 +131,12 @@ def names() -> Iterator[str]:
         first, *others = (part.strip() for part in line.split("="))
         if line and not line.startswith("#") and not first.endswith("-"):
             yield from (first, *(other for other in others[1:] if other != "_"))
+
+
+def _with_signs(written: str) -> str:
+    """Write products and powers with signs: pint 0.26 reads "m (km/s)^2" as (m km/s)²."""
+    powers = _POWERS.sub(r"\1**\2", written).replace("·", "*")
+    return _BESIDE.sub("*", powers)
 
 
 def _joined(text: str) -> str:
