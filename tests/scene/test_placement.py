@@ -147,6 +147,17 @@ def test_half_spaces_are_the_planes_and_then_the_walls_with_unit_normals_and_law
     assert pair_coefficients(scene).rows[1:].tolist() == [[0.9, 0.5, 0.2]] + [[0.3, 0.5, 0.2]] * 6
 
 
+@pytest.mark.parametrize("size", [12.649110640673518, 7.3, 10.0])
+def test_a_body_that_begins_on_the_border_of_a_periodic_box_stays_there_when_it_is_placed_again(size: float) -> None:
+    domain = {"boundary": "periodic", "size": [size] * 3}
+    others: dict[str, Any] = {"domain": domain, "contact": {"enabled": False}, "gravity": {"constant": 0.0}}
+    bodies = [{"position": [turn * size / 2.0, 0.0, 0.0], "radius": 0.01} for turn in range(-9, 10)]
+    once = place(Scene.from_dict({"body": bodies, **others}))
+    again = Scene.from_arrays(position=once.position, radius=0.01, mass=1.0, **others)
+    assert np.array_equal(place(again).position, once.position)
+    assert np.abs(once.position).max() <= size / 2.0
+
+
 def test_what_is_written_outside_a_periodic_box_begins_inside_it() -> None:
     bodies = [{"position": [0.0, 1000.0, -4.5]}, {"position": [3.0, 3.0, 12.0]}]
     group = {"count": 5, "radius": 0.1, "region": {"radius": 5.0, "centre": [300.0, 0.0, 0.0]}}
