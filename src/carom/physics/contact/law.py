@@ -9,8 +9,10 @@ To change the law:
 1. Write a module like `coulomb` with these functions, each decorated by ``inline``.
 2. Name it in `LAW`, below.
 3. If it needs coefficients of its own, add them to `carom.scene.schema`: to ``Coefficients``, whose fields `MATERIAL`
-   takes over, as keys of ``Surface`` and ``[contact]``, and to ``combined``, which says how those of two materials make
-   those of a contact.
+   takes over, and as keys of ``Surface`` and ``[contact]``. mypy names the places that make ``Coefficients``, such as
+   ``combined``, which makes those of a contact from those of two materials.
+
+CONTRIBUTING.md has an example.
 
 What every law shares: contacts push and never pull (λ_n ≥ 0, the condition of the solver); the warm start keeps one
 normal and one tangential impulse, `IMPULSES`; the ledger books what the normal impulse takes out as restitution and
