@@ -146,6 +146,8 @@ def test_a_scene_that_misses_its_promise_exits_1_and_says_which(tmp_path: Path) 
         (["picture", "taken.rrd", "--view", "front"], "'front' is not one of"),
         (["picture", "taken.rrd", "--theme", "pink"], "'pink' is not one of"),
         (["new", "taken.toml"], "exists; give --force"),
+        (["new", "."], ".: a folder; name a file to write, such as mine.toml"),
+        (["new", "/"], "/: a folder; name a file to write, such as /mine.toml"),
         (["new", "fresh", "--from", "nothing"], "no such bundled scene"),
     ],
 )
@@ -156,6 +158,29 @@ def test_a_mistake_is_one_message_and_exit_code_2(arguments: list[str], said: st
     assert done.returncode == 2, done.stderr
     assert said in done.stderr and "Traceback" not in done.stderr
     assert (tmp_path / "taken.rrd").read_bytes() == b"not a recording"
+
+
+FOR_A_FOLDER = {
+    "clip": ["--around", "0", "--window", "1"],
+    "export": ["--all", "-o", "x.csv"],
+    "fork": ["--at", "1", "--perturb", "1ulp"],
+    "why": ["--event", "impact"],
+}
+
+
+@pytest.mark.parametrize("folder", [".", "/", "runs"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        *("clip", "contacts", "export", "fork", "inspect", "movie", "picture"),
+        *("publish", "repair", "replay", "report", "resume", "view", "why"),
+    ],
+)
+def test_a_folder_given_as_a_recording_is_one_sentence(command: str, folder: str, tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    done = carom(command, folder, *FOR_A_FOLDER.get(command, []), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == f"carom: {folder}: a folder, not a recording; name an .rrd file\n"
 
 
 def test_a_folder_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:

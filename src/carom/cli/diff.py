@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption
+from carom.cli.options import ForceOption, JsonOption, not_a_folder
 from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
 
-FirstArgument = Annotated[Path, typer.Argument(metavar="A", help="A recording (.rrd).")]
-SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another recording (.rrd).")]
+FirstArgument = Annotated[Path, typer.Argument(metavar="A", help="A recording (.rrd).", callback=not_a_folder)]
+SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another recording (.rrd).", callback=not_a_folder)]
 
 
 def diff(

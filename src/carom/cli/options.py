@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from math import isnan
 from pathlib import Path
 from typing import Annotated
@@ -57,13 +58,23 @@ def bundled(incomplete: str) -> list[str]:
     ]
 
 
+def not_a_folder(path: Path) -> Path:
+    """Return the path of a recording; refuse a folder, which may have no name for other files to take."""
+    from carom.recording.errors import RecordingError
+
+    with suppress(OSError):  # such as for a name that is too long, which is refused when it is opened
+        if path.is_dir():
+            raise RecordingError(f"{path}: a folder, not a recording; name an .rrd file")
+    return path
+
+
 SceneArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENE", help="A scene file (.toml) or the name of a bundled scene.", autocompletion=bundled
     ),
 ]
-RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).")]
+RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).", callback=not_a_folder)]
 ThreadsOption = Annotated[
     int | None,
     typer.Option(

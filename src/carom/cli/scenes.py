@@ -61,6 +61,8 @@ def new(
     from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
 
+    if not Path(name).name or Path(name).is_dir():
+        raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if source and source not in bundled:
