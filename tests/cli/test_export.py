@@ -10,7 +10,9 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
 
+from carom.physics.placement import place
 from carom.recording.read.recording import Recording
+from carom.scene.schema import Scene
 from command import carom
 
 BALLS = 7
@@ -56,10 +58,30 @@ def test_extended_xyz_has_the_periodic_box(tmp_path: Path) -> None:
     assert head.endswith('Lattice="4.0 0 0 0 5.0 0 0 0 6.0" Origin="-2.0 -2.5 -3.0" pbc="T T T"')
 
 
-def test_what_is_written_of_a_clip_of_some_bodies_is_counted(cradle: Path, tmp_path: Path) -> None:
+def test_the_bodies_of_a_clip_are_exported_and_no_others(cradle: Path, tmp_path: Path) -> None:
     assert carom("clip", str(cradle), "--bodies", "0,3", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
-    done = carom("export", "clip.rrd", "--at", "0.1", "-o", "one.csv", cwd=tmp_path)
-    assert done.stdout == f"one.csv written: 1 step of {pc.read_csv(tmp_path / 'one.csv').num_rows} bodies.\n"
+    for name in ("one.csv", "one.parquet", "one.npz", "one.vtk", "one.extxyz"):
+        done = carom("export", "clip.rrd", "--at", "0.1", "-o", name, cwd=tmp_path)
+        assert done.stdout == f"{name} written: 1 step of 2 bodies.\n", done.stderr
+    whole = Recording.open(cradle).bodies(0.1).take([0, 3])
+    position = np.stack([whole[axis].to_numpy() for axis in "xyz"], axis=1)
+    for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):
+        assert table["body"].to_pylist() == [0, 3] and table["name"].to_pylist() == whole["name"].to_pylist()
+        assert np.array_equal(np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1), position)
+    with np.load(tmp_path / "one.npz", allow_pickle=False) as arrays:
+        assert arrays["body"].tolist() == [0, 3] and arrays["mass"].shape == (2,)
+        assert np.array_equal(arrays["position"], position[None])
+    assert b"POINTS 2 double\n" in (tmp_path / "one.vtk").read_bytes()
+    rows = (tmp_path / "one.extxyz").read_text(encoding="utf-8").splitlines()[2:]
+    assert [row.split()[1] for row in rows] == ["0", "3"]
+
+
+def test_bodies_of_an_exported_clip_keep_their_names_in_the_next_scene(cradle: Path, tmp_path: Path) -> None:
+    assert carom("clip", str(cradle), "--bodies", "3,5", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
+    assert carom("export", "clip.rrd", "--at", "0.1", "-o", "two.csv", cwd=tmp_path).returncode == 0
+    (tmp_path / "next.toml").write_text('[[bodies]]\nfile = "two.csv"\n', encoding="utf-8")
+    names = Recording.open(cradle).bodies.name
+    assert list(place(Scene.load(tmp_path / "next.toml")).name) == [names[3], names[5]]
 
 
 def test_all_frames_are_exported_in_their_order(cradle: Path, tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def export(
     everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy.
+    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, those that it shows.
 
     States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
@@ -56,5 +56,5 @@ def export(
         with replaying(recording) as watch:
             at = simulated_or_none(at, recording.units)
             written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
-        bodies = len(recording.bodies.mass)  # in a clip also those that it does not show
+        bodies = len(recording.shown)
     say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}.")

@@ -12,10 +12,10 @@ from carom.recording.export.snapshot import Snapshot
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write step and time (K,), mass, radius and the like (n,), and position, velocity and the like (K, n, 3 or 4)."""
+    """Write step and time (K,), body, mass and the like (n,), and position, velocity and the like (K, n, 3 or 4)."""
     every = [first, *others]
     stacked: dict[str, Any] = {name: np.stack([each.vectors[name] for each in every]) for name in first.vectors}
     step, time = np.array([each.step for each in every]), np.array([each.time for each in every])
-    own = {"mass": first.mass, "radius": first.radius, **first.others}
+    own = {"body": first.body, "mass": first.mass, "radius": first.radius, **first.others}
     with path.open("wb") as file:  # given a name, NumPy would append .npz
         np.savez(file, **{"step": step, "time": time, **own, **stacked})

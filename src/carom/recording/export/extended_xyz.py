@@ -27,7 +27,7 @@ def _block(snapshot: Snapshot) -> str:
     kinds = "".join(f":{name}:R:{values.shape[1]}" for name, values in columns)
     head = f"Properties=species:S:1:id:I:1{kinds} Time={snapshot.time!r} Step={snapshot.step} {_cell(snapshot)}"
     rows = np.concatenate([values for _, values in columns], axis=1).tolist()
-    lines = [f"X {body} {' '.join(map(repr, row))}" for body, row in enumerate(rows)]
+    lines = [f"X {body} {' '.join(map(repr, row))}" for body, row in zip(snapshot.body.tolist(), rows, strict=True)]
     return "\n".join([str(len(rows)), head, *lines, ""])
 
 

@@ -1,4 +1,4 @@
-"""`Snapshot`: the state of all bodies at the end of a step, as it is exported."""
+"""`Snapshot`: the state of the bodies at the end of a step, as it is exported."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ from carom.recording.read.window import Watcher, Window
 from carom.recording.schema.timelines import STEP
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """All bodies at the end of a step, in float64 and SI units."""
+    """The bodies that a recording shows, at the end of a step, in float64 and SI units."""
 
-    state: Checkpoint
+    state: Checkpoint  # of all bodies
+    body: IntArray  # (n,) numbers of those that are shown
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     others: Mapping[str, NDArray[Any]]  # (n,) what else a [[bodies]] section would not know of these bodies
@@ -44,7 +46,7 @@ class Snapshot:
     @property
     def vectors(self) -> dict[str, FloatArray]:
         """The state by quantity, (n, k) each; without orientation and spin where they are not modelled."""
-        return {name: getattr(self.state, name) for name in AXES if getattr(self.state, name) is not None}
+        return {name: getattr(self.state, name)[self.body] for name in AXES if getattr(self.state, name) is not None}
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -71,8 +73,7 @@ def snapshots(
         yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
         return
     window = Window(recording, goal, watch=watch)
-    mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
-    others = _others(recording, window.fixed)
+    own = _own(recording, window.fixed)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)
     chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
@@ -80,32 +81,37 @@ def snapshots(
         if window.differs is not None:
             raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
         left -= 1
-        yield Snapshot(frame.checkpoint, mass, radius, others, window.box)
+        yield Snapshot(frame.checkpoint, *own, window.box)
     if left:
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
 
 
 def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
     """Yield the exact states of some frames, which cannot be run again."""
-    mass, radius = np.asarray(recording.bodies.mass), np.asarray(recording.bodies.radius)
-    others = _others(recording, np.zeros(len(mass), np.bool_))
+    own = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
     kept = recording.checkpoint_times
     if missing := [int(step) for step in steps if step not in kept]:
         raise RecordingError(
             f"{recording.path} has no exact state at step {missing[0]}, and cannot be run again: record with exact=True"
         )
     for step in steps.tolist():
-        yield Snapshot(recording.checkpoint(step), mass, radius, others)
+        yield Snapshot(recording.checkpoint(step), *own)
 
 
-def _others(recording: Recording, fixed: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Return moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default."""
-    bodies, found = recording.bodies, dict[str, NDArray[Any]]()
-    solid = 0.4 * bodies.mass * bodies.radius * bodies.radius
-    if not np.allclose(bodies.inertia, solid, rtol=1e-12, atol=0.0):
-        found["inertia"] = np.asarray(bodies.inertia)
-    if fixed.any():
-        found["fixed"] = fixed
-    if any(name != f"body {number}" for number, name in enumerate(bodies.name)):
-        found["name"] = np.array(list(bodies.name), dtype=np.str_)
-    return found
+def _own(
+    recording: Recording, fixed: NDArray[np.bool_]
+) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
+    """Return the numbers, masses and radii of the bodies that are shown, and their other columns.
+
+    These are moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default.
+    """
+    bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
+    mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
+    if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):
+        found["inertia"] = inertia
+    if fixed[shown].any():
+        found["fixed"] = fixed[shown]
+    names = [bodies.name[body] for body in recording.shown]
+    if any(name != f"body {row}" for row, name in enumerate(names)):
+        found["name"] = np.array(names, dtype=np.str_)
+    return shown, mass, radius, found

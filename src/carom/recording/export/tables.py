@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
@@ -35,8 +34,8 @@ def _write(writer_of: Callable[..., Any], path: Path, first: Snapshot, others: I
 
 def table_of(snapshot: Snapshot) -> pa.Table:
     """Tabulate a snapshot."""
-    table = state_table([snapshot.state], slice(None))
-    own = {"body": np.arange(len(snapshot)), "mass": snapshot.mass, "radius": snapshot.radius, **snapshot.others}
+    table = state_table([snapshot.state], snapshot.body)
+    own = {"body": snapshot.body, "mass": snapshot.mass, "radius": snapshot.radius, **snapshot.others}
     for place, (name, values) in enumerate(own.items(), start=2):  # after step and time
         table = table.add_column(place, name, pa.array(values))
     return table

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.moment import frame_of, tolerance
@@ -39,9 +40,9 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     return pa.table(columns).replace_schema_metadata(told)
 
 
-def state_table(states: Sequence[Checkpoint], which: slice | int) -> pa.Table:
-    """Tabulate states, step by step: those of all bodies, or of one."""
-    each = 1 if isinstance(which, int) else len(states[0].position)
+def state_table(states: Sequence[Checkpoint], which: slice | int | NDArray[np.int64]) -> pa.Table:
+    """Tabulate states, step by step: those of all bodies, of some, or of one."""
+    each = 1 if isinstance(which, int) else len(states[0].position[which])
     columns: dict[str, Any] = {
         STEP: np.repeat([state.step for state in states], each),
         "time": np.repeat([state.time for state in states], each),
