@@ -30,6 +30,11 @@ def test_clip_prints_json_that_a_script_can_use(run_file: Path, tmp_path: Path) 
     assert Recording.open(tmp_path / "x.rrd").frames == 20
 
 
+def test_a_clip_of_one_frame_is_told_as_one_moment(run_file: Path, tmp_path: Path) -> None:
+    done = carom("clip", "run.rrd", "--around", "2.5", "--window", "0", cwd=tmp_path)
+    assert "run-clip.rrd written: 1 frame, step 50, at 2.5 s, " in done.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -90,6 +90,13 @@ def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:
     recording = carom.run(scene, tmp_path / "cloud.rrd")
     time, why = worst_moment(recording)
     assert why.startswith("Energy rose by") and 0.0 < time <= 3.0
+    assert not why.endswith(".")  # it stands within a sentence
+
+
+def test_a_report_that_is_not_called_a_zip_is_refused_before_it_is_made(rubble: Recording, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"report.tar: a report is a \.zip"):
+        report(rubble, tmp_path / "report.tar")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_recording_without_a_frame_has_nothing_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

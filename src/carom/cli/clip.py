@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.units.dimension import TIME
+
+if TYPE_CHECKING:
+    from carom.recording.edit.clip import Clip
+    from carom.scene.units.system import UnitSystem
 
 Seconds = float | None
 
@@ -54,6 +58,7 @@ def clip(
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
+    from carom.scene.counted import counted
     from carom.scene.names import bodies_called
 
     path = output or file.with_name(f"{file.stem}-clip.rrd")
@@ -68,12 +73,15 @@ def clip(
         say(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
         return
     shown = "" if made.bodies is None else f", {bodies_called(made.bodies, names)}"
-    say(
-        f"{path} written: {made.frames} frames, steps {made.first_step} to {made.last_step}, "
-        f"{units.span(made.start, made.end, TIME)}{shown}, {bytes_text(made.size)}."
-    )
+    say(f"{path} written: {counted(made.frames, 'frame')}, {_reach(made, units)}{shown}, {bytes_text(made.size)}.")
     if made.replays_from is None:
         say(f"{file} has no exact state before that time, so the clip cannot be replayed.", err=True)
+
+
+def _reach(made: Clip, units: UnitSystem) -> str:
+    if made.frames == 1:
+        return f"step {made.first_step}, at {units.text(made.start, TIME)}"
+    return f"steps {made.first_step} to {made.last_step}, {units.span(made.start, made.end, TIME)}"
 
 
 def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) -> tuple[float, float]:

@@ -48,7 +48,7 @@ class MovieProgress(LiveLine):
 
     def summary(self) -> str:
         """Say how many pictures were made, and how fast."""
-        return f"{self._made} pictures, {self._pace():.2g} s each"
+        return f"{self._made} pictures, rendered in {self._pace():.2g} s each"
 
     def _pace(self) -> float:
         """Return the seconds for a picture, without the start of the viewers."""

@@ -20,6 +20,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.picture import try_to_render
 from carom.scene.command import command
+from carom.scene.counted import counted
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
 from carom.scene.units.dimension import ENERGY, TIME
@@ -66,8 +67,11 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     Raises
     ------
     RecordingError
-        If the recording has no frame, one frame of one body is too large, or the bundle cannot be written.
+        If the path does not end in .zip, the recording has no frame, one frame of one body is too large, or the bundle
+        cannot be written.
     """
+    if path.suffix != ".zip":
+        raise RecordingError(f"{path}: a report is a .zip")
     moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         cut = Path(folder) / bundle.CLIP
@@ -102,7 +106,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return last, in_words(recording.outcome)
     warnings = _warnings(recording)
     if warnings:
-        return warnings[0]
+        time, text = warnings[0]
+        return time, text.rstrip(".")
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
@@ -158,7 +163,7 @@ def _summary(
         "|---|---|",
         *(f"| {name} | {f'`{text}`' if name == 'command' else text} |" for name, text in overview(recording)),
         "",
-        f"The clip: {clip.frames} frames from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
+        f"The clip: {counted(clip.frames, 'frame')} from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
         "",
         *_ledger(clip),
         *_warned(recording),
