@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, StepTimeOption, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
@@ -33,15 +33,7 @@ Seconds = float | None
 
 def contacts(
     file: RecordingArgument,
-    at: Annotated[
-        Seconds,
-        typer.Option(
-            "--at",
-            parser=seconds,
-            metavar="T",
-            help="Simulated time within the step. Default: the hardest impact.",
-        ),
-    ] = None,
+    at: StepTimeOption = None,
     bodies: Annotated[
         list[str] | None,
         typer.Option(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from carom.cli.options import ForceOption, RecordingArgument, seconds, simulated_or_none
+from carom.cli.options import ForceOption, RecordingArgument, StepTimeOption, simulated_or_none
 from carom.cli.text import say
 from carom.scene.counted import counted
 
@@ -18,15 +18,7 @@ def export(
         Path,
         typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet, .csv, .npz, .vtk or .extxyz."),
     ],
-    at: Annotated[
-        float | None,
-        typer.Option(
-            "--at",
-            parser=seconds,
-            metavar="T",
-            help="Simulated time within the step. Default: the hardest impact.",
-        ),
-    ] = None,
+    at: StepTimeOption = None,
     everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
     force: ForceOption = False,
 ) -> None:

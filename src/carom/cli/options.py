@@ -91,4 +91,13 @@ OutputOption = Annotated[
 ]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+StepTimeOption = Annotated[
+    float | None,
+    typer.Option(
+        "--at",
+        parser=seconds,
+        metavar="T",
+        help="Simulated time within the step. Default: the hardest impact.",
+    ),
+]
 LiveOption = Annotated[bool, typer.Option("--live", help="Show the run in a viewer window while it is recorded.")]
