@@ -5,10 +5,6 @@ A flight of one step is a call, too: runs are compared with steps that no flight
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -208,17 +204,3 @@ def test_a_scene_with_a_fast_small_body_meets_all_that_single_steps_meet() -> No
     scene = billiards()
     fast = scene.body[0].model_copy(update={"velocity": (190.0, 41.0, 13.0), "radius": 0.01, "mass": 1e-3})
     assert_same_run(scene.model_copy(update={"body": (fast, *scene.body[1:])}), least=1.0)
-
-
-@pytest.mark.slow  # it compiles all kernels of a flight
-def test_a_flight_that_no_kernel_was_compiled_before_compiles(tmp_path: Path) -> None:
-    flight = """
-from carom.physics.space import Space
-from carom.scene.schema import Scene
-
-body = {"mass": 1.0, "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.0, 0.0, 1.0]}
-Space(Scene.from_dict({"body": [body], "time": {"duration": 1.0, "fixed_dt": 0.1}}), 1)
-"""
-    folder = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    made = subprocess.run([sys.executable, "-c", flight], env=os.environ | folder, capture_output=True, check=False)
-    assert made.returncode == 0, made.stderr.decode()[-2000:]

@@ -48,6 +48,7 @@ def inner(function: Function) -> Function:
 def unowned(function: Function) -> Function:
     """Compile a function like `inner` that neither makes nor keeps arrays, without counting references to them.
 
+    Kernels that it calls make no arrays either: Numba compiles them without counts, too, if they are not compiled yet.
     The counts are atomic. In a short function that hands on arrays of a tuple they take most of the time.
     """
     return _compiled(function, no_cpython_wrapper=True, _nrt=False)
