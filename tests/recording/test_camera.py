@@ -77,6 +77,17 @@ def test_an_explosion_leaves_the_start_visible(merry: Merry) -> None:
     assert filled(view, frame.position, 1.25) > 0.5
 
 
+@pytest.mark.parametrize("aspect", [1.0, 3.3])
+def test_an_orbit_is_seen_whole_where_all_bodies_are_near_its_pericentre(aspect: float) -> None:
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    e = 0.7
+    orbit = np.stack([np.cos(angle) - e, np.sqrt(1 - e * e) * np.sin(angle), np.zeros(200)], axis=1)
+    camera = CameraFit(np.full(2, 0.01), np.array([[0.0, 0.0, 0.0], orbit[0]]))
+    camera.include(orbit)
+    places = np.abs(on_screen(camera.view(aspect), orbit, aspect)) * min(1.0, aspect)
+    assert np.all(places <= [aspect, 1.0])
+
+
 def test_walls_are_in_view_as_a_whole(merry: Merry) -> None:
     header = replace(merry.header, walls=np.array([500.0, 300.0, 900.0]))
     corners = corners_of(header, np.array([10.0, 0.0, 0.0]))

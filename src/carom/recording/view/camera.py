@@ -29,6 +29,7 @@ _FAR = 20.0  # times the median distance from the middle; bodies that are farthe
 _FEW = 5  # bodies; of so few or fewer all are inside the view
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
 _LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
+_LOOSE_PATHS = 25.0  # likewise with paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
 _MOST, _LARGEST = 100_000, 1000  # bodies that are looked at; of more, every k-th and so many of the largest
 _SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's field of view is 55° from top to bottom
 _FLAT = 0.2  # thickness over width; flatter sets of bodies are seen from higher above
@@ -93,6 +94,7 @@ class CameraFit:
         self._still = self._own  # the same of all moments
         self._moving = self._own - self._axes @ self._centre  # of all moments, each about its own middle
         self._drift = 0.0
+        self._loose = _LOOSE
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Take the last frame of a batch into account."""
@@ -108,10 +110,11 @@ class CameraFit:
         self._moving = _joined(self._moving, box - self._axes @ centre)
 
     def include(self, points: FloatArray) -> None:
-        """Take points (k, 3) m into account, such as those of trails."""
+        """Take points (k, 3) m of paths into account, also where they are far wider than the set of bodies."""
         along = points[np.all(np.isfinite(points), axis=1)] @ self._axes.T
         if len(along):
             self._still = _joined(self._still, np.array([along.min(axis=0), along.max(axis=0)]))
+            self._loose = _LOOSE_PATHS
 
     def view(self, aspect: float = ASPECT, room: float = 0.0) -> View:
         """Return a view of the first moment and, unless bodies would look too small, of all others.
@@ -135,7 +138,7 @@ class CameraFit:
         later = np.maximum(now, self._borders(others, np.zeros(8), slopes))
         if room > 0.0:
             later = np.maximum(later, self._borders(self._first, self._first_radius + room, slopes))
-        distance = min(_distance(later, slopes), _LOOSE * _distance(now, slopes))
+        distance = min(_distance(later, slopes), self._loose * _distance(now, slopes))
         # the target may be anywhere between the two at which the bodies of the first moment touch a border
         low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]
         across, up = np.clip((later[:, 0] - later[:, 1]) / 2, np.minimum(low, high), np.maximum(low, high))
