@@ -236,6 +236,17 @@ def test_of_many_bodies_the_step_is_never_longer_than_twice_that_of_an_isolated_
     )
 
 
+@pytest.mark.parametrize(("length", "time"), [(2.0, 1.0), (1.0, 2.0), (2.0**9, 2.0**4), (2.0**-5, 2.0**3)])
+@pytest.mark.parametrize("softening", [0.0, 0.3])
+def test_the_step_of_the_largest_pull_has_the_same_bits_in_units_that_are_powers_of_two(
+    length: float, time: float, softening: float
+) -> None:
+    acceleration, mean = length / time**2, length**3 / time**2
+    for a, gm in np.random.default_rng(7).uniform(0.01, 10.0, (50, 2)):
+        here = step_of_largest(a, gm, softening, 0.1)
+        assert step_of_largest(a * acceleration, gm * mean, softening * length, 0.1) == here * time
+
+
 def test_points_that_fall_into_each_other_end_the_run_and_say_what_would_help() -> None:
     scene = binary(0.0, 1)
     bodies = [body.model_copy(update={"velocity": (0.0, 0.0, 0.0)}) for body in scene.body]

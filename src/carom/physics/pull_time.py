@@ -54,7 +54,7 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     """Return the longest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
-    alone = np.sqrt(np.sqrt(mean) / (largest * np.sqrt(largest)))
+    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # roots of squares of units: the same bits in powers of two
     step: float = fraction * max(alone, np.sqrt(softening / largest))
     return step
 
