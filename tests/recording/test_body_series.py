@@ -104,3 +104,10 @@ def test_each_unit_has_a_plot_of_its_own_and_each_curve_of_a_plot_a_colour(throw
     heights = [path for path in styles if path.endswith("/z")]
     colours = {str(styles[path]) for path in heights}
     assert len(colours) == 3
+
+
+@pytest.mark.parametrize("text", ["top.speed", "top.speed,1.vx"])
+def test_a_plot_that_fills_a_picture_says_in_its_legend_what_it_shows(thrown: Recording, text: str) -> None:
+    plots = BodyPlots(body_series(thrown, asked_quantities(thrown, text)), alone=True)
+    assert "top speed (m/s)" in str(dict(plots.statics())["plot/body0/speed"])
+    assert "visible=[True]" in str(plots.views(Area(1600, 1000))[0].properties["PlotLegend"])

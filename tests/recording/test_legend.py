@@ -66,8 +66,8 @@ def test_no_legend_covers_a_curve(count: int, seed: int, kind: str, scale: float
     assert covered(["restitution", "stabilisation (put in)", "friction", "drag", "total"][:count], curves) == 0
 
 
-def test_a_single_curve_has_no_legend_to_make_room_for() -> None:
-    place = place_legend(["dt"], [Curve.of(TIME, np.ones(400))], PLOT)
+def test_a_plot_without_a_legend_has_none_to_make_room_for() -> None:
+    place = place_legend([], [Curve.of(TIME, np.ones(400))], PLOT)
     assert place.range == pytest.approx((0.0, 2.0))
 
 

@@ -26,6 +26,7 @@ class BodyPlots:
 
     series: Sequence[BodySeries]
     system: UnitSystem = SI  # of the recording
+    alone: bool = False  # whether a plot fills the picture, which then shows no title: the legend says all
 
     @property
     def units(self) -> list[str]:
@@ -43,7 +44,7 @@ class BodyPlots:
         colours = list(LINES.values())
         for unit in self.units:
             for k, each in enumerate(self._of(unit)):
-                yield _path(each), curve_style(_legend(each), colours[k % len(colours)])
+                yield _path(each), curve_style(self._legend(each), colours[k % len(colours)])
 
     def views(self, row: Area) -> list[rrb.View]:
         """Lay out a plot for each unit, side by side in a row."""
@@ -53,24 +54,32 @@ class BodyPlots:
     def view(self, unit: str, area: Area) -> rrb.View:
         """Lay out the plot of a unit."""
         series = self._of(unit)
-        legends = [_legend(each) for each in series]
-        title = legends[0] if len(series) == 1 else TITLES[unit]
+        legends = [self._legend(each) for each in series]
+        title = _named(series[0]) if len(series) == 1 else TITLES[unit]
         curves = [Curve.of(each.time, each.value) for each in series]
         return time_series_view(
-            _titled(title, self.system.recorded_unit(unit)), [_path(each) for each in series], legends, curves, area
+            self._titled(title, unit),
+            [_path(each) for each in series],
+            legends if self.alone or len(legends) > 1 else [],
+            curves,
+            area,
         )
+
+    def _legend(self, series: BodySeries) -> str:
+        return self._titled(_named(series), series.quantity.unit) if self.alone else _named(series)
+
+    def _titled(self, title: str, unit: str) -> str:
+        """Return a title with the unit in which the recording has what is in this unit of SI."""
+        recorded = self.system.recorded_unit(unit)
+        return title if recorded == "1" else f"{title} ({recorded})"
 
     def _of(self, unit: str) -> list[BodySeries]:
         return [each for each in self.series if each.quantity.unit == unit]
-
-
-def _titled(title: str, unit: str) -> str:
-    return title if unit == "1" else f"{title} ({unit})"
 
 
 def _path(series: BodySeries) -> str:
     return f"plot/body{series.body}/{series.quantity.name}"
 
 
-def _legend(series: BodySeries) -> str:
+def _named(series: BodySeries) -> str:
     return f"{series.name} {series.quantity.name}"

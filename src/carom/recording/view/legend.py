@@ -38,7 +38,7 @@ def place_legend(legends: Sequence[str], curves: Sequence[Curve], plot: Area) ->
     Parameters
     ----------
     legends
-        The lines of the legend; with fewer than two the plot has none.
+        The lines of the legend; without any the plot has none.
     curves
         The outlines of the curves; empty if they are unknown.
     plot
@@ -49,7 +49,7 @@ def place_legend(legends: Sequence[str], curves: Sequence[Curve], plot: Area) ->
         return Place(rrb.Corner2D.LeftTop, None)
     pad = _PAD * (high - low) or abs(high) or 1.0
     bottom, top = low - pad, high + pad
-    if len(legends) < 2:
+    if not legends:
         return Place(rrb.Corner2D.LeftTop, (bottom, top))
     tall = min(_LARGEST, (_ROW * len(legends) + _FRAME) / plot.height)
     wide = min(1.0, _width(legends) / plot.width)

@@ -56,20 +56,21 @@ def _speaks(series: Series, curves: Curves) -> bool:
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
     series, title = shown_series(header, plot, curves), plot.name_in(header.units)
     known = [curves[each.path] for each in series] if curves is not None else []
-    return time_series_view(title, [each.path for each in series], [each.legend for each in series], known, area)
+    legends = [each.legend for each in series] if len(series) > 1 else []
+    return time_series_view(title, [each.path for each in series], legends, known, area)
 
 
 def time_series_view(
     title: str, paths: Sequence[str], legends: Sequence[str], curves: Sequence[Curve], area: Area
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot whose legend covers no curve; ``curves`` are empty during the run."""
+    """Lay out a plot whose legend covers no curve; without legends it has none. ``curves`` are empty during the run."""
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
         name=title,
         origin="/",
         contents=list(paths),
-        plot_legend=rrb.PlotLegend(place.corner, visible=len(legends) > 1),
+        plot_legend=rrb.PlotLegend(place.corner, visible=bool(legends)),
         axis_x=whole_time(),
         axis_y=None if place.range is None else rrb.ScalarAxis(range=place.range),
     )

@@ -80,7 +80,7 @@ def _body_plots(recording: Recording, text: str | None, only: str, watch: Watche
     units = dict.fromkeys(quantity.unit for _, quantity in quantities)
     if only == PLOT and len(units) > 1:
         raise RecordingError(f"a view of plots shows one unit, and plot asks for {' and '.join(units)}")
-    return BodyPlots(body_series(recording, quantities, watch), recording.units)
+    return BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
 
 
 def presentation(
