@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.experiment.hunt.hunt import Hunt
 from carom.experiment.hunt.laws import LAWS, laws_of
 from carom.experiment.hunt.scenes import Drawn, drawn
 from carom.physics.diagnostics.audit import Audit
@@ -63,6 +64,19 @@ def test_a_sound_engine_breaks_no_law_in_a_few_scenes(tmp_path: Path) -> None:
     made = carom("hunt", "--seed", "1", "--scenes", "20", "-o", "found", cwd=tmp_path)
     assert made.returncode == 0, made.stdout
     assert "No law was broken." in made.stdout and not (tmp_path / "found").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_hunt(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("mine", encoding="utf-8")
+    made = carom("hunt", "--seed", "1", "--scenes", "1", "-o", "taken", cwd=tmp_path)
+    assert made.returncode == 2
+    assert made.stderr == "carom: taken: is not a folder, and carom needs a folder of that name; move it away\n"
+
+
+def test_a_hunt_without_a_miss_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Hunt, "judge", lambda *_: [])
+    assert not Hunt(1, tmp_path / "found", most=1).hunt().misses
+    assert not (tmp_path / "found").exists()
 
 
 def test_a_budget_that_is_no_time_is_refused_with_what_would_be_right(tmp_path: Path) -> None:

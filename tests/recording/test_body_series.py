@@ -51,6 +51,7 @@ def test_names_with_commas_are_asked_for_as_they_are(tmp_path: Path) -> None:
         ("top.height", 'no quantity "height"; there are x, y, z (m), vx, vy, vz, speed (m/s) and wx, wy, wz, omega'),
         ("bottom.z", 'no body "bottom"; its bodies are 0 to 2, called "top", "no. 1"'),
         ("tpo.z", 'did you mean "top"?'),
+        ("no.z", 'did you mean "no. 1"?'),
         ("7.z", 'no body "7"'),
         ("top", 'expected BODY.QUANTITY, such as 0.speed; "top" is not'),
         ("top.z,", 'expected BODY.QUANTITY, such as 0.speed; "" is not'),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -102,7 +103,23 @@ class Hunt:
         self.tally = Tally(self.seed)
 
     def hunt(self) -> Tally:
-        """Hunt until the budget is spent, the scenes are judged, or the user ends it."""
+        """Hunt until the budget is spent, the scenes are judged, or the user ends it.
+
+        Raises
+        ------
+        RecordingError
+            If the folder cannot be made, before anything is run.
+        """
+        new = not self.folder.exists()
+        output_folder(self.folder)
+        try:
+            return self._hunted()
+        finally:
+            if new:
+                with contextlib.suppress(OSError):  # it holds misses
+                    self.folder.rmdir()
+
+    def _hunted(self) -> Tally:
         with Interrupts() as interrupts:
             budget = Budget(self.seconds, interrupts)
             index = self.first
@@ -162,7 +179,6 @@ class Hunt:
         if any(miss.law == law.name for miss in self.tally.misses):
             self.tally.misses.append(Miss(law.name, index, said, None, bodies))
             return
-        output_folder(self.folder)
         path = self.folder / f"{law.name.replace(' ', '-')}-{self.seed}-{index}.toml"
         small = finding.scene.toml
         try:

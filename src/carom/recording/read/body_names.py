@@ -53,11 +53,18 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
     return parts
 
 
+def _begun(text: str, names: Iterable[str]) -> list[str]:
+    """Return the names of which a text is the beginning; numbers are those of bodies."""
+    if not text or text.isdigit():
+        return []
+    return [name for name in names if name.casefold().startswith(text.casefold())]
+
+
 def _others(text: str, names: Sequence[str]) -> str:
     """List the bodies, and suggest the nearest name."""
     count = f"its bodies are 0 to {len(names) - 1}" if len(names) > 1 else "its only body is 0"
     own = [name for number, name in enumerate(names) if name not in ("", f"body {number}")]
-    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(text, own, n=1, cutoff=0.6) or _begun(text, own)
     if near:
         return f'did you mean "{near[0]}"? {count[0].upper()}{count[1:]}'
     quoted = ", ".join(f'"{name}"' for name in own)
