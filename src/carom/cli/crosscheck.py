@@ -200,7 +200,7 @@ def _show(document: dict[str, Any], units: UnitSystem) -> None:
         console.print(
             f"Reference, {escape(reference['text'])}; positions are compared up to "
             f"t = {escape(units.text(reference['horizon'], TIME))}. "
-            "A run parts where it is farther from it than a hundredth of the size.",
+            "A run diverges where it is farther from the reference than a hundredth of the size.",
             soft_wrap=True,
         )
     for engine, notes in document["notes"].items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def draw(check: Crosscheck, path: Path) -> None:
         ax = figure.subplots()
         for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:
             ax.axvline(units.shown(float(met), TIME), color=FAINT, linewidth=0.6, alpha=0.5)
-        engines = {engine.name: COLOURS[k % len(COLOURS)] for k, engine in enumerate(check.engines)}
+        colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
         seen: dict[str, int] = {}
         for number, result in enumerate(runs):
             engine = result.setting.engine
@@ -51,7 +52,7 @@ def draw(check: Crosscheck, path: Path) -> None:
             distance, _ = reference.scale.apart(run, reference.trajectory)
             shown = np.maximum(distance, LEAST)
             time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
-            colour = engines.get(engine, OWN_COLOUR)
+            colour = colours[engine]
             ax.plot(
                 time,
                 shown,
@@ -80,6 +81,12 @@ def draw(check: Crosscheck, path: Path) -> None:
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.savefig(path)
+
+
+def colours_of(engines: Iterable[str]) -> dict[str, str]:
+    """Return the colours of the runs of each engine, in the order in which they are named; carom has no name."""
+    names = [name for name in dict.fromkeys(engines) if name]
+    return {"": OWN_COLOUR} | {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
 
 
 def _mark(ax: Any, examination: Any, time: Any, distance: Any, colour: str, units: UnitSystem) -> None:
