@@ -152,6 +152,22 @@ def test_mujoco_keeps_the_order_and_the_names_of_bodies_of_which_some_are_fixed(
     assert list(bodies.name) == ["a", "b", "c", "d"] and bodies.mass[[1, 3]].tolist() == [2.0, 4.0]
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
+def test_an_engine_calls_planes_as_the_scene_does(engine: str) -> None:
+    pytest.importorskip(engine)
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.0, "fixed_dt": 0.1},
+            "gravity": {"constant": 0.0},
+            "body": [{"mass": 1.0, "radius": 0.1, "position": [0.0, 0.0, 1.0]}],
+            "plane": [{"name": "floor"}, {"name": "wall", "normal": [1.0, 0.0, 0.0], "point": [-3.0, 0.0, 0.0]}],
+        }
+    )
+    found = engine_called(engine)
+    source = found.begin(scene, found.settings(scene)[0]).source
+    assert [plane.name for plane in source.model.planes] == ["floor", "wall"]
+
+
 def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path) -> None:
     scene, engine = orbit(units="au, day, solar mass"), Restarting()
     simulation = Simulation(engine, engine.step, 0.1)

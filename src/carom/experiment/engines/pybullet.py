@@ -89,7 +89,9 @@ class PyBullet(SteppedEngine):
                 engine.setCollisionFilterPair(one, other, -1, -1, 0, physicsClientId=client)
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = source_of(dt, (x, y, z), client)
-        source.model = replace(source.model, names=start.name)
+        named = zip(source.model.planes, problem.planes.name, strict=True)
+        planes = [plane._replace(name=name) for plane, name in named]
+        source.model = replace(source.model, names=start.name, planes=planes)
 
         def step() -> None:
             engine.stepSimulation(client)
