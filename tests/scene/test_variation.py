@@ -48,6 +48,10 @@ def test_lists_ranges_and_log_ranges(text: str, values: tuple[Any, ...]) -> None
         ("0:1:1000001", "more than 1000000 runs"),
         ("0:1:" + "9" * 5000, "more than 1000000 runs"),
         ("0:1e999:3", "finite"),
+        ("0.5:1", "a first and a last value and their count"),
+        ("1 km : 5 km", "a first and a last value and their count"),
+        ("1:2:3:4", "a first and a last value and their count"),
+        ("1:2:few", "a first and a last value and their count"),
     ],
 )
 def test_a_mistake_says_what_would_be_right(text: str, said: str) -> None:

@@ -18,6 +18,7 @@ _TOO_MANY = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*({_UNIT})?\s*:\s*({_NUMBER})\s*({_UNIT})?\s*:\s*(\d+)\s*(log)?\s*")
+_LIKE_RANGE = re.compile(rf"\s*{_NUMBER}\s*(?:{_UNIT})?\s*:.*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
 _DIGITS = 12  # of a value in a range: 0.3 and not 0.30000000000000004
 
@@ -125,6 +126,8 @@ def override(key: str, value: Any) -> str:
 
 
 def _parts(text: str) -> list[str]:
+    if _LIKE_RANGE.fullmatch(text):
+        raise ValueError(f'"{text}": a range has a first and a last value and their count; expected {_EXAMPLES}')
     parts = _split(text)
     if not all(parts):
         raise ValueError(f'"{text}": expected {_EXAMPLES}')
