@@ -57,6 +57,10 @@ def test_inspect_prints_the_keys_that_scripts_rely_on(tmp_path: Path) -> None:
     assert summary["expect"]["max_overlap"]["met"] is True
     assert summary["profile"]["search"] > 0.0
     assert summary["moments"]["impact"]["bodies"] == [0, 1]
+    printed = carom("inspect", "x.rrd", cwd=tmp_path).stdout.splitlines()
+    heading = next(k for k, line in enumerate(printed) if line.startswith("time of the steps"))
+    parts = [line.split()[0] for line in printed[heading + 1 :]]
+    assert sorted(parts) == sorted(summary["profile"])
 
 
 BALL_ON_FLOOR = """

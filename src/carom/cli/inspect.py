@@ -49,8 +49,9 @@ def inspect(
         console.print(line)
     for line in _moments(summary, file, units):
         console.print(line)
-    console.print()
-    console.print(_profile(summary))
+    if summary["profile"]:
+        console.print()
+        console.print(_profile(summary["profile"]))
 
 
 def _grid() -> Table:
@@ -140,9 +141,12 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
         yield "    " + command("replay", file, "--from", f"{begin:.6g}", "--to", f"{end:.6g}", "--every", "step")
 
 
-def _profile(summary: dict[str, Any]) -> Table:
+def _profile(profile: dict[str, float]) -> Table:
     """Show where the time of the steps went."""
-    table, whole = _grid(), sum(summary["profile"].values())
-    for part, seconds in sorted(summary["profile"].items(), key=lambda item: -item[1]):
-        table.add_row(part, f"{seconds:.3f} s", f"{seconds / whole:.0%}" if whole else "")
+    table, whole = _grid(), sum(profile.values())
+    for justify in ("left", "right", "right"):
+        table.add_column(justify=justify)
+    table.add_row("time of the steps", f"{whole:.3f} s", "")
+    for part, seconds in sorted(profile.items(), key=lambda item: -item[1]):
+        table.add_row(f"  {part}", f"{seconds:.3f} s", f"{seconds / whole:.0%}" if whole else "")
     return table
