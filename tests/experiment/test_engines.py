@@ -12,12 +12,13 @@ import pytest
 from carom.experiment.engines.engine import engine_called
 from carom.experiment.engines.rebound import shortest_period
 from carom.experiment.engines.stepped import Simulation
+from carom.experiment.engines.translation import problem_of
 from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.tradeoff import Study
 from carom.experiment.work_precision.trajectory import sample_times
 from carom.recording.read.recording import Recording
-from carom.recording.source.source import Model, State
+from carom.recording.source.source import Model, Plane, State
 from carom.scene.schema import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
@@ -152,20 +153,31 @@ def test_mujoco_keeps_the_order_and_the_names_of_bodies_of_which_some_are_fixed(
     assert list(bodies.name) == ["a", "b", "c", "d"] and bodies.mass[[1, 3]].tolist() == [2.0, 4.0]
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
-def test_an_engine_calls_planes_as_the_scene_does(engine: str) -> None:
-    pytest.importorskip(engine)
-    scene = Scene.from_dict(
+def ball_between_planes() -> Scene:
+    return Scene.from_dict(
         {
             "time": {"duration": 1.0, "fixed_dt": 0.1},
             "gravity": {"constant": 0.0},
-            "body": [{"mass": 1.0, "radius": 0.1, "position": [0.0, 0.0, 1.0]}],
+            "body": [{"name": "ball", "mass": 1.0, "radius": 0.1, "position": [0.0, 0.0, 1.0]}],
             "plane": [{"name": "floor"}, {"name": "wall", "normal": [1.0, 0.0, 0.0], "point": [-3.0, 0.0, 0.0]}],
         }
     )
-    found = engine_called(engine)
+
+
+def test_mujoco_calls_planes_as_the_scene_does() -> None:
+    pytest.importorskip("mujoco")
+    found, scene = engine_called("mujoco"), ball_between_planes()
     source = found.begin(scene, found.settings(scene)[0]).source
     assert [plane.name for plane in source.model.planes] == ["floor", "wall"]
+
+
+def test_an_engine_without_names_gets_those_of_the_scene() -> None:
+    # PyBullet, which these tests do without, has none; its planes keep their normals and places.
+    planes = [Plane((0.0, 0.0, 1.0), 0.0, "plane 0"), Plane((1.0, 0.0, 0.0), -3.0, "plane 1")]
+    own = Model(engine="a", mass=[1.0], radius=[0.1], planes=planes)
+    named = problem_of("a", ball_between_planes()).named(own)
+    assert named.planes == [planes[0]._replace(name="floor"), planes[1]._replace(name="wall")]
+    assert list(named.names or ()) == ["ball"]
 
 
 def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path) -> None:

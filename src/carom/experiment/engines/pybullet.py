@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -89,9 +88,7 @@ class PyBullet(SteppedEngine):
                 engine.setCollisionFilterPair(one, other, -1, -1, 0, physicsClientId=client)
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = source_of(dt, (x, y, z), client)
-        named = zip(source.model.planes, problem.planes.name, strict=True)
-        planes = [plane._replace(name=name) for plane, name in named]
-        source.model = replace(source.model, names=start.name, planes=planes)
+        source.model = problem.named(source.model)
 
         def step() -> None:
             engine.stepSimulation(client)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carom.experiment.error import ExperimentError
 from carom.physics.placement import place
 from carom.plan.features import require
-from carom.recording.source.source import SPHERE
+from carom.recording.source.source import SPHERE, Model
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Coefficients, Scene
@@ -44,6 +44,11 @@ class Problem:
         speed = float(np.linalg.norm(self.start.velocity, axis=1).max())
         fall = 0.5 * float(np.linalg.norm(self.field)) * self.duration**2
         return 10.0 * (self.extent + speed * self.duration + fall)
+
+    def named(self, model: Model) -> Model:
+        """Return the model of an engine without names, with those of the scene's bodies and planes."""
+        named = zip(model.planes, self.planes.name, strict=True)
+        return replace(model, names=self.start.name, planes=[plane._replace(name=name) for plane, name in named])
 
 
 def problem_of(engine: str, scene: Scene) -> Problem:
