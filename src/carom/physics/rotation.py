@@ -105,7 +105,7 @@ def turn(lo: int, hi: int, orientation: FloatArray, angular_velocity: FloatArray
 def turn_one(i: int, orientation: FloatArray, angular_velocity: FloatArray, dt: float) -> None:
     """Turn the orientation of body i, without the arrays of a block."""
     speed = _speed(i, angular_velocity)
-    sine, cosine = _sine_cosine(_reduced(0.5 * speed * dt))
+    sine, cosine = sine_cosine(0.5 * speed * dt)
     _turn_row(i, orientation, angular_velocity, speed, sine, cosine)
 
 
