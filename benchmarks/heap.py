@@ -150,6 +150,7 @@ def compare(n: int, threads: int, rounds: int, calm: int, only: list[str]) -> di
     return {
         "bodies": len(lattice(n)[0]),
         "threads": threads,
+        "settings": "; ".join(heaps),
         "ms, falling": {name: _rounded(statistics.median(times)) for name, times in falls.items()},
         "ms, at rest": {name: _rounded(statistics.median(times)) for name, times in rests.items()},
         "overlap, falling": {name: _rounded(sunk[name]) for name in heaps},
