@@ -98,7 +98,7 @@ def shown(path: Path) -> None:
         terminal.print(_overview(summary, units))
         for line in _moments(summary, path, units):
             terminal.print(line)
-        terminal.print(_profile(summary))
+        terminal.print(_profile(summary["profile"]))
 
 
 def listed(path: Path, impacts: bool) -> None:
