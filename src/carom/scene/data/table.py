@@ -109,9 +109,7 @@ def texts_of(raw: Raw) -> list[str]:
 def _text(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks what is missing
         return ""
-    if (
-        isinstance(value, float) and value.is_integer() and abs(value) < _EXACT
-    ):  # as pandas stores 5 beside a missing one
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:  # 5, as pandas stores it beside a gap
         return str(int(value))
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
