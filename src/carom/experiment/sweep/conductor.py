@@ -13,6 +13,7 @@ from carom.experiment.interrupts import Interrupts
 from carom.experiment.sweep.manifest import FAILED, Manifest, Run
 from carom.experiment.sweep.plan import Point
 from carom.experiment.sweep.task import Report, Task, execute
+from carom.scene.counted import counted
 
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
@@ -132,8 +133,8 @@ class Conductor:
         self._forget(idle)
         for future in idle:
             self._waiting.pop(str(future.key), None)
-        left = len(self._waiting)
-        self._watch.say(f"Interrupted. Waiting for {left} runs under way; interrupt again to drop them.")
+        left = counted(len(self._waiting), "run")
+        self._watch.say(f"Interrupted. Waiting for {left} under way; interrupt again to drop them.")
 
     def _forget(self, futures: list[Future[Report]]) -> None:
         if futures and self._client.status == "running":
