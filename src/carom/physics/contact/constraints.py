@@ -48,7 +48,8 @@ CONTACT_STATE = record(
 
 BODY_STATE = record(
     "vx vy vz wx wy wz inverse_mass inverse_inertia"  # m/s, rad/s, 1/kg, 1/(kg m²)
-    " dvx dvy dvz dwx dwy dwz",  # their change in the last iteration
+    " dvx dvy dvz dwx dwy dwz"  # their change in the last iteration
+    " mass inertia",  # kg, kg m²; 0 if fixed
     size=2 * CACHE_LINE,
 )
 

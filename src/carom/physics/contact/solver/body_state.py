@@ -55,6 +55,8 @@ def gather(
             body.wx = body.wy = body.wz = 0.0
         body.dvx = body.dvy = body.dvz = body.dwx = body.dwy = body.dwz = 0.0
         body.inverse_mass, body.inverse_inertia = inverse_mass[b], inverse_inertia[b]
+        body.mass = 1.0 / inverse_mass[b] if inverse_mass[b] > 0.0 else 0.0
+        body.inertia = 1.0 / inverse_inertia[b] if inverse_inertia[b] > 0.0 else 0.0
 
 
 @long_kernel

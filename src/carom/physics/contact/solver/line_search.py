@@ -28,18 +28,15 @@ Records = NDArray[np.void]
 @unowned
 def line_search(block: int, end: int, system: ConstraintSystem) -> None:
     """Sum m p·v + I t·ω, and m p² + I t², over a block of bodies."""
-    spins, active = system.settings[0].spins, system.active
-    slope, curvature = 0.0, 0.0
+    active, slope, curvature = system.active, 0.0, 0.0
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
         body = system.bodies[active[k]]
-        if body.inverse_mass > 0.0:
-            px, py, pz, m = body.dvx, body.dvy, body.dvz, 1.0 / body.inverse_mass
-            slope += (px * body.vx + py * body.vy + pz * body.vz) * m
-            curvature += (px * px + py * py + pz * pz) * m
-        if spins and body.inverse_inertia > 0.0:
-            tx, ty, tz, inertia = body.dwx, body.dwy, body.dwz, 1.0 / body.inverse_inertia
-            slope += (tx * body.wx + ty * body.wy + tz * body.wz) * inertia
-            curvature += (tx * tx + ty * ty + tz * tz) * inertia
+        px, py, pz, m = body.dvx, body.dvy, body.dvz, body.mass
+        slope += (px * body.vx + py * body.vy + pz * body.vz) * m
+        curvature += (px * px + py * py + pz * pz) * m
+        tx, ty, tz, inertia = body.dwx, body.dwy, body.dwz, body.inertia
+        slope += (tx * body.wx + ty * body.wy + tz * body.wz) * inertia
+        curvature += (tx * tx + ty * ty + tz * tz) * inertia
     sums = system.sums[block]
     sums.slope, sums.curvature = slope, curvature
 
@@ -62,15 +59,13 @@ def step_length(found: Records, sums: Records) -> float:
 @unowned
 def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities of a block of bodies by α p and α t, and clear p and t."""
-    spins, alpha, active = system.settings[0].spins, system.settings[0].alpha, system.active
+    alpha, active = system.settings[0].alpha, system.active
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
         body = system.bodies[active[k]]
         body.vx += alpha * body.dvx
         body.vy += alpha * body.dvy
         body.vz += alpha * body.dvz
-        body.dvx = body.dvy = body.dvz = 0.0
-        if spins:
-            body.wx += alpha * body.dwx
-            body.wy += alpha * body.dwy
-            body.wz += alpha * body.dwz
-            body.dwx = body.dwy = body.dwz = 0.0
+        body.wx += alpha * body.dwx
+        body.wy += alpha * body.dwy
+        body.wz += alpha * body.dwz
+        body.dvx = body.dvy = body.dvz = body.dwx = body.dwy = body.dwz = 0.0
