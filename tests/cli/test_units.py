@@ -40,6 +40,7 @@ IN_CM = DROPPED.format(
     apart=100,
 )
 IN_SI = DROPPED.format(units="", duration=0.4, step=0.01, radius=0.1, mass=0.5, speed=5, apart=1)
+ONCE = ("--vary", "step=1", "--repeats", "1")
 OWN = IN_CM.replace('[units]\nlength = "cm"\ntime = "ms"\nmass = "g"\nenergy = "mJ"\n', 'units = "cm, ms, g"\n')
 
 
@@ -102,11 +103,47 @@ def test_json_is_in_the_units_of_the_recording(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [("inspect",), ("contacts", "--at", "0.16 s"), ("why", "--event", "impact")], ids=lambda given: given[0]
+    "command",
+    [
+        ("inspect",),
+        ("contacts", "--at", "0.16 s"),
+        ("why", "--event", "impact"),
+        ("replay",),
+        ("clip", "--from", "0.1 s", "-o", "clipped.rrd", "--force"),
+        ("resume", "--until", "0.5 s", "-o", "resumed.rrd", "--force"),
+        ("report", "-o", "report.zip", "--force"),
+        ("repair",),
+    ],
+    ids=lambda given: given[0],
 )
 def test_json_names_the_units_of_its_numbers(folder: Path, command: tuple[str, ...]) -> None:
     told = {name: json.loads(printed(folder, *command, f"{name}.rrd", "--json")) for name in ("si", "cm", "own")}
     assert {name: document["units"] for name, document in told.items()} == {"si": "SI", "cm": "SI", "own": "cm, ms, g"}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("run", "-o", "x.rrd", "--force"),
+        ("explain",),
+        ("tradeoff", *ONCE, "-o", "new", "--force"),
+        ("tune", *ONCE, "--study", "new", "--new-study", "--error", "energy=1", "-o", "tuned.toml", "--force"),
+    ],
+    ids=lambda given: given[0],
+)
+def test_json_about_a_scene_names_the_units_of_its_numbers(folder: Path, command: tuple[str, ...]) -> None:
+    for name, units in (("cm", "SI"), ("own", "cm, ms, g")):
+        assert json.loads(printed(folder, command[0], f"{name}.toml", *command[1:], "--json"))["units"] == units
+
+
+def test_json_of_a_sweep_and_of_its_table_names_the_units_of_its_numbers(folder: Path) -> None:
+    swept = json.loads(printed(folder, "sweep", "own.toml", "--seeds", "1", "-o", "sweep", "--workers", "1", "--json"))
+    assert swept["units"] == "cm, ms, g" == json.loads(printed(folder, "sweep", "--table", "sweep", "--json"))["units"]
+
+
+def test_json_of_the_extremes_names_the_units_of_each(tmp_path: Path) -> None:
+    (extreme,) = json.loads(printed(tmp_path, "stress", "one-body", "--json"))["extremes"]
+    assert extreme["units"] == "SI"
 
 
 def test_json_of_a_fork_and_of_a_comparison_names_the_units_of_its_numbers(folder: Path) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.units.dimension import TIME
@@ -50,7 +51,6 @@ def clip(
 
     FILE may be the zip that `carom report` made.
     """
-    import json
     from dataclasses import asdict
 
     from carom.cli.units import bytes_text
@@ -70,7 +70,7 @@ def clip(
         refuse_output(path, force)
         made = cut(source, path, *interval, bodies=_numbers(source, bodies))
     if as_json:
-        say(json.dumps(asdict(made) | {"path": str(made.path)}, indent=2))
+        say_json({"units": units.recorded, **asdict(made), "path": str(made.path)})
         return
     shown = "" if made.bodies is None else f", {bodies_called(made.bodies, names)}"
     say(f"{path} written: {counted(made.frames, 'frame')}, {_reach(made, units)}{shown}, {bytes_text(made.size)}.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, StepTimeOption, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.counted import counted
@@ -85,7 +86,7 @@ def contacts(
         elif as_csv:
             say(_csv(table))
         elif as_json:
-            say(_json(recording, table))
+            say_json(_json(recording, table))
         else:
             _print(recording, table, None if impacts else recording.moment(at))
 
@@ -189,15 +190,12 @@ def _csv(table: pa.Table) -> str:
     return str(out.getvalue().decode()).rstrip("\n")
 
 
-def _json(recording: Recording, table: pa.Table) -> str:
-    import json
-
+def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:
     names = _names(recording)
     rows = [{**row, "between": [names.of(row["i"]), names.of(row["j"])]} for row in table.to_pylist()]
     told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     left_out = {"left_out": int(told["left_out"])} if "left_out" in told else {}
-    found = {"source": told["source"], "units": recording.units.recorded, **left_out, "contacts": rows}
-    return json.dumps(found, indent=2, ensure_ascii=False)
+    return {"source": told["source"], "units": recording.units.recorded, **left_out, "contacts": rows}
 
 
 def _source(table: pa.Table) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import SetOption, ThreadsOption, bundled
 from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, ran
@@ -82,8 +83,6 @@ def crosscheck(
 
     Results are kept; the same command continues where it stopped.
     """
-    import json
-
     from carom.experiment.crosscheck.crosscheck import Crosscheck
     from carom.experiment.crosscheck.runs import Runs
     from carom.experiment.engines.engine import engines_called
@@ -131,7 +130,7 @@ def crosscheck(
         _draw(check, quiet=as_json or several)
     if as_json:
         said = {"scenes": documents, "refused": refused} if several else next(iter(documents.values()), {})
-        say(json.dumps(said, indent=2, ensure_ascii=False))
+        say_json(said)
     elif several:
         _show_several(documents, loaded, refused, parent)
     elif documents:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, not_a_folder
-from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
 
@@ -41,8 +41,6 @@ def diff(
 
     Impacts that both recorded are compared by their numbers.
     """
-    import json
-
     from carom.experiment.diff.diff import diff as compare
     from carom.experiment.diff.diff import overlay
     from carom.experiment.output import refuse_output
@@ -60,7 +58,7 @@ def diff(
         overlay(*recordings, found, output)
     names = names_of(recordings[0])
     if as_json:
-        say(json.dumps(_document(found, names, recordings[0].units), indent=2, ensure_ascii=False))
+        say_json(_document(found, names, recordings[0].units))
     else:
         _print(found, names, recordings[0].units, output)
     if not found.same:
@@ -68,15 +66,14 @@ def diff(
 
 
 def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
-    """Return the result as JSON can hold it, without NaN and infinity."""
+    """Return the result as a document."""
     from dataclasses import asdict
-    from math import isfinite
 
     curve, verdict = found.curve, found.verdict
     first = verdict.first
     keys = ("step", "time", "rms", "floor", "energy")
     rows = zip(*(getattr(curve, key).tolist() for key in keys), strict=True)
-    document: dict[str, Any] = {
+    return {
         "a": str(found.paths[0]),
         "b": str(found.paths[1]),
         "units": units.recorded,
@@ -97,15 +94,6 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
         "size": curve.size,
         "curve": [dict(zip(keys, row, strict=True)) for row in rows],
     }
-
-    def finite(value: Any) -> Any:
-        if isinstance(value, float) and not isfinite(value):
-            return None
-        if isinstance(value, dict):
-            return {key: finite(inner) for key, inner in value.items()}
-        return [finite(inner) for inner in value] if isinstance(value, list) else value
-
-    return dict(finite(document))
 
 
 def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:

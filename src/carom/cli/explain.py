@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, SceneArgument, SetOption
 from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
@@ -30,7 +31,6 @@ def explain(
     as_json: JsonOption = False,
 ) -> None:
     """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
-    import json
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
@@ -42,10 +42,11 @@ def explain(
     announce_compilation()
     found, materials = estimate(loaded), ShownMaterials.of(loaded)
     if as_json:
-        document = {"title": loaded.title, "bodies": loaded.count, **asdict(found)}
+        own = {"title": loaded.title, "bodies": loaded.count, "units": loaded.unit_system.recorded}
+        document = own | asdict(found)
         if materials:
             document["materials"] = materials.described
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document)
         return
     from carom.cli.materials import materials_table
     from carom.cli.terminal import Terminal

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, SetOption, seconds, simulated
 from carom.cli.text import say
@@ -71,8 +72,6 @@ def fork(
     Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
     the band that all forks span.
     """
-    import json
-
     from carom.experiment.error import ExperimentError
     from carom.experiment.fork.branch import Branch, start_of
     from carom.experiment.output import refuse_output
@@ -101,7 +100,7 @@ def fork(
         else:
             document, lines = _many(start, branch, target, seeds, ulps, outcome, times, when)
     if as_json:
-        say(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document)
         return
     for line in [*lines, f"{target} written; {command('view', target)}"]:
         say(line)
@@ -208,7 +207,7 @@ def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevit
         "median": numbers(found.band[1]),
         "high": numbers(found.band[2]),
         "growth": None if found.growth is None else asdict(found.growth),
-        "rates": {"count": len(found.rates), "median": _median(found), "spread": _finite(found.rate_error)},
+        "rates": {"count": len(found.rates), "median": _median(found), "spread": found.rate_error},
         "spread": numbers(found.spread[-1]) if len(found.spread) else [],
         "outcome": None
         if outcome is None
@@ -230,12 +229,6 @@ def _median(found: Ensemble) -> float | None:
     import numpy as np
 
     return float(np.median(found.rates)) if len(found.rates) else None
-
-
-def _finite(value: float) -> float | None:
-    from math import isfinite
-
-    return value if isfinite(value) else None
 
 
 def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption
 from carom.cli.shrink import budget
 from carom.cli.text import say
@@ -43,7 +44,6 @@ def hunt(
 
     The first miss of each law is shrunk and filed as a scene with its recording. Exit with 1 if there is one.
     """
-    import json
     import secrets
 
     from carom.experiment.hunt.hunt import Hunt, as_document
@@ -53,7 +53,7 @@ def hunt(
         say(f"seed {chosen}")
     tally = _watched(Hunt(chosen, folder, seconds, first, scenes), quiet=as_json)
     if as_json:
-        say(json.dumps(as_document(tally), indent=2, ensure_ascii=False))
+        say_json(as_document(tally))
     else:
         _print(tally)
     if tally.misses:

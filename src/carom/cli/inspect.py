@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
-from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
@@ -25,8 +25,6 @@ def inspect(
     as_json: JsonOption = False,
 ) -> None:
     """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions."""
-    import json
-
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
 
@@ -34,7 +32,7 @@ def inspect(
         recording = Recording.open(path)
         summary, units = recording.summary(), recording.units
     if as_json:
-        say(json.dumps(summary, indent=2, ensure_ascii=False))
+        say_json(summary)
         return
     from carom.cli.materials import materials_table
     from carom.cli.terminal import Terminal

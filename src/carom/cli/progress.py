@@ -21,6 +21,7 @@ from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 
 class Progress(LiveLine):
@@ -30,6 +31,11 @@ class Progress(LiveLine):
         super().__init__(quiet)
         self._scene = scene
         self._heading = heading  # before the title
+
+    @property
+    def units(self) -> UnitSystem:
+        """The units of the scene."""
+        return self._scene.unit_system
 
     def __enter__(self) -> Self:
         self._restart()

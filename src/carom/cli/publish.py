@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.text import say
 
@@ -21,7 +22,6 @@ def publish(
     as_json: JsonOption = False,
 ) -> None:
     """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve."""
-    import json
     import shlex
     from dataclasses import asdict
 
@@ -37,7 +37,7 @@ def publish(
     announce_compilation()
     made = make(recording, folder, lambda what: say(f"Writing {what} …", err=True))
     if as_json:
-        say(json.dumps({**asdict(made), "path": str(folder)}, indent=2))
+        say_json({**asdict(made), "path": str(folder)})
         return
     moments = "1 moment" if made.moments == 1 else f"{made.moments} moments"
     say(f"{folder} written, {bytes_text(made.size)}: {moments}.")

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
 from carom.cli.text import say
 from carom.scene.units.dimension import TIME
@@ -23,12 +24,13 @@ def repair(
     as_json: JsonOption = False,
 ) -> None:
     """Write what can be read of a damaged recording, or of a run that was killed, to a new file."""
-    import json
     from contextlib import nullcontext
     from dataclasses import asdict
 
     from carom.experiment.output import refuse_output
     from carom.recording.edit.repair import repair as mend
+    from carom.recording.edit.repair import units_of
+    from carom.recording.read.recording import Recording
     from carom.recording.write.claim import Claim
 
     path = _path(file, output, in_place)
@@ -41,17 +43,15 @@ def repair(
             file.replace(torn)
             path.replace(file)
             path = file
+    units = units_of(Recording.open(file if done.path is None else path))
     if as_json:
-        say(json.dumps(asdict(done) | {"path": None if done.path is None else str(path)}, indent=2))
+        say_json({"units": units.recorded, **asdict(done), "path": None if done.path is None else str(path)})
     elif done.path is None:
         say(f"{file}: nothing to repair.")
     else:
-        from carom.recording.edit.repair import units_of
-        from carom.recording.read.recording import Recording
-
         reach = "no frame"
         if done.end is not None:
-            reach = f"{done.frames} frames, to t = {units_of(Recording.open(path)).text(done.end, TIME)}"
+            reach = f"{done.frames} frames, to t = {units.text(done.end, TIME)}"
         say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
         for piece in done.lost:
             say(f"lost: {piece}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds, simulated
 from carom.cli.text import say
 from carom.cli.units import duration_text
@@ -44,8 +45,6 @@ def replay(
 
     FILE may be the zip that `carom report` made.
     """
-    import json
-
     from carom.cli.compiling import announce_compilation
     from carom.experiment.replay import replay as run_again
     from carom.physics.error import PhysicsError
@@ -78,7 +77,7 @@ def replay(
         say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
-        say(json.dumps(_document(result, units), indent=2))
+        say_json(_document(result, units))
     else:
         _print(result, units)
     if not result.same:
@@ -117,7 +116,8 @@ def _print(result: Replay, units: UnitSystem) -> None:
 def _document(result: Replay, units: UnitSystem) -> dict[str, Any]:
     from dataclasses import asdict
 
-    found = {**asdict(result), "dense": None if result.dense is None else str(result.dense), "same": result.same}
+    dense = None if result.dense is None else str(result.dense)
+    found = {"units": units.recorded, **asdict(result), "dense": dense, "same": result.same}
     if result.difference:
         found["difference"]["unit"] = units.recorded_unit(result.difference.unit)
     return found

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.units.dimension import TIME
@@ -27,7 +28,6 @@ def report(
     as_json: JsonOption = False,
 ) -> None:
     """Pack a bug report into a zip of less than 10 MB: clip, scene, picture, versions and a summary to paste."""
-    import json
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
@@ -42,7 +42,7 @@ def report(
     announce_compilation()
     made = make(recording, path, simulated_or_none(at, recording.units))
     if as_json:
-        say(json.dumps({**asdict(made), "path": str(path)}, indent=2))
+        say_json({"units": recording.units.recorded, **asdict(made), "path": str(path)})
         return
     when = recording.units.text(made.time, TIME, ".9g")
     say(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {when},")

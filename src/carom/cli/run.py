@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, LiveOption, SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
 from carom.scene.command import command
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from carom.cli.progress import Progress
     from carom.experiment.run import Outcome
     from carom.scene.schema import Scene
+    from carom.scene.units.system import UnitSystem
 
 
 def run(
@@ -94,12 +96,10 @@ def telling_of(path: Path) -> Iterator[None]:
 
 def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     """Say how a run ended; exit with 1 if it did not end well."""
-    import json
-
     from carom.experiment.ending import in_words
 
     if as_json:
-        say(json.dumps(_document(outcome), indent=2))
+        say_json(_document(outcome, progress.units))
     else:
         progress.summarise(outcome)
     if not outcome.ok:
@@ -119,8 +119,8 @@ def live_viewer() -> str | None:
         return None
 
 
-def _document(outcome: Outcome) -> dict[str, Any]:
+def _document(outcome: Outcome, units: UnitSystem) -> dict[str, Any]:
     from dataclasses import asdict
 
-    document = asdict(outcome)
-    return {**document, "path": str(outcome.path), "ok": outcome.ok}
+    document = asdict(outcome) | {"path": str(outcome.path), "ok": outcome.ok}
+    return {"units": units.recorded, **document}

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption
 from carom.scene.command import command
 
@@ -18,8 +19,6 @@ def scenes(
     as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the bundled scenes."""
-    import json
-
     from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
     from carom.scene.schema import Scene
 
@@ -34,7 +33,7 @@ def scenes(
             {"name": name, "title": scene.title, "bodies": scene.count, "path": str(path)}
             for name, (path, scene) in found.items()
         ]
-        typer.echo(json.dumps(rows, indent=2, ensure_ascii=False))
+        say_json(rows)
         return
     from rich.table import Table
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, SetOption
 from carom.cli.text import say
 from carom.scene.command import command
@@ -85,7 +86,6 @@ def shrink(
     It leaves out time, bodies, parts of the model, keys and digits, as long as the failure stays. Ctrl-C and the end
     of the budget keep the smallest scene so far; the same command continues from it.
     """
-    import json
     from dataclasses import asdict
 
     from carom.experiment.output import refuse_output
@@ -102,7 +102,10 @@ def shrink(
     key = key_of(given.scene.toml, asked.text)
     known = None if force else earlier(path, key)
     if known and known.finished:
-        say(f"{path} is the smallest scene already; give --force to find it again.")
+        if as_json:
+            say_json({"file": str(path), "condition": asked.text, "minimal": True, "before": known.before})
+        else:
+            say(f"{path} is the smallest scene already; give --force to find it again.")
         return
     if while_command is not None and workers is None:
         workers = 1  # two commands at a time may get into each other's way
@@ -114,7 +117,7 @@ def shrink(
     result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}
-        say(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document)
     else:
         _print(result, path)
 

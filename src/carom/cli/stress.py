@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import SetOption
-from carom.cli.text import say
 from carom.experiment.ending import in_words
 from carom.scene.command import command
 from carom.scene.units.dimension import TIME
@@ -33,8 +33,6 @@ def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
-    import json
-
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
     from carom.experiment.output import output_folder
@@ -55,7 +53,7 @@ def stress(
     except KeyboardInterrupt:  # between two runs; within one, the run itself ends and says so
         pass
     if as_json:
-        say(json.dumps(_document(trials, len(scenes)), indent=2, ensure_ascii=False))
+        say_json(_document(trials, scenes))
     else:
         _show(trials, scenes)
     if sum(trial.met for trial in trials) < len(scenes):
@@ -133,23 +131,24 @@ def _worst(trial: Trial, units: UnitSystem) -> Table:
     return table
 
 
-def _document(trials: list[Trial], asked: int) -> dict[str, Any]:
+def _document(trials: list[Trial], scenes: dict[str, Scene]) -> dict[str, Any]:
     from carom.experiment.environment import versions
 
     return {
         "met": sum(trial.met for trial in trials),
-        "asked": asked,
+        "asked": len(scenes),
         "versions": versions(),
-        "extremes": [_entry(trial) for trial in trials],
+        "extremes": [_entry(trial, scenes[trial.name].unit_system) for trial in trials],
     }
 
 
-def _entry(trial: Trial) -> dict[str, Any]:
+def _entry(trial: Trial, units: UnitSystem) -> dict[str, Any]:
     from dataclasses import asdict
 
     entry: dict[str, Any] = {
         "name": trial.name,
         "title": trial.title,
+        "units": units.recorded,
         "met": trial.met,
         "status": trial.status,
         "reason": trial.reason,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import SetOption, bundled
 from carom.scene.command import command
 
@@ -167,12 +168,10 @@ def _run(
 
 def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> None:
     """Say how a sweep ended."""
-    import json
-
     if ending.untabled:
         typer.echo(f"carom: {ending.untabled}", err=True)
     if as_json:
-        typer.echo(json.dumps(_document(ending, figure), indent=2, ensure_ascii=False))
+        say_json(_document(ending, figure))
         return
     runs = ending.manifest.asked
     done = len(runs) - len(ending.failed) - ending.left
@@ -200,6 +199,7 @@ def _document(ending: Ending, figure: Path | None) -> dict[str, Any]:
         "missed": [run.name for run in ending.missed],
         "left": ending.left,
         "stopped": ending.stopped,
+        "units": ending.manifest.plan.units,
         "folder": str(ending.manifest.folder.root),
         "figure": str(figure) if figure else None,
         "entries": [asdict(run) for run in ending.manifest.asked],

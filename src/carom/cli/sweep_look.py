@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from carom.cli.extras import needing
-from carom.cli.text import say
+from carom.cli.json_output import say_json
 
 if TYPE_CHECKING:
     from carom.experiment.sweep.table import Row
@@ -26,10 +26,10 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     from carom.cli.terminal import Terminal
     from carom.experiment.sweep.table import chosen, known
 
-    rows, varied, title = _rows(folder)
+    rows, stored = _rows(folder)
     wanted = [known(key, rows) for key in columns.split(",")] if columns else [key for key in SHOWN if key in rows[0]]
     found = chosen(rows, conditions, sort)
-    named = [*varied, *wanted, *([known(sort.removeprefix("-"), rows)] if sort else []), "outcome"]
+    named = [*stored["varied"], *wanted, *([known(sort.removeprefix("-"), rows)] if sort else []), "outcome"]
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     keys = list(dict.fromkeys(named))
     for key in keys:
@@ -39,7 +39,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     console = Terminal(markup=True)
     if not console.is_terminal:
         console.width = PIPE_WIDTH
-    console.print(escape(title))
+    console.print(escape(stored["title"]))
     console.print(table)
     counts = f"{len(found)} of {len(rows)} runs" if len(found) < len(rows) else f"{len(rows)} runs"
     console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
@@ -47,13 +47,12 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
 
 def print_json(folder: Path, conditions: list[str], sort: str | None) -> None:
     """Print the rows of a sweep."""
-    import json
-
     from carom.experiment.sweep.table import chosen
 
-    rows, varied, title = _rows(folder)
-    document = {"title": title, "varied": varied, "rows": chosen(rows, conditions, sort)}
-    say(json.dumps(document, indent=2, ensure_ascii=False))
+    rows, stored = _rows(folder)
+    head = {"title": stored["title"], "units": stored.get("units"), "varied": stored["varied"]}
+    document = {**head, "rows": chosen(rows, conditions, sort)}
+    say_json(document)
 
 
 def refuse_plot(plot: tuple[str, str]) -> None:
@@ -70,9 +69,9 @@ def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
     x, y = _axes(plot)
     with needing("plot", "carom sweep --plot", "matplotlib"):
         from carom.experiment.sweep.figure import figure
-    rows, varied, title = _rows(folder)
+    rows, stored = _rows(folder)
     path = folder / f"{y}-over-{x}.png"
-    figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), varied, title, path)
+    figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
     return path
 
 
@@ -87,13 +86,13 @@ def serve(folder: Path) -> None:
     serve_catalog(folder.resolve().name, paths, typer.echo)
 
 
-def _rows(folder: Path) -> tuple[list[Row], list[str], str]:
+def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:
+    """Return the rows of a sweep, and its manifest."""
     from carom.experiment.sweep.folder import Folder
     from carom.experiment.sweep.manifest import read, stored_runs
     from carom.experiment.sweep.table import rows_of
 
-    stored = read(Folder(folder))
-    return rows_of(stored_runs(Folder(folder))), stored["varied"], stored["title"]
+    return rows_of(stored_runs(Folder(folder))), read(Folder(folder))
 
 
 def _axes(plot: tuple[str, str]) -> tuple[str, str]:

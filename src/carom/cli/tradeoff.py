@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
 from carom.scene.command import command
@@ -88,8 +89,6 @@ def tradeoff(
 
     Measurements are kept; the same command continues where it stopped.
     """
-    import json
-
     from carom.experiment.engines.engine import engines_called
     from carom.experiment.work_precision.settings_grid import default_settings
 
@@ -99,7 +98,7 @@ def tradeoff(
     wanted += [setting for engine in others for setting in engine.settings(study.scene)]
     finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
     if as_json:
-        say(json.dumps(study.document(), indent=2, ensure_ascii=False))
+        say_json(study.document())
     else:
         _show(study)
     _draw(study, quiet=as_json)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, LimitOption, RepeatsOption, opened, ran, table_of
@@ -60,8 +61,6 @@ def tune(
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """
-    import json
-
     from carom.experiment.output import refuse_output
     from carom.experiment.work_precision.tune import limits, tuned, write
 
@@ -81,7 +80,7 @@ def tune(
         write(tuning, path)
     if as_json:
         document = tuning.document() | {"file": str(path) if tuning.best else None}
-        say(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document)
     elif tuning.best is not None:
         say("\n".join([*_lines(tuning), f"Written to {path}. The measurements stay in {study.folder}."]))
     if tuning.best is None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption
 
 
 def warmup(as_json: JsonOption = False) -> None:
     """Compile all kernels now, so that later runs start at once."""
-    import json
     from dataclasses import asdict
 
     from carom.cli.compiling import NO_CACHE
@@ -20,7 +20,7 @@ def warmup(as_json: JsonOption = False) -> None:
         typer.echo("Compiling what is not in the cache …", err=True)
     warmth = warm_up()
     if as_json:
-        typer.echo(json.dumps(asdict(warmth), indent=2, ensure_ascii=False))
+        say_json(asdict(warmth))
     else:
         where = f"cache: {warmth.cache}" if warmth.cache else NO_CACHE
         typer.echo(f"{warmth.compiled} kernels compiled in {duration_text(warmth.seconds)}; {where}")

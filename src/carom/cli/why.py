@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.command import command
@@ -61,8 +62,6 @@ def why(
     The steps before the moment are run again, so any recording can be asked. FILE may be the zip that `carom report`
     made.
     """
-    import json
-
     from carom.cli.replaying import replaying
     from carom.experiment.output import refuse_output
     from carom.experiment.why.picture import write_answer
@@ -88,7 +87,7 @@ def why(
         if output is not None:
             write_answer(output, recording, answer, _markdown(answer, names, units))
         if as_json:
-            say(json.dumps(_document(answer, names, units), indent=2, ensure_ascii=False))
+            say_json(_document(answer, names, units))
         else:
             _print(answer, names, units, file)
             if output is not None:

@@ -53,6 +53,7 @@ class _Stored(BaseModel):
     scene: str
     varied: list[str]
     versions: dict[str, str]
+    units: str | None = None  # manifests of before did not name them
     runs: Annotated[list[Run], Field(min_length=1)]
 
 
@@ -145,6 +146,7 @@ class Manifest:
             "title": self.plan.title,
             "scene": self.plan.digest,
             "varied": list(self.plan.varied),
+            "units": self.plan.units,
             "versions": versions(),
             "command": self.command,
             "counts": dict(Counter(run.status for run in self.runs.values())),

@@ -48,6 +48,7 @@ class Plan:
     varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
     points: tuple[Point, ...]
     files: Mapping[str, Path] = field(default_factory=dict)  # data files that the scene reads, by the names it gives
+    units: str = "SI"  # of the results, as `UnitSystem.recorded` names them
 
     @property
     def digest(self) -> str:
@@ -103,7 +104,7 @@ def plan(
     text = _without_sweep(scene.toml)
     points = tuple(_point(row, _short_names(varied)) for row in rows)
     _refuse_hopeless(text, points, scene.held)
-    return Plan(scene.title, text, varied, points, _data_files(scene, points))
+    return Plan(scene.title, text, varied, points, _data_files(scene, points), scene.unit_system.recorded)
 
 
 def _data_files(scene: Scene, points: Sequence[Point]) -> dict[str, Path]:

@@ -172,6 +172,7 @@ class Study:
         marks = {error: self.marks(error) for error in NAMES}
         return {
             "version": VERSION,
+            "units": self.scene.unit_system.recorded,
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
             "environment": environment(self.threads or 0),
             "noise": self.noise,

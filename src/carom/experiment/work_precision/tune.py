@@ -97,6 +97,7 @@ class Tuning:
         """Return the result as a JSON document."""
         best, speed = self.best, self.speed
         return {
+            "units": self.study.scene.unit_system.recorded,
             "scene": {"title": self.study.scene.title, "bodies": self.study.scene.count},
             "limits": self.limits,
             "tried": len(self.tried),
