@@ -26,7 +26,7 @@ from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.forces.gravity.direct import FEW
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import FrameStore
 from carom.physics.parallel.thread_team import SOLO, load_helpers
 from carom.physics.placement import place
@@ -43,7 +43,7 @@ from carom.scene.units.system import SI
 _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
 POINTS: dict[str, Any] = {
     "title": "points that pull each other",
-    "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, FEW + 1))],
+    "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, MAX_IN_ONE_BLOCK + 1))],
     "gravity": {"constant": 1.0},
     "contact": {"enabled": False},
     "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},

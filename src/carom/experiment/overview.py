@@ -35,9 +35,9 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
         if moment and not (name == "overlap" and moment["value"] == 0.0):
-            who = f", {moment['between']}" if moment["between"] else ""
+            between = f", {moment['between']}" if moment["between"] else ""
             value = value_shown(name, moment["value"], units)
-            found.append(Moment(wording.format(value=value) + who, moment["step"], moment["time"]))
+            found.append(Moment(wording.format(value=value) + between, moment["step"], moment["time"]))
     return found
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from carom.experiment.run import run
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.union_find import number_sets
-from carom.physics.forces.gravity.direct import FEW
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.parallel.jit import Compilations, cache_folder
 from carom.physics.parallel.thread_team import load_helpers, sharing_all
 from carom.scene.schema import Scene
@@ -57,7 +57,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},
     },
     "a crowd, in lanes": {
-        "group": [_CROWD[0] | {"count": FEW + 1}],
+        "group": [_CROWD[0] | {"count": MAX_IN_ONE_BLOCK + 1}],
         "gravity": {"constant": 1.0},
         "contact": {"enabled": False},
         "time": {"duration": 0.1, "max_dt": 0.02, "integrator": "leapfrog"},

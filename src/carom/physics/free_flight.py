@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.solver.contact_solver import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import remembered
-from carom.physics.forces.gravity.direct import FEW, pull_few
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.parallel.jit import borrowing, entry_of, unowned
@@ -181,7 +181,7 @@ def can_fly(world: World) -> bool:
     is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
     loses_turns = world.is_periodic and world.contact is None  # which a step refuses; contacts are nearer
     known = world.forces.few is not None
-    return len(world.bodies) <= FEW and known and not is_audited and not loses_turns
+    return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
 
 
 @borrowing

@@ -16,9 +16,9 @@ FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
-MANY = 100  # bodies; from this number on an "auto" step is a tenth of the time of a fall through the smallest radius
+STEP_GROWS_UP_TO = 100  # bodies; "auto" steps of more are a tenth of the time of a fall through the smallest radius
 STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they get shorter ones for accurate flights;
-# bodies that contacts hold get the step of `MANY` (docs/physics.md, 3)
+# bodies that contacts hold get the step of `STEP_GROWS_UP_TO` (docs/physics.md, 3)
 
 SMOOTH_UP_TO = 8  # bodies without contacts: with more, a step that does not follow the pulls misses encounters, and
 # fourth order then gains less than it costs
@@ -151,12 +151,12 @@ def held_dx(scene: Scene) -> float | None:
     A short step makes the flights between bounces exact. A held body does not fly, because the pull on it is balanced.
     The step of many bodies, a tenth of a fall, is short enough to hold it.
     """
-    if scene.time.target_dx != "auto" or scene.count >= MANY or scene.contact.solver != "lasting":
+    if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
     contact = contacts.contact(scene)
     if not contacts.resting(scene, contact).modelled:
         return None
-    return (STEP_PER_BODY * MANY) ** 2 * smallest_radius(scene)
+    return (STEP_PER_BODY * STEP_GROWS_UP_TO) ** 2 * smallest_radius(scene)
 
 
 def cfl(scene: Scene) -> float | None:
@@ -202,7 +202,7 @@ def smallest_radius(scene: Scene) -> float:
 
 def auto_step(scene: Scene) -> float:
     """Return an "auto" step as a fraction of the time of a fall from rest through the smallest radius."""
-    return STEP_PER_BODY * min(scene.count, MANY)
+    return STEP_PER_BODY * min(scene.count, STEP_GROWS_UP_TO)
 
 
 def frame_interval(scene: Scene) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from carom.plan.auto import (
     FREE_CFL,
-    MANY,
+    STEP_GROWS_UP_TO,
     STEP_PER_BODY,
     auto_interval,
     cfl,
@@ -81,7 +81,7 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
     def wider(limit: float | None, widest: float) -> float | None:
         return None if limit is None else min(stride * limit, max(limit, widest))
 
-    reach, fall = target_dx(scene), STEP_PER_BODY * MANY * math.sqrt(smallest_radius(scene))
+    reach, fall = target_dx(scene), STEP_PER_BODY * STEP_GROWS_UP_TO * math.sqrt(smallest_radius(scene))
     rest = held_dx(scene)
     root = wider(None if reach is None else math.sqrt(reach), fall)
     return StepLimits(

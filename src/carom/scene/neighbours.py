@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 PairArray = NDArray[np.int64]
 
-FEW = 64  # bodies, up to which all pairs are tested: SciPy takes longer to import than a short run
+ALL_PAIRS_UP_TO = 64  # bodies; SciPy takes longer to import than a short run
 MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
 QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
 
@@ -85,7 +85,7 @@ _EMPTY = np.empty((0, 2), dtype=np.int64)
 
 def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> list[PairArray]:
     """Return pairs that may overlap, from every pair of size classes."""
-    if len(radius) <= FEW:
+    if len(radius) <= ALL_PAIRS_UP_TO:
         return [np.column_stack(np.triu_indices(len(radius), 1))]
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 

@@ -158,7 +158,7 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
     T = L / U
     reach = draw.choice(None, 0.001, 0.01, 0.1, 1.0)
     time: Document = {
-        "duration": 1e9 * T,  # who runs it counts steps
+        "duration": 1e9 * T,  # the run ends after a number of steps
         "integrator": draw.choice("euler", "leapfrog", "yoshida4"),
         "max_dt": T * decade(draw, -2, 1),
         "target_dx": "auto" if reach is None else L * reach,

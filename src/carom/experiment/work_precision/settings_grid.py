@@ -22,7 +22,7 @@ STEP = "step"  # a pseudo-key: a factor on the step under any limit
 THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
 STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
-FEW = 20  # bodies; a tree is tried only for more
+DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
 MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
 ACCURACIES = ("1e-4", "1e-8")
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator", "accuracy")
@@ -94,7 +94,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         if parts.adaptive_step.modelled:
             found["time.velocity_limit"] = ("every-body", "fastest-body")
             found["time.smoothing"] = ("1",)
-    if parts.contact.modelled and parts.gravity.modelled and scene.count > FEW:
+    if parts.contact.modelled and parts.gravity.modelled and scene.count > DIRECT_UP_TO:
         if uses_tree(scene):
             found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
             if gravity_method(scene) == "tree":

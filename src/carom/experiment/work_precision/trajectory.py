@@ -31,7 +31,7 @@ IntArray = NDArray[np.int64]
 SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
 LATE = 0.9  # of the samples, from which on bodies are assumed to have come to rest
-FEW, SAMPLES_OF_FEW = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
 UNBOUNDED = RunBound()
@@ -91,7 +91,7 @@ def sample_times(scene: Scene) -> FloatArray:
     The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The
     others are not round numbers, because times of impacts can be, and at such a time a velocity has two values.
     """
-    count = SAMPLES_OF_FEW if scene.count <= FEW else SAMPLES
+    count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count
     fractions[-1] = 1.0
     return np.asarray(scene.time.duration * fractions)
@@ -262,18 +262,18 @@ class _Flight:
         self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
         self._since = np.zeros((len(v), 1))  # s, the last impact of each
 
-    def at(self, h: float | FloatArray, who: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
+    def at(self, h: float | FloatArray, bodies: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
         """Return displacements and velocities h after the beginning, in s."""
-        since, v, jerk = self._since[who], self._v[who], self._jerk[who]
-        s, a = h - since, self._a[who] + since * jerk
-        return self._way[who] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
+        since, v, jerk = self._since[bodies], self._v[bodies], self._jerk[bodies]
+        s, a = h - since, self._a[bodies] + since * jerk
+        return self._way[bodies] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
 
     def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
         """Add an impact at a time in s, with the velocities of the pair right after it."""
         moving = pair < len(self._way)  # planes do not move
-        who = pair[moving]
-        self._way[who], _ = self.at(moment, who)
-        self._v[who], self._since[who] = after[moving], moment
+        bodies = pair[moving]
+        self._way[bodies], _ = self.at(moment, bodies)
+        self._v[bodies], self._since[bodies] = after[moving], moment
 
 
 def between(

@@ -311,11 +311,11 @@ def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: Flags, woken: 
 
 
 @kernel
-def _kick_energy(who: Flags, acceleration: FloatArray, inverse_mass: FloatArray, kick: float) -> float:
-    """Return Σ ½ m (a h)² of some bodies, in J."""
+def _kick_energy(woken: Flags, acceleration: FloatArray, inverse_mass: FloatArray, kick: float) -> float:
+    """Return Σ ½ m (a h)² of the woken bodies, in J."""
     energy = 0.0
-    for i in range(len(who)):
-        if who[i]:
+    for i in range(len(woken)):
+        if woken[i]:
             energy += 0.5 * kick * kick * square(acceleration, i) / inverse_mass[i]
     return energy
 

@@ -124,13 +124,13 @@ class _Given:
             length = np.sqrt((J * J).sum(axis=1))
             moment = np.cross(friction, normal)
             for end, sign in ((0, -1.0), (1, 1.0)):
-                who = some.pairs[:, end]
-                inverse_mass = ends.inverse_mass[who]
-                np.add.at(velocity, who, sign * inverse_mass[:, np.newaxis] * J)
-                np.add.at(speed, who, inverse_mass * length)
+                body = some.pairs[:, end]
+                inverse_mass = ends.inverse_mass[body]
+                np.add.at(velocity, body, sign * inverse_mass[:, np.newaxis] * J)
+                np.add.at(speed, body, inverse_mass * length)
                 if some.turns and len(spin):
-                    turn = some.arms[:, end] * ends.inverse_inertia[who]
-                    np.add.at(spin, who, turn[:, np.newaxis] * moment)
+                    turn = some.arms[:, end] * ends.inverse_inertia[body]
+                    np.add.at(spin, body, turn[:, np.newaxis] * moment)
         return cls(velocity[:n], spin[: len(bodies.angular_velocity)], speed[:n])
 
 

@@ -46,7 +46,7 @@ FEWER_SAMPLES = (4, 32)  # where bodies meet, since pausing costs more than step
 LONGEST = 1.0  # refinement of the longest useful steps
 EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter steps cost more
 EXACT_OF_MANY = 0.125  # likewise for many bodies; in longer steps each has more others within reach
-FEW = 200  # bodies, up to which `EXACT` is taken
+EXACT_UP_TO = 200  # bodies; more take `EXACT_OF_MANY`
 FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
 FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
 HILL_RADII = 3.0  # between orbits, so that encounters are rare
@@ -117,7 +117,7 @@ class _LookAhead:
         if integrator(self._scene).controls_error:
             return self._settle_radau()
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
-            _, twins = self._part_at_impacts(EXACT if self._scene.count <= FEW else EXACT_OF_MANY)
+            _, twins = self._part_at_impacts(EXACT if self._scene.count <= EXACT_UP_TO else EXACT_OF_MANY)
             return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
         return self._settle_steps(integrator(self._scene).order)
 
@@ -194,7 +194,7 @@ class _LookAhead:
 
     def _part_at_impacts(self, refinement: float) -> tuple[TrialRun, Twins]:
         """Return a run with impacts, and how it and its twin diverge."""
-        if self._scene.count > FEW:
+        if self._scene.count > EXACT_UP_TO:
             run = self._run(refinement)
             return run, self._part(run, self._run(refinement, self._twin))
         for count in FEWER_SAMPLES:

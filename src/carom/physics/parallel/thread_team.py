@@ -129,17 +129,17 @@ class Team:
         """Wake sleeping helpers."""
         assert self._pool is not None
         with self._falling_asleep:  # a helper either sees the posted work before it sleeps, or is seen asleep here
-            for who, awake in enumerate(self._awake):
+            for helper, awake in enumerate(self._awake):
                 if not awake:
-                    self._awake[who] = True
-                    self._pool.submit(self._look_out, who)
+                    self._awake[helper] = True
+                    self._pool.submit(self._look_out, helper)
 
-    def _look_out(self, who: int) -> None:
+    def _look_out(self, helper: int) -> None:
         """Help with jobs; return after a while without any."""
-        while self._awake[who]:
+        while self._awake[helper]:
             _look(self._board, OFFER, LOOKOUT)
             with self._falling_asleep:
-                self._awake[who] = bool(self._board[LEFT] > 0)
+                self._awake[helper] = bool(self._board[LEFT] > 0)
 
 
 ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without helpers

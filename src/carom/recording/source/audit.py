@@ -172,15 +172,15 @@ class Audit:
         worst = int(np.argmax(share))
         if share[worst] <= most:
             return
-        who = np.flatnonzero(clusters.label == worst)
-        called, what = self._called(who), law.replace("-", " ").capitalize()
+        members = np.flatnonzero(clusters.label == worst)
+        called, what = self._called(members), law.replace("-", " ").capitalize()
         meanwhile = (
-            "in a contact among themselves" if len(who) > 1 and clusters.touched[worst] else "while nothing touched"
+            "in a contact among themselves" if len(members) > 1 and clusters.touched[worst] else "while nothing touched"
         )
-        if len(who) > 1 and not clusters.touched[worst]:
+        if len(members) > 1 and not clusters.touched[worst]:
             meanwhile = "while they pulled each other"
         text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
-        yield Fault(law, *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
+        yield Fault(law, *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
 
     def _energy(
         self,
@@ -221,11 +221,11 @@ class Audit:
         worst = int(np.argmax(share))
         if share[worst] <= self._tolerances.energy:
             return
-        who = np.flatnonzero(clusters.label == worst)
+        members = np.flatnonzero(clusters.label == worst)
         came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
         much = self._units.text(abs(float(wrong[worst])), ENERGY, ".3g")
-        text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(who)}."
-        yield Fault("energy", *place, float(share[worst]), text, tuple(who[:MOST_NAMED].tolist()))
+        text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(members)}."
+        yield Fault("energy", *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
 
     def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
         """Divide what contacts took among the bodies of each cluster; one that touches nothing is owed nothing."""
@@ -293,10 +293,10 @@ class Audit:
         text = self._names.pair(near.pairs[row].tolist())
         return text[0].upper() + text[1:]
 
-    def _called(self, who: IntArray) -> str:
-        if len(who) == len(self._setup) and len(who) > 2:
+    def _called(self, bodies: IntArray) -> str:
+        if len(bodies) == len(self._setup) > 2:
             return "all bodies together"
-        return bodies_called(who.tolist(), self._names.bodies)
+        return bodies_called(bodies.tolist(), self._names.bodies)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -39,7 +39,7 @@ from carom.physics.parallel.lanes import WIDTH
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 HELD = 1e-8  # of the largest velocity that a contact removes; iterations end when they change velocities by less
-FEWEST = 4  # contacts worth a block
+MIN_PER_BLOCK = 4  # contacts; fewer are solved one by one
 
 
 @unowned
@@ -66,7 +66,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
-    if piece < system.edges[system.settings[0].independent] and hi - lo >= FEWEST:
+    if piece < system.edges[system.settings[0].independent] and hi - lo >= MIN_PER_BLOCK:
         found = _solve_blocks(lo, hi, system, turning)
     else:
         found = _solve_each(lo, hi, system, turning)

@@ -39,7 +39,7 @@ X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
-FEW = LANES  # bodies of one block
+MAX_IN_ONE_BLOCK = LANES  # bodies
 PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder needs the other core
 SLABS = 16  # of equal work, each with sums of its own: the largest number of threads that can share a sum
 
@@ -49,7 +49,7 @@ class DirectGravity:
 
     def __init__(self, mass: FloatArray, constant: float, softening: float, team: Team = SOLO):
         n = len(mass)
-        self._is_few = n <= FEW
+        self._is_few = n <= MAX_IN_ONE_BLOCK
         blocks = -(-n // LANES)
         self._mass = mass
         self._constant = constant
@@ -109,7 +109,7 @@ def inverse_cube(d2: float) -> float:
 def pull_few(
     x: FloatArray, m: FloatArray, G: float, eps2: float, acceleration: FloatArray, potential: FloatArray
 ) -> None:
-    """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of the bodies of one block: at most `FEW`.
+    """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of at most `MAX_IN_ONE_BLOCK` bodies.
 
     A body's terms are added in the order of their sources, and reactions in that of the rows: the order of the lanes.
     """
