@@ -17,6 +17,12 @@ def minimum_image(d: float, L: float) -> float:
     return nearest
 
 
+@inline
+def nearest_image(dx: float, dy: float, dz: float, Lx: float, Ly: float, Lz: float) -> tuple[float, float, float]:
+    """Return a separation to the nearest image in a box of (Lx, Ly, Lz) m; see `minimum_image`."""
+    return minimum_image(dx, Lx), minimum_image(dy, Ly), minimum_image(dz, Lz)
+
+
 def minimum_images(d: FloatArray, box: FloatArray) -> FloatArray:
     """Return separations, (..., 3) m, to the nearest images in a box, (3,) m."""
     return d - box * np.floor(d / box + 0.5)

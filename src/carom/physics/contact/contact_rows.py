@@ -11,8 +11,9 @@ from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_table import IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.law import LAW, Materials, material_index
+from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -99,7 +100,7 @@ def merge(held: Held, struck: Records, found: Found, ends: Ends, step: int, ende
         if a < len(held_pairs) and held_pairs[a, 0] == i and held_pairs[a, 1] == j:
             k = held_place[a]
             _add(row, held_contacts[k])
-            _add_losses(row, terms[k, 0], terms[k, 1], terms[k, 2])
+            _add_losses(row, terms[k, RESTITUTION], terms[k, FRICTION], terms[k, STABILISATION])
             row.mode = _mode(held_contacts[k], materials[material_index(i, j, n, places)], friction)
             if not touches:
                 _place(row, held_contacts[k], position, box)
@@ -146,7 +147,7 @@ def write_log(log: Records, ends: Ends, step: int, began: float, ended: float, r
         row.nx, row.ny, row.nz = entry.nx, entry.ny, entry.nz
         row.x, row.y, row.z = entry.x, entry.y, entry.z
         if box[0] > 0.0:
-            row.x, row.y, row.z = _inside(entry.x, entry.y, entry.z, box)
+            row.x, row.y, row.z = nearest_image(entry.x, entry.y, entry.z, box[0], box[1], box[2])
         _add(row, entry)
         _add_losses(row, entry.restitution_loss, entry.friction_loss, entry.stabilisation_gain)
         row.approach_speed = entry.approach
@@ -181,13 +182,7 @@ def _place(row: Any, contact: Any, position: FloatArray, box: FloatArray) -> Non
     row.nx, row.ny, row.nz = nx, ny, nz
     row.x, row.y, row.z = position[i, 0] + arm * nx, position[i, 1] + arm * ny, position[i, 2] + arm * nz
     if box[0] > 0.0:
-        row.x, row.y, row.z = _inside(row.x, row.y, row.z, box)
-
-
-@inline
-def _inside(x: float, y: float, z: float, box: FloatArray) -> tuple[float, float, float]:
-    """Return the image of a point inside the periodic box."""
-    return minimum_image(x, box[0]), minimum_image(y, box[1]), minimum_image(z, box[2])
+        row.x, row.y, row.z = nearest_image(row.x, row.y, row.z, box[0], box[1], box[2])
 
 
 @inline

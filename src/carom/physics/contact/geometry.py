@@ -7,15 +7,33 @@ not equal the distance, and an impact that is found late turns the body as it wo
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import long_kernel
-from carom.physics.periodic_box import minimum_image
+from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
+
+
+@inline
+def normal_and_distance(dx: float, dy: float, dz: float) -> tuple[float, float, float, float]:
+    """Return the normal of two spheres, (1, 0, 0) if their centres coincide, and the distance of their centres in m."""
+    d = np.sqrt(dx * dx + dy * dy + dz * dz)
+    if d > 0.0:
+        return dx / d, dy / d, dz / d, d
+    return 1.0, 0.0, 0.0, d
+
+
+@inline
+def smaller_arm(contact: Any) -> float:
+    """Return the lever arm of the smaller body, in m; at a plane that of the body."""
+    arm: float = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
+    return arm
 
 
 @long_kernel
@@ -46,14 +64,8 @@ def update_geometry(
             continue
         dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         if box[0] > 0.0:
-            dx = minimum_image(dx, box[0])
-            dy = minimum_image(dy, box[1])
-            dz = minimum_image(dz, box[2])
-        d = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if d > 0.0:
-            contact.nx, contact.ny, contact.nz = dx / d, dy / d, dz / d
-        else:  # coincident centres: always the same direction
-            contact.nx, contact.ny, contact.nz = 1.0, 0.0, 0.0
+            dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+        contact.nx, contact.ny, contact.nz, d = normal_and_distance(dx, dy, dz)
         share = d / (radius[i] + radius[j])
         contact.arm_i, contact.arm_j = share * radius[i], share * radius[j]
         state.overlap = radius[i] + radius[j] - d

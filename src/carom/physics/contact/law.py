@@ -155,6 +155,12 @@ def restitution_at_depth(e: float, vn: float, overlap: float, pull: float) -> fl
 
 
 @inline
+def inverse_tangent_mass(Kn: float, ri: float, rj: float, inverse_inertia_i: float, inverse_inertia_j: float) -> float:
+    """Return K_t = K_n + ρ_i²/I_i + ρ_j²/I_j in 1/kg, the change of the slip by a tangential impulse of 1 N s."""
+    return Kn + ri * ri * inverse_inertia_i + rj * rj * inverse_inertia_j
+
+
+@inline
 def normal_loss(Jn: float, vn: float, Kn: float) -> float:
     """Return the energy in J that a normal impulse takes out, given v_n before it and K_n = 1/m_i + 1/m_j."""
     return -Jn * (vn + 0.5 * Jn * Kn)

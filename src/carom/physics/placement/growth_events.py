@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.time_of_impact import time_of_impact
 from carom.physics.parallel.jit import inner, long_kernel
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -163,7 +163,7 @@ def _bounce(a: Any, b: Any, box: FloatArray) -> None:
     """Let two spheres rebound; a fixed one has no inverse mass."""
     nx, ny, nz = b.x - a.x, b.y - a.y, b.z - a.z
     if box[0] > 0.0:
-        nx, ny, nz = minimum_image(nx, box[0]), minimum_image(ny, box[1]), minimum_image(nz, box[2])
+        nx, ny, nz = nearest_image(nx, ny, nz, box[0], box[1], box[2])
     d2 = nx * nx + ny * ny + nz * nz
     closing = (a.growth + b.growth) * np.sqrt(d2) - ((b.vx - a.vx) * nx + (b.vy - a.vy) * ny + (b.vz - a.vz) * nz)
     J = 2.0 * closing / (d2 * (a.inverse_mass + b.inverse_mass))
@@ -214,7 +214,7 @@ def _predict(
         t = now - b.now
         dx, dy, dz = (b.x + b.vx * t) - x, (b.y + b.vy * t) - y, (b.z + b.vz * t) - z
         if box[0] > 0.0:
-            dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+            dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
         D, growth = r + b.radius + b.growth * now, a.growth + b.growth
         vx, vy, vz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
         for ix in range(-images, images + 1):

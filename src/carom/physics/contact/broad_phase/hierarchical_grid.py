@@ -21,7 +21,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import minimum_image, nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -174,11 +174,7 @@ def search(
                             other = sphere[b]
                             dx, dy, dz = other.x - x, other.y - y, other.z - z
                             if periodic:
-                                dx, dy, dz = (
-                                    minimum_image(dx, box[0]),
-                                    minimum_image(dy, box[1]),
-                                    minimum_image(dz, box[2]),
-                                )
+                                dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
                             touch = (r + other.radius) * scale + skin
                             if dx * dx + dy * dy + dz * dz <= touch * touch:
                                 if grid.hashed:  # another cell may have the same hash

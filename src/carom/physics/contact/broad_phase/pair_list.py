@@ -18,7 +18,7 @@ from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import minimum_image, nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -154,7 +154,7 @@ def _test(
             dy = position[j, 1] - position[i, 1]
             dz = position[j, 2] - position[i, 2]
             if periodic:
-                dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+                dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
             touch = (radius[i] + radius[j]) * scale + skin
             found[m, 0], found[m, 1] = i, j  # without a branch, which would often be mispredicted
             m += dx * dx + dy * dy + dz * dz <= touch * touch

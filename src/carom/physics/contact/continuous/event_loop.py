@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.time_of_impact import time_of_impact, time_of_impact_in_box
 from carom.physics.contact.continuous.trajectories import ROUNDING, Neighbours, Trajectories, advance, leaves_reach
-from carom.physics.contact.law import LAW, material_index, normal_loss, tangential_loss
+from carom.physics.contact.geometry import normal_and_distance
+from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
 from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import nearest_image
 from carom.physics.rotation import turn_one
 from carom.physics.vector import add, along, between, vector
 
@@ -243,18 +244,14 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         ux, uy, uz = slip_velocity(vx - vn * nx, vy - vn * ny, vz - vn * nz, nx, ny, nz, wx, wy, wz)
         slip = np.sqrt(ux * ux + uy * uy + uz * uz)
         if slip > 0.0:
-            Kt = Kn + ri * ri * T.inverse_inertia[i] + rj * rj * T.inverse_inertia[j]
+            Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
             Jt = LAW.impact_friction(material, Jn, slip / Kt)
             if Jt > 0.0:
                 entry.friction_loss = tangential_loss(Jt, slip, Kt)
                 fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
                 Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
                 entry.friction_x, entry.friction_y, entry.friction_z = fx, fy, fz
-                tx, ty, tz = (
-                    nz * fy - ny * fz,
-                    nx * fz - nz * fx,
-                    ny * fx - nx * fy,
-                )  # the normal part does not turn bodies
+                tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part has no torque
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:
                     _spin_up(j, rj, tx, ty, tz, T)
@@ -277,10 +274,10 @@ def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, fl
         return -N[0], -N[1], -N[2], max(0.0, height), 0.0
     dx, dy, dz = between(x, i, j)
     if T.box[0] > 0.0:
-        dx, dy, dz = minimum_image(dx, T.box[0]), minimum_image(dy, T.box[1]), minimum_image(dz, T.box[2])
-    d = np.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
+    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     share = d / (T.radius[i] + T.radius[j])
-    return dx / d, dy / d, dz / d, share * T.radius[i], share * T.radius[j]
+    return nx, ny, nz, share * T.radius[i], share * T.radius[j]
 
 
 @inner

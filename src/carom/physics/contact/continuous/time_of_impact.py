@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.parallel.jit import kernel
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import nearest_image
 
 
 @kernel
@@ -96,7 +96,7 @@ def time_of_impact_in_box(
     """
     gone = 0.0
     while True:
-        dx, dy, dz = minimum_image(dx, Lx), minimum_image(dy, Ly), minimum_image(dz, Lz)
+        dx, dy, dz = nearest_image(dx, dy, dz, Lx, Ly, Lz)
         leg = span - gone
         leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
         leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
@@ -68,6 +69,25 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
         v[b, 0], v[b, 1], v[b, 2] = body.vx, body.vy, body.vz
         if len(omega) > 0:
             omega[b, 0], omega[b, 1], omega[b, 2] = body.wx, body.wy, body.wz
+
+
+@inline
+def prefetch_velocities(bodies: Records, pairs: IntArray, c: int) -> None:
+    """Fetch the velocities of the two bodies of the contact that comes `AHEAD` places after c."""
+    ahead = min(len(pairs) - 1, c + AHEAD)
+    prefetch_record(bodies, pairs[ahead, 0], 0)
+    prefetch_record(bodies, pairs[ahead, 1], 0)
+
+
+@inline
+def prefetch_records(bodies: Records, pairs: IntArray, c: int) -> None:
+    """Fetch the same, and their changes in the iteration."""
+    ahead = min(len(pairs) - 1, c + AHEAD)
+    i, j = pairs[ahead, 0], pairs[ahead, 1]
+    prefetch_record(bodies, i, 0)
+    prefetch_record(bodies, i, 1)
+    prefetch_record(bodies, j, 0)
+    prefetch_record(bodies, j, 1)
 
 
 # The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n of i and j point in

@@ -16,9 +16,10 @@ spheres.
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
-from carom.physics.contact.solver.velocity import bias_along_arc, change_of_velocity, relative_velocity, slip
+from carom.physics.contact.solver.velocity import bias_of, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import kernel, unowned
 
 # The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
@@ -45,13 +46,11 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
         i, j = system.pairs[c, 0], system.pairs[c, 1]
         contact, state = system.contacts[c], system.states[c]
         vn, ux, uy, uz = relative_velocity(contact, system.bodies[i], system.bodies[j])
-        ri, rj, bias = contact.arm_i, contact.arm_j, contact.velocity_bias
-        if drift > 0.0 and j < count:
-            bias = bias_along_arc(bias, ri + rj, ux, uy, uz, drift)
+        bias = bias_of(contact, j < count, ux, uy, uz, drift)
         missed = -(vn + bias)
         if contact.normal_impulse > 0.0:
             missed = abs(missed)
-        small = min(ri, rj) if rj > 0.0 else ri
+        small = smaller_arm(contact)
         # Before a drift, approach_speed is from the previous step, and checkpoints do not store it.
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
@@ -129,9 +128,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
         i, j = system.pairs[c, 0], system.pairs[c, 1]
         body_i, body_j = system.bodies[i], system.bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        bias = contact.velocity_bias
-        if drift > 0.0 and j < count:
-            bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, ux, uy, uz, drift)
+        bias = bias_of(contact, j < count, ux, uy, uz, drift)
         search.velocity_bias = bias
         if contact.normal_impulse > 0.0 or vn + bias <= 0.0:
             search.free_normal, search.residual_normal = True, -(vn + bias)

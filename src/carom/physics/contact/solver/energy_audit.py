@@ -12,9 +12,9 @@ The entries of the two kicks then cancel for a body that lies still.
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.solver.body_state import prefetch_velocities
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import unowned
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 
 @unowned
@@ -26,11 +26,8 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
     spins = settings.spins
     kick = settings.kick if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
-    last = len(pairs) - 1
     for c in range(lo, hi):
-        ahead = min(last, c + AHEAD)
-        prefetch_record(bodies, pairs[ahead, 0], 0)
-        prefetch_record(bodies, pairs[ahead, 1], 0)
+        prefetch_velocities(bodies, pairs, c)
         contact = system.contacts[c]
         Jn = contact.normal_impulse
         if Jn == 0.0:

@@ -23,12 +23,19 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.continuous.trajectories import ROUNDING
-from carom.physics.contact.law import LAW, material_index, normal_loss, restitution_at_depth, tangential_loss
-from carom.physics.contact.solver.body_state import push, turn
+from carom.physics.contact.geometry import smaller_arm
+from carom.physics.contact.law import (
+    LAW,
+    inverse_tangent_mass,
+    material_index,
+    normal_loss,
+    restitution_at_depth,
+    tangential_loss,
+)
+from carom.physics.contact.solver.body_state import prefetch_velocities, push, turn
 from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import long_kernel, unowned
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -51,11 +58,9 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     records = len(system.recorded) > 0
     bias_rate = settings.bias_rate
     count, places = len(system.position), system.places
-    last = len(pairs) - 1
     largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
-        prefetch_record(bodies, pairs[min(last, c + AHEAD), 0], 0)
-        prefetch_record(bodies, pairs[min(last, c + AHEAD), 1], 0)
+        prefetch_velocities(bodies, pairs, c)
         i, j = pairs[c, 0], pairs[c, 1]
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
@@ -96,7 +101,7 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
             speed = np.sqrt(ux * ux + uy * uy + uz * uz)
             if speed > 0.0:
                 ri, rj = contact.arm_i, contact.arm_j
-                Kt = Kn + ri * ri * body_i.inverse_inertia + rj * rj * body_j.inverse_inertia
+                Kt = inverse_tangent_mass(Kn, ri, rj, body_i.inverse_inertia, body_j.inverse_inertia)
                 Jt = LAW.impact_friction(material, Jn, speed / Kt)
                 state.friction_loss += tangential_loss(Jt, speed, Kt)
                 tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
@@ -143,7 +148,7 @@ def look_for_closing(
             continue
         vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
-        small = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
+        small = smaller_arm(contact)
         left = BAD_ENOUGH * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)
         if -(vn + max(0.0, contact.velocity_bias)) > max(state.rest_speed, negligible, left):
             closing[0] = True

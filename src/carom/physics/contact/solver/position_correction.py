@@ -25,11 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import add, between, vector
 
 FloatArray = NDArray[np.float64]
@@ -97,13 +98,9 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         else:
             dx, dy, dz = between(x, i, j)
             if box[0] > 0.0:
-                dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
-            d = np.sqrt(dx * dx + dy * dy + dz * dz)
+                dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+            nx, ny, nz, d = normal_and_distance(dx, dy, dz)
             reach = radius[i] + radius[j]
-            if d > 0.0:
-                nx, ny, nz = dx / d, dy / d, dz / d
-            else:
-                nx, ny, nz = 1.0, 0.0, 0.0
         overlap = reach - d
         if overlap <= 0.0:
             continue

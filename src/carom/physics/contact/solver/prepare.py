@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.geometry import smaller_arm
+from carom.physics.contact.law import inverse_tangent_mass
+from carom.physics.contact.solver.body_state import prefetch_velocities
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import unowned
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
 # rounding is 1e-16 of that velocity
@@ -27,19 +29,16 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
     spins = settings.spins
     dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
     largest = 0.0  # m/s, the largest velocity that a contact removes
-    last = len(pairs) - 1
     for c in range(lo, hi):
-        ahead = min(last, c + AHEAD)
-        prefetch_record(bodies, pairs[ahead, 0], 0)
-        prefetch_record(bodies, pairs[ahead, 1], 0)
+        prefetch_velocities(bodies, pairs, c)
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
         Kn = body_i.inverse_mass + body_j.inverse_mass
         contact.normal_mass = 1.0 / Kn
         vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
         state.normal_before = vn
         if spins:
-            ri, rj = contact.arm_i, contact.arm_j
-            contact.tangent_mass = 1.0 / (Kn + ri * ri * body_i.inverse_inertia + rj * rj * body_j.inverse_inertia)
+            Kt = inverse_tangent_mass(Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia)
+            contact.tangent_mass = 1.0 / Kt
             state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
         gap, rest_speed = -state.overlap, state.rest_speed
         if drift > 0.0:
@@ -51,8 +50,7 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
             fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # impacts of touching pairs are resolved
         contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
         system.held[c] = not -vn > fastest
-        small = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
-        negligible = min(PART_OF_REST * rest_speed, PART_OF_RADIUS * small / dt)
+        negligible = min(PART_OF_REST * rest_speed, PART_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
         if system.held[c]:
             largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)

@@ -30,13 +30,13 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.law import LAW, material_index
-from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, push, turn
+from carom.physics.contact.law import material_index
+from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
+from carom.physics.contact.solver.friction import friction
 from carom.physics.contact.solver.solve_block import solve_block
-from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
+from carom.physics.contact.solver.velocity import bias_of, relative_velocity, slip
 from carom.physics.parallel.jit import inline, unowned
 from carom.physics.parallel.lanes import WIDTH
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 
 HELD = 1e-8  # of the largest velocity that a contact removes; iterations end when they change velocities by less
 MIN_PER_BLOCK = 4  # contacts; fewer are solved one by one
@@ -83,15 +83,9 @@ def _solve_blocks(
     materials, places, settings, count = system.materials, system.places, system.settings[0], len(system.position)
     alpha, drift, keeps_sliding = settings.alpha, settings.drift, settings.keeps_sliding
     change, step_limit, slope = 0.0, np.inf, 0.0
-    last = len(pairs) - 1
     for first in range(lo, hi, WIDTH):
-        for c in range(first + AHEAD, first + AHEAD + WIDTH):
-            ahead = min(last, c)
-            i, j = pairs[ahead, 0], pairs[ahead, 1]
-            prefetch_record(bodies, i, 0)
-            prefetch_record(bodies, i, 1)
-            prefetch_record(bodies, j, 0)
-            prefetch_record(bodies, j, 1)
+        for c in range(first, first + WIDTH):
+            prefetch_records(bodies, pairs, c)
         change, step_limit, slope = solve_block(
             pairs,
             held,
@@ -125,22 +119,14 @@ def _solve_each(
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
     count, places = len(system.position), system.places
     change, step_limit, slope = 0.0, np.inf, 0.0
-    last = len(pairs) - 1
     for c in range(lo, hi):
-        ahead = min(last, c + AHEAD)
-        i, j = pairs[ahead, 0], pairs[ahead, 1]
-        prefetch_record(bodies, i, 0)
-        prefetch_record(bodies, i, 1)
-        prefetch_record(bodies, j, 0)
-        prefetch_record(bodies, j, 1)
+        prefetch_records(bodies, pairs, c)
         if not system.held[c]:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        contact, body_i, body_j = system.contacts[c], bodies[i], bodies[j]
+        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        bias = contact.velocity_bias
-        if drift > 0.0 and j < count:
-            bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, ux, uy, uz, drift)
+        bias = bias_of(contact, j < count, ux, uy, uz, drift)
         old = contact.normal_impulse + alpha * contact.delta_normal
         normal = max(0.0, old - (vn + bias) * contact.normal_mass)  # clamp the total, not the increment
         more = normal - old
@@ -158,11 +144,7 @@ def _solve_each(
             oz = contact.friction_z + alpha * contact.delta_z
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(i, j, count, places)]
-            if keeps_sliding and (system.states[c].slides or not LAW.sticks(material, normal, tx, ty, tz)):
-                system.states[c].slides = True
-                tx, ty, tz = LAW.sliding_friction(material, normal, tx, ty, tz)
-            else:
-                tx, ty, tz = LAW.lasting_friction(material, normal, tx, ty, tz)
+            tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
             contact.delta_x, contact.delta_y, contact.delta_z = dx, dy, dz

@@ -14,7 +14,7 @@ from llvmlite import ir
 from numba import types
 
 from carom.physics.contact.constraints import BODY_STATE, CONTACT
-from carom.physics.contact.law import LAW
+from carom.physics.contact.solver.friction import friction
 from carom.physics.parallel.intrinsics import address_in, instruction
 from carom.physics.parallel.lanes import (
     LINE,
@@ -166,7 +166,7 @@ class _Block:
             found = self._address("states", self._places[k]), self._material(self._ends[0][k], self._ends[1][k])
             numbers = [value.lane(k) for value in (normal, *ending)]
             asked = [*found, self._held[k], given["keeps_sliding"], *numbers]
-            rub = context.compile_internal(builder, _friction, signature, asked)
+            rub = context.compile_internal(builder, _friction_if_held, signature, asked)
             rubs.append([builder.extract_value(rub, axis) for axis in range(3)])
         return [gathered(builder, [rub[axis] for rub in rubs]) for axis in range(3)]
 
@@ -205,16 +205,12 @@ class _Block:
         return found
 
 
-def _friction(
+def _friction_if_held(
     state: Any, material: Any, held: bool, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, ...]:
-    """Return the friction of a contact, given the one that would end the slip."""
+    """Return the friction of a contact, given the one that would end the slip; of one that is not held, the latter."""
     if held:
-        if keeps_sliding and (state.slides or not LAW.sticks(material, normal, tx, ty, tz)):
-            state.slides = True
-            tx, ty, tz = LAW.sliding_friction(material, normal, tx, ty, tz)
-        else:
-            tx, ty, tz = LAW.lasting_friction(material, normal, tx, ty, tz)
+        tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
     return tx, ty, tz
 
 

@@ -61,6 +61,15 @@ def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, floa
 
 
 @inline
+def bias_of(contact: Any, between_bodies: bool, tx: float, ty: float, tz: float, drift: float) -> float:
+    """Return the bias c of a contact at these velocities, in m/s: after a drift of two bodies `bias_along_arc`."""
+    bias: float = contact.velocity_bias
+    if drift > 0.0 and between_bodies:
+        bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, tx, ty, tz, drift)
+    return bias
+
+
+@inline
 def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, drift: float) -> float:
     """Return the speed c at which a contact may close so that it just touches after a drift, in m/s.
 

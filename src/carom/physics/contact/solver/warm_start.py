@@ -15,7 +15,7 @@ from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem
 from carom.physics.contact.law import IMPULSES
-from carom.physics.contact.solver.body_state import apply_impulse
+from carom.physics.contact.solver.body_state import apply_impulse, prefetch_velocities
 from carom.physics.parallel.jit import kernel, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
@@ -124,11 +124,8 @@ def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
     """Apply the impulses from which the contacts of a piece start."""
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
-    last = len(pairs) - 1
     for c in range(lo, hi):
-        ahead = min(last, c + AHEAD)
-        prefetch_record(bodies, pairs[ahead, 0], 0)
-        prefetch_record(bodies, pairs[ahead, 1], 0)
+        prefetch_velocities(bodies, pairs, c)
         contact, body_i, body_j = system.contacts[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
         tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
         apply_impulse(contact, body_i, body_j, spins, contact.normal_impulse, tx, ty, tz)
