@@ -25,20 +25,18 @@ def html_of(recording: Recording) -> str:
 
 
 def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
-    energy, contacts = summary["energy"], summary["contacts"]
-    return {
+    energy, overlap = summary["energy"], summary["contacts"]["max_overlap"]
+    counts = counted(summary["frames"], "frame"), counted(summary["steps"], "step")
+    rows = {
         "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
         "outcome": str(summary["outcome"]),
-        "length": f"{counted(summary['frames'], 'frame')}, {counted(summary['steps'], 'step')}, "
-        f"{units.text(summary['sim_time'], TIME)}",
+        "length": ", ".join((*counts, units.text(summary["sim_time"], TIME))),
         "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
         "energy error": f"{_number(energy['max_error'])} of the energy scale",
-        **(
-            {"deepest overlap": f"{_number(contacts['max_overlap'])} of a radius"}
-            if contacts["max_overlap"] != 0.0
-            else {}
-        ),
     }
+    if overlap != 0.0:
+        rows["deepest overlap"] = f"{_number(overlap)} of a radius"
+    return rows
 
 
 def _number(value: float | None) -> str:
