@@ -70,7 +70,6 @@ PROGRESS = np.dtype(
         ("steps", np.int64),
         ("limit", np.int64),  # index of `LIMITS`
         ("iterations", np.int64),
-        ("rejected", np.int64),
         ("struck", np.bool_),  # whether the last step ended at an impact, and predicts nothing
         ("meets", np.bool_),  # whether bodies meet where the last step ended
         ("rests", np.bool_),  # whether their contact is at rest
@@ -148,11 +147,6 @@ class GaussRadau15:
     def iterations(self) -> int:
         """Number of iterations of all steps so far."""
         return int(self._progress["iterations"][0])
-
-    @property
-    def rejected(self) -> int:
-        """Number of steps that were repeated with a shorter one."""
-        return int(self._progress["rejected"][0])
 
     def begin(self, dt: float) -> None:
         """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
@@ -240,7 +234,6 @@ def advance(
     """Make steps; see `GaussRadau15.advance`."""
     run = progress[0]
     run.meets = run.rests = False
-    velocity, start, b, field, moves = motion.velocity, motion.start, motion.b, motion.field, motion.moves
     planes = 0 if solids is None else len(solids.offset)
     while run.steps < most and run.time < end and (run.time < until or run.steps == 0):
         dt, limit = run.next_dt, ERROR
@@ -253,13 +246,12 @@ def advance(
         while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.struck else LARGEST_CHANGE) < dt:
             share = wanted / dt
             dt, limit = wanted, ERROR
-            run.rejected += 1
             wanted = attempt(motion, eps2, run, dt)
             if not wanted > SHRINKING * share * dt:
                 break  # a pull begins at 0, so the time in which it changes is that since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
-            reach = reach_of(velocity, start, b, field, moves, planes, dt)
+            reach = reach_of(motion, planes, dt)
             run.clearance -= 2.0 * reach
             part = NONE if run.clearance > 0.0 else first_impact(motion, solids, run, dt, reach)
             if 0.0 <= part <= 1.0:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.integrators.radau_nodes import TERMS
-from carom.physics.integrators.radau_step import Motion
+from carom.physics.integrators.radau_step import Motion, acceleration_at_start
 from carom.physics.parallel.jit import inline, unowned
 
 FloatArray = NDArray[np.float64]
@@ -120,11 +120,9 @@ def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
 
 
 @inline
-def reach_of(
-    v: FloatArray, start: FloatArray, b: FloatArray, field: FloatArray, moves: FloatArray, planes: int, dt: float
-) -> float:
+def reach_of(motion: Motion, planes: int, dt: float) -> float:
     """Return a bound on how far any body goes in a step, relative to planes or to the mean velocity, in m."""
-    n = len(v)
+    v, b, n = motion.velocity, motion.b, len(motion.velocity)
     ux, uy, uz = 0.0, 0.0, 0.0
     if planes == 0:
         for i in range(n):
@@ -135,7 +133,7 @@ def reach_of(
         wx, wy, wz = v[i, 0] - ux, v[i, 1] - uy, v[i, 2] - uz
         largest = 0.0
         for k in range(3):
-            size = abs(start[i, k] + field[k] * moves[i])
+            size = abs(acceleration_at_start(motion, i, k))
             for m in range(TERMS):
                 size += abs(b[3 * i + k, m])
             largest += size
@@ -171,7 +169,7 @@ def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     if m == 1:
         return float(dt * motion.velocity[i, k])
     if m == 2:
-        return float(0.5 * dt * dt * (motion.start[i, k] + motion.field[k] * motion.moves[i]))
+        return float(0.5 * dt * dt * acceleration_at_start(motion, i, k))
     return float(dt * dt * motion.b[3 * i + k, m - 3] / ((m - 1) * m))
 
 

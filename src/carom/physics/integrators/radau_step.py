@@ -62,6 +62,13 @@ def motion_of(
     return Motion(position, velocity, *vectors, *rows, pull, moves, field, np.empty((4, n)))  # type: ignore[call-arg]
 
 
+@inline
+def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
+    """Return a coordinate of a₀ with the uniform field, in m/s²."""
+    a: float = motion.start[i, k] + motion.field[k] * motion.moves[i]
+    return a
+
+
 @unowned
 def attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
     """Find the polynomial of a step; return the longest next step, in s."""
@@ -141,7 +148,7 @@ def iterate(motion: Motion, eps2: float, dt: float) -> float:
 @unowned
 def _evaluate(motion: Motion, s: int, dt: float) -> None:
     """Evaluate the polynomial at a node: positions, and the change of the accelerations since the start."""
-    x, v, start, b, field = motion.position, motion.velocity, motion.start, motion.b, motion.field
+    x, v, b = motion.position, motion.velocity, motion.b
     t, square = NODE[s] * dt, dt * dt
     for i in range(len(x)):
         for k in range(3):
@@ -151,7 +158,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
                 bent += ON_POSITION[s, j] * b[c, j]
                 more += ON_ACCELERATION[s, j] * b[c, j]
             motion.expected[i, k] = more
-            curved = 0.5 * t * t * (start[i, k] + field[k] * motion.moves[i]) + square * bent
+            curved = 0.5 * t * t * acceleration_at_start(motion, i, k) + square * bent
             motion.at[i, k] = x[i, k] + (motion.position_rest[i, k] + (t * v[i, k] + curved))
 
 
@@ -181,7 +188,7 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
 @unowned
 def move(motion: Motion, dt: float) -> None:
     """Move to the end of the step with compensated sums, and keep the polynomial for the next prediction."""
-    x, v, start, b, field = motion.position, motion.velocity, motion.start, motion.b, motion.field
+    x, v, b = motion.position, motion.velocity, motion.b
     for i in range(len(x)):
         for k in range(3):
             c = 3 * i + k
@@ -191,7 +198,7 @@ def move(motion: Motion, dt: float) -> None:
                 turned += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]
                 motion.accepted[c, j] = b[c, j]
-            a = start[i, k] + field[k] * motion.moves[i]
+            a = acceleration_at_start(motion, i, k)
             step = (bent + 0.5 * a) * (dt * dt) + v[i, k] * dt
             _add(x, motion.position_rest, i, k, step)
             _add(v, motion.velocity_rest, i, k, (turned + a) * dt)

@@ -20,6 +20,7 @@ from carom.physics.integrators.radau_step import (
     MAX_ITERATIONS,
     Motion,
     accelerate,
+    acceleration_at_start,
     iterate,
     motion_of,
     move,
@@ -173,13 +174,13 @@ def _attempt(motion: Motion, twin: Motion | None, eps2: float, run: Any, dt: flo
 @unowned
 def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
     """Write the positions at a part h of the step, (n, 3) m."""
-    x, v, start, b, field, t = motion.position, motion.velocity, motion.start, motion.b, motion.field, h * dt
+    x, v, b, t = motion.position, motion.velocity, motion.b, h * dt
     for i in range(len(x)):
         for k in range(3):
             bent = 0.0
             for j in range(TERMS - 1, -1, -1):
                 bent = (bent + b[3 * i + k, j] / ((j + 2) * (j + 3))) * h
-            a = start[i, k] + field[k] * motion.moves[i]
+            a = acceleration_at_start(motion, i, k)
             position[i, k] = x[i, k] + (motion.position_rest[i, k] + (t * v[i, k] + t * t * (0.5 * a + bent)))
 
 
