@@ -16,63 +16,95 @@ from __future__ import annotations
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.contact.union_find import join, root_of
-from carom.physics.parallel.jit import unowned
+from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island by θ where θ < 1."""
-    pairs, bodies, active = system.pairs, system.bodies, system.active
-    island, islands, spins = system.island, system.islands, len(system.spin) > 0
+    _join_islands(system)
+    _sum_up_islands(system)
+    _find_scales(system)
+    _scale_impulses(system)
+    _scale_velocities(system)
+
+
+@inline
+def _join_islands(system: ConstraintSystem) -> None:
+    """Make each body an island, and join those at the ends of each contact."""
+    bodies, active, island = system.bodies, system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
-        whole = islands[active[k]]
+        whole = system.islands[active[k]]
         whole.slope = whole.curvature = 0.0
         whole.scale = 1.0
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
+    for c in range(len(system.pairs)):
+        i, j = system.pairs[c, 0], system.pairs[c, 1]
         if bodies[i].inverse_mass > 0.0 and bodies[j].inverse_mass > 0.0:
             join(island, i, j)
-    for c in range(len(pairs)):
+
+
+@inline
+def _island_of(c: int, system: ConstraintSystem) -> int:
+    """Return the island of a contact: that of an end that moves."""
+    i, j = system.pairs[c, 0], system.pairs[c, 1]
+    island: int = root_of(system.island, i if system.bodies[i].inverse_mass > 0.0 else j)
+    return island
+
+
+@inline
+def _sum_up_islands(system: ConstraintSystem) -> None:
+    """Sum λ·(v + c) and λ·(v' - v) over the contacts of each island."""
+    for c in range(len(system.pairs)):
         if not system.held[c]:
             continue
-        i, j = pairs[c, 0], pairs[c, 1]
-        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
+        contact, state = system.contacts[c], system.states[c]
+        body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         slope = contact.normal_impulse * (state.normal_before + contact.velocity_bias)
         curvature = contact.normal_impulse * (vn - state.normal_before)
-        if spins:
+        if len(system.spin) > 0:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
             ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
-            ux, uy, uz = ux - state.slip_x, uy - state.slip_y, uz - state.slip_z
-            before = tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
-            slope += before
-            curvature += tx * ux + ty * uy + tz * uz
-        whole = islands[root_of(island, i if body_i.inverse_mass > 0.0 else j)]
+            slope += tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
+            curvature += tx * (ux - state.slip_x) + ty * (uy - state.slip_y) + tz * (uz - state.slip_z)
+        whole = system.islands[_island_of(c, system)]
         whole.slope += slope
         whole.curvature += curvature
-    for k in range(len(active)):
-        if island[active[k]] == active[k]:
-            whole = islands[active[k]]
-            if -whole.slope < whole.curvature:
-                whole.scale = max(0.0, -whole.slope / whole.curvature)
-    for c in range(len(pairs)):
-        i, j, contact = pairs[c, 0], pairs[c, 1], system.contacts[c]
-        scale = islands[root_of(island, i if bodies[i].inverse_mass > 0.0 else j)].scale
+
+
+@inline
+def _find_scales(system: ConstraintSystem) -> None:
+    """Find θ of each island; 1 where the minimum is beyond."""
+    for k in range(len(system.active)):
+        whole = system.islands[system.active[k]]
+        if system.island[system.active[k]] == system.active[k] and -whole.slope < whole.curvature:
+            whole.scale = max(0.0, -whole.slope / whole.curvature)
+
+
+@inline
+def _scale_impulses(system: ConstraintSystem) -> None:
+    for c in range(len(system.pairs)):
+        contact, scale = system.contacts[c], system.islands[_island_of(c, system)].scale
         if scale < 1.0:
             contact.normal_impulse *= scale
             contact.friction_x *= scale
             contact.friction_y *= scale
             contact.friction_z *= scale
-    for k in range(len(active)):
-        b = active[k]
-        body, scale = bodies[b], islands[root_of(island, b)].scale
+
+
+@inline
+def _scale_velocities(system: ConstraintSystem) -> None:
+    """Scale the changes of the velocities alike; the arrays still have the velocities before the impulses."""
+    v, omega = system.velocity, system.spin
+    for k in range(len(system.active)):
+        b = system.active[k]
+        body, scale = system.bodies[b], system.islands[root_of(system.island, b)].scale
         if body.inverse_mass > 0.0 and scale < 1.0:
-            v, omega = system.velocity, system.spin
             body.vx = v[b, 0] + scale * (body.vx - v[b, 0])
             body.vy = v[b, 1] + scale * (body.vy - v[b, 1])
             body.vz = v[b, 2] + scale * (body.vz - v[b, 2])
-            if spins:
+            if len(omega) > 0:
                 body.wx = omega[b, 0] + scale * (body.wx - omega[b, 0])
                 body.wy = omega[b, 1] + scale * (body.wy - omega[b, 1])
                 body.wz = omega[b, 2] + scale * (body.wz - omega[b, 2])

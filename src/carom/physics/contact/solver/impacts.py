@@ -18,6 +18,8 @@ With plain e, the energy of each rebound is wrong by the change of the potential
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,7 +37,8 @@ from carom.physics.contact.law import (
 from carom.physics.contact.solver.body_state import prefetch_velocities, push, turn
 from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import long_kernel, unowned
+from carom.physics.parallel.jit import inline, long_kernel, unowned
+from carom.physics.vector import between
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -75,7 +78,8 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
         e = LAW.restitution(material, -vn, state.rest_speed)
         overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:
-            an = (a[i, 0] - a[j, 0]) * nx + (a[i, 1] - a[j, 1]) * ny + (a[i, 2] - a[j, 2]) * nz
+            ax, ay, az = between(a, j, i)
+            an = ax * nx + ay * ny + az * nz
             if an > 0.0:
                 e = restitution_at_depth(e, vn, overlap, an)
         change = -(1.0 + e) * vn
@@ -83,10 +87,8 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
         if biased <= 0.0:
             continue
         largest_change = max(largest_change, biased)
-        if not rests and -vn > state.approach_speed:
-            speeds = abs(body_i.vx) + abs(body_i.vy) + abs(body_i.vz) + abs(body_j.vx) + abs(body_j.vy) + abs(body_j.vz)
-            if -vn > ROUNDING * speeds:
-                state.approach_speed = -vn
+        if not rests and -vn > state.approach_speed and -vn > ROUNDING * _sum_of_speeds(body_i, body_j):
+            state.approach_speed = -vn
         Kn = body_i.inverse_mass + body_j.inverse_mass
         Jn = biased / Kn
         Jn_unbiased = max(0.0, change) / Kn
@@ -100,23 +102,35 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
             ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
             speed = np.sqrt(ux * ux + uy * uy + uz * uz)
             if speed > 0.0:
-                ri, rj = contact.arm_i, contact.arm_j
-                Kt = inverse_tangent_mass(Kn, ri, rj, body_i.inverse_inertia, body_j.inverse_inertia)
+                Kt = inverse_tangent_mass(
+                    Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
+                )
                 Jt = LAW.impact_friction(material, Jn, speed / Kt)
                 state.friction_loss += tangential_loss(Jt, speed, Kt)
                 tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)
                 if records:
-                    given = system.recorded[c]
-                    given.friction_x += tx
-                    given.friction_y += ty
-                    given.friction_z += tz
+                    _record_friction(system.recorded[c], tx, ty, tz)
         push(body_i, body_j, Jx, Jy, Jz)
     found = system.found[piece]
     found.residual = largest_change
     if first:
         found.fastest, found.any_rests = fastest, any_rests
+
+
+@inline
+def _sum_of_speeds(a: Any, b: Any) -> float:
+    """Return a bound of the speeds of two bodies, in m/s."""
+    bound: float = abs(a.vx) + abs(a.vy) + abs(a.vz) + abs(b.vx) + abs(b.vy) + abs(b.vz)
+    return bound
+
+
+@inline
+def _record_friction(given: Any, tx: float, ty: float, tz: float) -> None:
+    given.friction_x += tx
+    given.friction_y += ty
+    given.friction_z += tz
 
 
 @long_kernel
@@ -146,7 +160,7 @@ def look_for_closing(
         i, j, contact, state = pairs[c, 0], pairs[c, 1], contacts[c], states[c]
         if state.overlap < 0.0 and state.apart:
             continue
-        vx, vy, vz = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+        vx, vy, vz = between(v, i, j)
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
         small = smaller_arm(contact)
         left = BAD_ENOUGH * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)

@@ -28,7 +28,7 @@ from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import long_kernel, unowned
+from carom.physics.parallel.jit import inline, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import add, between, vector
@@ -76,10 +76,9 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
     A later iteration skips contacts whose ends have not been pushed since: they did not overlap, and still do not.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
-    pairs, x, v, box = system.pairs, system.position, system.velocity, system.box
-    inverse_mass, radius, places = system.inverse_mass, system.radius, system.places
+    pairs, x, v = system.pairs, system.position, system.velocity
+    inverse_mass, places = system.inverse_mass, system.places
     n, last, again = len(x), len(pairs) - 1, 0.0
-    records = len(system.recorded) > 0
     iteration, pushed = system.settings[0].iteration, system.island
     enough = ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
     for c in range(lo, hi):
@@ -89,18 +88,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         ahead = min(last, c + AHEAD)
         prefetch(x, pairs[ahead, 0], 0)
         prefetch(x, min(n - 1, pairs[ahead, 1]), 0)
-        if j >= n:
-            sx, sy, sz = vector(system.surface, j - n)
-            nx, ny, nz = -sx, -sy, -sz
-            px, py, pz = vector(x, i)
-            d = -(nx * px + ny * py + nz * pz) - system.offset[j - n]
-            reach = radius[i]
-        else:
-            dx, dy, dz = between(x, i, j)
-            if box[0] > 0.0:
-                dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
-            nx, ny, nz, d = normal_and_distance(dx, dy, dz)
-            reach = radius[i] + radius[j]
+        nx, ny, nz, d, reach = _geometry(i, j, system)
         overlap = reach - d
         if overlap <= 0.0:
             continue
@@ -125,22 +113,54 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         state.push_x += delta * nx
         state.push_y += delta * ny
         state.push_z += delta * nz
-        if j >= n:
-            continue  # no angular momentum to conserve
-        scale = d / (d + delta) - 1.0
-        tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
-        reduced = 1.0 / (inverse_mass[i] + inverse_mass[j])
-        state.stabilisation_gain += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
-        if mi > 0.0:
-            add(v, i, -mi * scale, tx, ty, tz)
-        if mj > 0.0:
-            add(v, j, mj * scale, tx, ty, tz)
-        if records:
-            given = system.recorded[c]
-            given.correction_x += reduced * scale * tx
-            given.correction_y += reduced * scale * ty
-            given.correction_z += reduced * scale * tz
+        if j < n:  # a plane absorbs any angular momentum
+            tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
+            _scale_tangential_velocity(c, d / (d + delta) - 1.0, mi, mj, tx, ty, tz, system)
     system.found[piece].residual = again
+
+
+@inline
+def _geometry(i: int, j: int, system: ConstraintSystem) -> tuple[float, float, float, float, float]:
+    """Return the normal, the distance of the centres or from the plane, and the distance at which they touch, in m."""
+    x, box, radius, n = system.position, system.box, system.radius, len(system.position)
+    if j >= n:
+        sx, sy, sz = vector(system.surface, j - n)
+        px, py, pz = vector(x, i)
+        return -sx, -sy, -sz, sx * px + sy * py + sz * pz - system.offset[j - n], radius[i]
+    dx, dy, dz = between(x, i, j)
+    if box[0] > 0.0:
+        dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
+    return nx, ny, nz, d, radius[i] + radius[j]
+
+
+@inline
+def _scale_tangential_velocity(
+    c: int, scale: float, mi: float, mj: float, tx: float, ty: float, tz: float, system: ConstraintSystem
+) -> None:
+    """Change v_t of two bodies by a part of it, and book the energy.
+
+    Parameters
+    ----------
+    scale
+        d/(d + δ) - 1, the part.
+    mi, mj
+        Part of each body.
+    tx, ty, tz
+        m/s, v_t.
+    """
+    i, j, v = system.pairs[c, 0], system.pairs[c, 1], system.velocity
+    reduced = 1.0 / (system.inverse_mass[i] + system.inverse_mass[j])
+    system.states[c].stabilisation_gain += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
+    if mi > 0.0:
+        add(v, i, -mi * scale, tx, ty, tz)
+    if mj > 0.0:
+        add(v, j, mj * scale, tx, ty, tz)
+    if len(system.recorded) > 0:
+        given = system.recorded[c]
+        given.correction_x += reduced * scale * tx
+        given.correction_y += reduced * scale * ty
+        given.correction_z += reduced * scale * tz
 
 
 @long_kernel
