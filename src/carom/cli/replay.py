@@ -25,9 +25,20 @@ def replay(
     file: RecordingArgument,
     begin: Annotated[
         float,
-        typer.Option("--from", parser=seconds, metavar="T", help="Start at the last checkpoint before this time."),
+        typer.Option(
+            "--from",
+            parser=seconds,
+            metavar="T",
+            help="Start at the last checkpoint before this time. Default: the beginning.",
+            show_default=False,
+        ),
     ] = 0.0,
-    end: Annotated[float, typer.Option("--to", parser=seconds, metavar="T", help="Stop at this time.")] = float("inf"),
+    end: Annotated[
+        float,
+        typer.Option(
+            "--to", parser=seconds, metavar="T", help="Stop at this time. Default: the end.", show_default=False
+        ),
+    ] = float("inf"),
     every: Annotated[
         str | None,
         typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),

@@ -92,7 +92,15 @@ def view(
         bool, typer.Option("--web", help="Show it in a browser; the server listens on 127.0.0.1 only.")
     ] = False,
     port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port for --web. Default: any free one.")
+        int,
+        typer.Option(
+            "--port",
+            metavar="N",
+            min=0,
+            max=65535,
+            help="Port for --web. Default: any free one.",
+            show_default=False,
+        ),
     ] = 0,
 ) -> None:
     """Open a recording in the Rerun viewer, paused at a moment.
