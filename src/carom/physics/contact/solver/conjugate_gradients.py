@@ -7,7 +7,7 @@ conditions of `solve` become equations,
 
 where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
 diagonal of A. Contacts that would pull are then released, and further Gauss-Seidel iterations find again which contacts
-carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010).
+carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
 
 A stack of n spheres takes about n iterations here and about n² of `solve`. The same holds for a load on much lighter
 spheres.

@@ -6,7 +6,7 @@ kick of length h, iterations over the contacts find the impulses λ of all conta
     v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
-(Moreau 1988, Jean 1999; Catto 2006 calls them sequential impulses). The *totals* are clamped, not the increments, so
+(Moreau 1988, Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
 later iterations can take back what earlier ones overdid. The totals start from those of the previous kick, scaled by
 the ratio of the lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
 (`line_search`).
