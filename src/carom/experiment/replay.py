@@ -144,24 +144,7 @@ def replay(
         if dense is not None:
             stack.enter_context(claimed_output(dense, force))
             recorder = stack.enter_context(Recorder(dense, header_of(space)))
-        asked, ended = False, ""
-        schedule = at(run.fingerprints) if recorder is None else every(0.0)
-        try:
-            for frame in space.run(schedule=schedule):
-                watch(space.status)
-                run.see(frame)
-                if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > checkpoint.step):
-                    recorder.put(frame)
-                spent = clock.perf_counter() - began
-                if not asked and spent > TRIAL_SECONDS:
-                    asked = True
-                    if not consent(spent * run.left(space.step) / max(1, space.step - checkpoint.step)):
-                        ended = "declined"
-                        break
-                if run.difference or frame.step >= run.last:
-                    break
-        except KeyboardInterrupt:
-            ended = "stopped by the user"
+        ended = _run_again(space, run, recorder, begin, consent, watch)
         if recorder is not None:
             recorder.finish(ended or "completed")
     found = [run.difference or run.rest(), None if ended else run.stray()]
@@ -180,6 +163,33 @@ def replay(
     )
 
 
+def _run_again(
+    space: Space, run: _Comparison, recorder: Recorder | None, begin: float, consent: Consent, watch: Watcher
+) -> str:
+    """Run up to the end of the window or the first difference; return why it ended before, empty if it did not.
+
+    ``recorder`` gets every step from ``begin`` on, in s.
+    """
+    began, asked = clock.perf_counter(), False
+    schedule = at(run.fingerprints) if recorder is None else every(0.0)
+    try:
+        for frame in space.run(schedule=schedule):
+            watch(space.status)
+            run.see(frame)
+            if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > run.begin):
+                recorder.put(frame)
+            spent = clock.perf_counter() - began
+            if not asked and spent > TRIAL_SECONDS:
+                asked = True
+                if not consent(spent * run.left(space.step) / max(1, space.step - run.begin)):
+                    return "declined"
+            if run.difference or frame.step >= run.last:
+                break
+    except KeyboardInterrupt:
+        return "stopped by the user"
+    return ""
+
+
 class _Comparison:
     """Compares frames with the recorded ones."""
 
@@ -189,7 +199,7 @@ class _Comparison:
         inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
         self.fingerprints = {step: bits for step, bits, _ in inside}
         self._times = {step: time for step, _, time in inside}
-        self.last = max(self.fingerprints, default=begin)
+        self.begin, self.last = begin, max(self.fingerprints, default=begin)
         self.compared = 0
         self.difference: Difference | None = None
         self._recording = recording

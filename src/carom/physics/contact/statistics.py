@@ -55,18 +55,18 @@ class ContactStatistics(NamedTuple):
         if len(blocks) != 1:
             totals = np.empty(1, BLOCK_COUNTS)
             _add_up(blocks, totals)
-        _, _, _, count, impacts, struck, hardest, hard_i, hard_j, deepest, deep_i, deep_j = totals[0].item()
-        if count == 0.0:
+        total = dict(zip(BLOCK_COUNTS.names or (), totals[0].item(), strict=True))
+        if total["contacts"] == 0.0:
             return NO_CONTACTS._replace(work=terms_of(blocks))
         return cls(
             work=terms_of(blocks),
-            contacts=int(count),
-            impacts=int(impacts),
-            struck=struck,
-            hardest=hardest,
-            hardest_pair=(int(hard_i), int(hard_j)),
-            deepest=deepest,
-            deepest_pair=(int(deep_i), int(deep_j)),
+            contacts=int(total["contacts"]),
+            impacts=int(total["impacts"]),
+            struck=total["struck"],
+            hardest=total["hardest"],
+            hardest_pair=(int(total["hardest_i"]), int(total["hardest_j"])),
+            deepest=total["deepest"],
+            deepest_pair=(int(total["deepest_i"]), int(total["deepest_j"])),
         )
 
     def plus(self, others: ContactStatistics) -> ContactStatistics:
