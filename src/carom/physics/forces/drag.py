@@ -23,10 +23,12 @@ with w between the factors and κ = ½ (h φ₂ + k₂²/(h φ₂)), which makes
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import columns, record
 from carom.physics.bodies import Bodies
 from carom.physics.contact.continuous.drift import Impacts
 from carom.physics.forces.force import DampedStep, Exchange
@@ -39,8 +41,13 @@ from carom.scene.schema import Drag, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
 
 VANISHED = 745.0  # e^-z underflows to 0 for larger z
+SUMS = record(
+    "lost"  # J, what the medium took out
+    " px py pz Lx Ly Lz"  # kg m/s and kg m²/s, impulse and angular impulse of all external forces
+)
 TERMS = 20  # of a series on [0, 1]: 1/22! is below round-off
 
 
@@ -148,10 +155,11 @@ class StokesDrag:
         return _lost_in_impacts(*rows, before, along, ends.acceleration, ends.inverse_mass, self.uniform, step.share)
 
     def _exchange(self, kernel: Callable[..., None], step: DampedStep, kick: float, factor: float) -> Exchange:
-        bodies, sums = self._bodies, np.zeros(7)
+        bodies, sums = self._bodies, np.zeros(1, SUMS)
         state = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
         kernel(*state, self.uniform, self._outer, step.length, step.share, kick, factor, sums)
-        return Exchange(float(sums[0]), sums[1:4], sums[4:7])
+        impulse, angular_impulse = columns(sums, ("px", "py", "pz")), columns(sums, ("Lx", "Ly", "Lz"))
+        return Exchange(float(sums["lost"][0]), impulse[0], angular_impulse[0])
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
@@ -173,9 +181,10 @@ def _begin(
     share: float,
     kick: float,
     factor: float,
-    sums: FloatArray,
+    sums: Records,
 ) -> None:
     """Kick and slow down, before the drift; add loss, impulse and angular impulse to ``sums``."""
+    total = sums[0]
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
             continue
@@ -188,8 +197,8 @@ def _begin(
             work += a[i, k] * w
             a2 += a[i, k] * a[i, k]
             v[i, k] = kicked
-        sums[0] += mass[i] * (0.5 * (v2 - w2) + share * work - 0.5 * share * (h - share) * a2)
-        _slow_down(i, x, v, mass[i], outer, kick, factor, sums)
+        total.lost += mass[i] * (0.5 * (v2 - w2) + share * work - 0.5 * share * (h - share) * a2)
+        _slow_down(i, x, v, mass[i], outer, kick, factor, total)
 
 
 @kernel
@@ -205,9 +214,10 @@ def _end(
     share: float,
     kick: float,
     factor: float,
-    sums: FloatArray,
+    sums: Records,
 ) -> None:
     """Slow down and kick, after the drift; add loss, impulse and angular impulse to ``sums``."""
+    total = sums[0]
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
             continue
@@ -217,17 +227,17 @@ def _end(
             work += a[i, k] * v[i, k]
             blown += wind[k] * v[i, k]
             a2 += a[i, k] * a[i, k]
-        _slow_down(i, x, v, mass[i], outer, kick, factor, sums)
+        _slow_down(i, x, v, mass[i], outer, kick, factor, total)
         for k in range(3):
             v[i, k] += a[i, k] * kick
             v2 += v[i, k] * v[i, k]
         lost = 0.5 * (w2 - v2) + (h - share) * work - h * blown + 0.5 * share * (h - share) * a2
-        sums[0] += mass[i] * lost
+        total.lost += mass[i] * lost
 
 
 @kernel
 def _slow_down(
-    i: int, x: FloatArray, v: FloatArray, mass: float, outer: FloatArray, kick: float, factor: float, sums: FloatArray
+    i: int, x: FloatArray, v: FloatArray, mass: float, outer: FloatArray, kick: float, factor: float, total: Any
 ) -> None:
     """Multiply a velocity by a factor; add the external impulse of this and of the kick, and its moment."""
     px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
@@ -235,12 +245,12 @@ def _slow_down(
     pz = mass * (v[i, 2] * (factor - 1.0) + outer[2] * kick)
     for k in range(3):
         v[i, k] *= factor
-    sums[1] += px
-    sums[2] += py
-    sums[3] += pz
-    sums[4] += x[i, 1] * pz - x[i, 2] * py
-    sums[5] += x[i, 2] * px - x[i, 0] * pz
-    sums[6] += x[i, 0] * py - x[i, 1] * px
+    total.px += px
+    total.py += py
+    total.pz += pz
+    total.Lx += x[i, 1] * pz - x[i, 2] * py
+    total.Ly += x[i, 2] * px - x[i, 0] * pz
+    total.Lz += x[i, 0] * py - x[i, 1] * px
 
 
 @kernel

@@ -21,6 +21,8 @@ in a cluster).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,31 +57,49 @@ ENTRY = np.dtype(  # a box to be walked
 )
 
 
+class Tree(NamedTuple):
+    """Boxes with their multipoles, and the bodies in their order."""
+
+    branches: Records  # RANGE, the first box of each branch
+    boxes: Records  # BOX
+    poles: FloatArray  # (boxes + 1, ·), the last of a box without mass
+    x: FloatArray  # (3, n) m
+    m: FloatArray  # (n,) kg
+    body: IntArray  # (n,) number of each body in the scene
+
+
+class PullLaw(NamedTuple):
+    """How boxes and bodies pull, and when boxes do as a whole."""
+
+    G: float  # m³/(kg s²)
+    eps2: float  # m², softening squared
+    theta2: float  # opening angle squared
+    unit: float  # 1/m; lengths in multipoles and local expansions are multiplied by it
+
+
+class Lists(NamedTuple):
+    """Room for each of the threads."""
+
+    far: IntArray  # (threads, ·) boxes that pull as a whole
+    near: IntArray  # boxes that pull body by body
+    opened: IntArray  # boxes that are being opened
+    left: IntArray  # boxes that are left to the halves
+    entries: Records  # ENTRY, boxes to be walked
+    local: FloatArray  # (threads, depth, LOCAL + 3) local expansions with their centres
+    expansion: FloatArray  # (threads, LOCAL * LANES) a local expansion in lanes
+    powers: FloatArray  # (threads, LOCAL) v^n / n!
+    lanes: FloatArray  # (threads, 7, LANES) bodies, and their sums
+
+
 @long_kernel
 def walk(
     lo: int,
     hi: int,
     turn: IntArray,
     count: int,
-    branches: Records,
-    boxes: Records,
-    poles: FloatArray,
-    x: FloatArray,
-    m: FloatArray,
-    body: IntArray,
-    G: float,
-    eps2: float,
-    theta2: float,
-    unit: float,
-    far_of: IntArray,
-    near_of: IntArray,
-    open_of: IntArray,
-    left_of: IntArray,
-    entries_of: Records,
-    local_of: FloatArray,
-    expansion_of: FloatArray,
-    powers_of: FloatArray,
-    lanes_of: FloatArray,
+    tree: Tree,
+    law: PullLaw,
+    lists: Lists,
     acceleration: FloatArray,
     potential: FloatArray,
     needed: IntArray,
@@ -90,28 +110,21 @@ def walk(
 
     Parameters
     ----------
-    theta2
-        The opening angle squared.
-    unit
-        1/m; lengths in multipoles and local expansions are multiplied by it.
-    far_of, near_of, open_of, left_of
-        For each thread, room for boxes that pull as a whole, that pull body by body, that are being opened, and that
-        are left to the halves.
-    entries_of, local_of
-        For each thread, boxes to be walked, and by depth the local expansions with their centres.
-    expansion_of, powers_of, lanes_of
-        For each thread, room for a local expansion in lanes, for v^n / n!, and for bodies in lanes.
+    count
+        Number of branches.
     needed
-        (threads,), set to 1 where ``left_of`` is too small; the results are then incomplete.
+        (threads,), set to 1 where ``left`` is too small; the results are then incomplete.
     """
-    far, near, opened, left, entries = far_of[lo], near_of[lo], open_of[lo], left_of[lo], entries_of[lo]
-    local, expansion, powers, lanes = local_of[lo], expansion_of[lo], powers_of[lo], lanes_of[lo]
+    far, near, opened, left = lists.far[lo], lists.near[lo], lists.opened[lo], lists.left[lo]
+    entries, local, expansion = lists.entries[lo], lists.local[lo], lists.expansion[lo]
+    powers, lanes = lists.powers[lo], lists.lanes[lo]
+    boxes, poles, body, unit = tree.boxes, tree.poles, tree.body, law.unit
     nothing = len(poles) - 1  # a box without mass
     while True:
         taken = atomic_add(turn, 0, 1)
         if taken >= count:
             return
-        branch = branches[taken].begin
+        branch = tree.branches[taken].begin
         for i in range(boxes[branch].first, boxes[branch].last):
             j = body[i]
             acceleration[j, 0] = acceleration[j, 1] = acceleration[j, 2] = potential[j] = 0.0
@@ -121,7 +134,7 @@ def walk(
         while top > 0:
             top -= 1
             a, begin, end, depth = entries[top].box, entries[top].begin, entries[top].end, entries[top].depth
-            fars, nears, last = _decide(a, begin, end, theta2, boxes, opened, far, near, left)
+            fars, nears, last = _decide(a, begin, end, law.theta2, boxes, opened, far, near, left)
             if last < 0:
                 needed[lo] = 1
                 return
@@ -130,7 +143,7 @@ def walk(
                 while fars % LANES != 0:  # fill the lanes
                     far[fars] = nothing
                     fars += 1
-                _attract(fars, far, depth, boxes, a, poles, unit, eps2 * unit * unit, expansion, local)
+                _attract(fars, far, depth, boxes, a, poles, unit, law.eps2 * unit * unit, expansion, local)
             half = boxes[a].half
             if a < branch:  # on the way to the branch; boxes so large leave at least their own halves
                 entry = entries[0]
@@ -140,8 +153,7 @@ def walk(
                 continue
             is_over = last == end
             if is_over or nears > 0:
-                found = acceleration, potential
-                _pull(nears, near, is_over, depth, boxes, a, x, m, body, G, eps2, unit, local, lanes, *found)
+                _pull(nears, near, is_over, depth, a, tree, law, local, lanes, acceleration, potential)
             if not is_over:
                 for child in (half, a + 1):
                     entry = entries[top]
@@ -258,20 +270,16 @@ def _pull(
     near: IntArray,
     is_over: bool,
     depth: int,
-    boxes: Records,
     a: int,
-    x: FloatArray,
-    m: FloatArray,
-    body: IntArray,
-    G: float,
-    eps2: float,
-    unit: float,
+    tree: Tree,
+    law: PullLaw,
     local: FloatArray,
     lanes: FloatArray,
     acceleration: FloatArray,
     potential: FloatArray,
 ) -> None:
     """Add the pull of the bodies of near boxes on those of box a, and at last that of its local expansion."""
+    boxes, x, m, body, G, eps2 = tree.boxes, tree.x, tree.m, tree.body, law.G, law.eps2
     own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε, the potential of a body at its own position
     A = boxes[a]
     for i in range(A.first, A.last, LANES):
@@ -283,7 +291,7 @@ def _pull(
             lanes[3, k], lanes[4, k], lanes[5, k] = acceleration[j, 0], acceleration[j, 1], acceleration[j, 2]
             lanes[6, k] = potential[j]
         if is_over:
-            evaluate(local, depth, A.x, A.y, A.z, unit, lanes)
+            evaluate(local, depth, A.x, A.y, A.z, law.unit, lanes)
         k = 0
         while k < nears:  # boxes side by side at once
             j0, j1 = boxes[near[k]].first, boxes[near[k]].last

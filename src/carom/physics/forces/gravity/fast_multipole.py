@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import Room
-from carom.physics.forces.gravity.box_walk import ENTRY, walk
+from carom.physics.forces.gravity.box_walk import ENTRY, Lists, PullLaw, Tree, walk
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.expansions import BOX, describe, expand
 from carom.physics.forces.gravity.taylor import CENTRE, LOCAL, POLES
@@ -51,10 +51,17 @@ class FastMultipoleGravity:
         self._powers = np.empty((size, LOCAL))
         self._needed = np.zeros(size, np.int64)
         # for each thread; untouched pages take no memory
-        self._lists = tuple(np.empty((size, count), np.int64) for count in (n + LANES, n, depth))
-        self._left = np.empty((size, 2 * n + 2), np.int64)
-        self._path = np.empty((size, depth), ENTRY), np.empty((size, depth, LOCAL + 3))
-        self._lanes = np.empty((size, LOCAL * LANES)), self._powers, np.empty((size, 7, LANES))
+        self._lists = Lists(
+            far=np.empty((size, n + LANES), np.int64),
+            near=np.empty((size, n), np.int64),
+            opened=np.empty((size, depth), np.int64),
+            left=np.empty((size, 2 * n + 2), np.int64),
+            entries=np.empty((size, depth), ENTRY),
+            local=np.empty((size, depth, LOCAL + 3)),
+            expansion=np.empty((size, LOCAL * LANES)),
+            powers=self._powers,
+            lanes=np.empty((size, 7, LANES)),
+        )
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the accelerations; see `Pull`. The energy costs next to nothing."""
@@ -69,16 +76,16 @@ class FastMultipoleGravity:
         self._expand(above, self._trunk, *bodies, unit, boxes, poles)
         poles[-1] = 0.0
         poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit  # apart from all boxes
-        law = self._constant, self._softening_squared, self._angle_squared, unit
+        tree = Tree(self._branches, boxes, poles, *bodies, nested.body)
+        law = PullLaw(self._constant, self._softening_squared, self._angle_squared, unit)
+        found = acceleration, self._potential, self._needed
         while True:
             self._turn[0] = self._needed[:] = 0
-            lists = *self._lists, self._left, *self._path, *self._lanes
-            found = acceleration, self._potential, self._needed
-            seen = branches, self._branches, boxes, poles, *bodies, nested.body
-            self._team.divide(self._team.size, 1, walk, self._turn, *seen, *law, *lists, *found)
+            self._team.divide(self._team.size, 1, walk, self._turn, branches, tree, law, self._lists, *found)
             if not self._needed.any():
                 break
-            self._left = np.empty((len(self._left), 2 * self._left.shape[1]), np.int64)
+            size, most = self._lists.left.shape
+            self._lists = self._lists._replace(left=np.empty((size, 2 * most), np.int64))
         return potential_energy(self._mass, self._potential) if potential else None
 
     def _expand(self, count: int, ranges: NDArray[np.void], *rest: object) -> None:

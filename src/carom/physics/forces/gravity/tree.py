@@ -17,7 +17,7 @@ from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.multipole import CENTRE, MOMENTS, expand
 from carom.physics.forces.gravity.tree_build import GROUP, RANGE, Boxes
-from carom.physics.forces.gravity.tree_walk import pull
+from carom.physics.forces.gravity.tree_walk import Lists, PullLaw, Tree, pull
 from carom.physics.parallel.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
@@ -48,8 +48,7 @@ class TreeGravity:
         self._potential = np.zeros(n)
         self._turn = np.zeros(1, np.int64)  # how many pieces of work were taken
         size, most = self._team.size, self._boxes.most
-        # for each thread, the lanes of a group and the lists of far boxes and near bodies
-        self._lists = np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
+        self._lists = Lists(np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE))
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the accelerations; see `Pull`. The energy costs about a tenth more."""
@@ -58,11 +57,11 @@ class TreeGravity:
         nested = boxes.count, boxes.first, boxes.last
         bodies = boxes.position, boxes.mass
         moments = self._centres, self._moments
-        law = self._constant, self._softening_squared, self._quadrupoles
+        law = PullLaw(self._constant, self._softening_squared, self._quadrupoles)
         found = acceleration, self._potential if potential else None
         self._turn[0] = 0
         team.divide(team.size, 1, expand, self._turn, *nested, *bodies, self._opening_angle, *moments)
         self._turn[0] = 0
-        seen = *nested, boxes.skip, *moments, *bodies, boxes.body, boxes.groups
-        team.divide(team.size, 1, pull, self._turn, *seen, *law, *self._lists, *found)
+        tree = Tree(*nested, boxes.skip, *moments, *bodies, boxes.body, boxes.groups)
+        team.divide(team.size, 1, pull, self._turn, tree, law, self._lists, *found)
         return potential_energy(self._mass, self._potential) if potential else None
