@@ -56,10 +56,10 @@ class Recorder:
         The ``.rrd`` to write.
     last
         Keep only so many frames, in memory. They are written when a state is not finite, when an exception leaves the
-        context, and by `write`; otherwise no file is written.
+        context, and by `write`.
     every
-        Record each so many calls of `frame`; by default as many as the source says, which is 1 but for PyBullet with
-        200 bodies and more.
+        Record one of so many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
+        200 bodies or more.
     title
         Of the recording; by default the name of the engine.
     duration

@@ -12,9 +12,9 @@ By default the first two apply where bodies can touch, and the third where they 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the centre of mass, and accelerations exclude
 the uniform field, so a scene that moves or falls as a whole gets the same steps. If there are planes, walls or fixed
 bodies, speeds are relative to them and the field counts. The reference engine ignores the acceleration, uses absolute
-speeds, and takes the radius of the *fastest* body only, so a small body that is a little slower tunnels; that limit is
-kept as "fastest-body". The reference engine also smooths in both directions, but a smoothed decrease breaks the bound
-that a limit guarantees. Here a decrease takes effect at once.
+speeds, and takes the radius of the *fastest* body only, so a small body that is a little slower tunnels. That limit is
+kept as "fastest-body". The reference engine also smooths decreases, which breaks the bound that a limit guarantees.
+Here a decrease takes effect at once.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def draw(check: Crosscheck, path: Path) -> None:
     reference, units = check.study.reference, check.scene.unit_system
     runs = [result for result in check.results if result.status == "measured"]
     if reference is None or not runs:
-        raise ExperimentError("nothing is measured yet that could be drawn")
+        raise ExperimentError("nothing has been measured yet, so there is nothing to draw")
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     with look:

@@ -1,7 +1,7 @@
 """The growth of a difference between two runs, and its cause.
 
-Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A bug or a different scene
-shows as a difference that is larger than round-off can have grown to in that time, or that grows as a power of time.
+Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A difference with another
+cause, a bug or a different scene, is larger than round-off can have grown to by then, or grows as a power of time.
 """
 
 from __future__ import annotations

@@ -213,9 +213,9 @@ def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
 def impacts(draw: Draw) -> Document:
     """Draw pairs far from each other, each of which collides once, within the first six steps of 2⁻⁶ s.
 
-    An impact is found at the end of the step in which it happens. Each happens in the middle of one, at 0.3 to 0.7,
-    and at 17° or more from grazing, so that round-off does not move it to another step; and static and kinetic
-    friction are equal, so that round-off at the edge of sliding changes nothing by a jump.
+    An impact is found at the end of the step in which it happens. Round-off must not move it to another step, so each
+    happens at 0.3 to 0.7 of a step, and at 17° or more from grazing. Static and kinetic friction are equal, so the
+    result is continuous where sliding begins.
     """
     dt = 2.0**-6
     bodies: list[Document] = []

@@ -80,7 +80,7 @@ def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
     try:
         answers = client.run(unfit, root, scene, version, on_error="return")
     except Exception as error:
-        raise ExperimentError(f"the workers cannot be asked: {type(error).__name__}: {error}") from None
+        raise ExperimentError(f"the workers do not answer: {type(error).__name__}: {error}") from None
     for worker, answer in answers.items():
         if isinstance(answer, BaseException):
             raise ExperimentError(

@@ -1,8 +1,8 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
-The common times are not the ends of steps, and cutting steps there would change the run. The state is therefore
-interpolated between the ends of the step that passes each of them: by a polynomial of degree five, of degree three if
-the integrator has no forces at the ends, or, for a body that was struck, along its flight from impact to impact.
+The common times fall within steps, and cutting steps there would change the run. The state is therefore interpolated
+between the ends of each such step: by a polynomial of degree five, or of degree three if the integrator has no forces
+at the ends. A body that was struck follows its flight from impact to impact.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Rest speeds, the restitution thresholds of islands: a contact that closes no faster is at rest, not an impact.
 
-A contact at rest closes no faster than gravity makes it close in a step. Bodies that rest on each other share a load,
-so the largest acceleration of their whole island counts, not their own: in the middle of an island nothing accelerates,
-but the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands
+A contact at rest closes no faster than gravity makes it close in a step. The bodies of an island share its load, so the
+largest acceleration in the whole island counts. (In its middle nothing accelerates, but the load is greatest.) An
+island is a connected component of the collision graph without fixed ends; other islands
 have no influence. The uniform field accelerates all bodies alike and is subtracted, unless something is fixed and does
 not fall. Without gravity the speed is 0, and every contact is an impact.
 """

@@ -1,27 +1,26 @@
 """The contact law: the impulses that a contact may exert, and the functions that all laws share.
 
 `ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels call only these
-functions. Numba resolves and inlines them when it compiles a kernel, so a call costs nothing; a law that each scene
-chooses at run time would cost a branch or a compilation for each law.
+functions. Numba inlines them when it compiles a kernel, so a call costs nothing. If each scene chose its law at run
+time, each call would cost a branch, or each law a compilation.
 
 To change the law:
 
 1. Write a module like `coulomb` with these functions, each decorated by ``inline``.
 2. Name it in `LAW`, below.
-3. If it needs coefficients of its own, add them to `carom.scene.schema`: to ``Coefficients``, whose fields `MATERIAL`
-   takes over, and as keys of ``Surface`` and ``[contact]``. mypy names the places that make ``Coefficients``, such as
-   ``combined``, which makes those of a contact from those of two materials.
+3. If it needs coefficients of its own, add them to ``Coefficients`` of `carom.scene.schema`, and as keys of ``Surface``
+   and ``[contact]``. They become fields of `MATERIAL`. mypy names the places that make ``Coefficients``, such as
+   ``combined``, which combines those of two materials.
 
 CONTRIBUTING.md has an example.
 
-What every law shares: contacts push and never pull (λ_n ≥ 0, the condition of the solver); the warm start keeps one
-normal and one tangential impulse, `IMPULSES`; the ledger books what the normal impulse takes out as restitution and
-what the tangential one takes out as friction. A law that changes these touches more:
+All laws share three things:
 
-- one that pulls changes where the solver lets go of a contact: `solver.solve`, `solver.conjugate_gradients`,
-  `solver.phases` and `statistics`;
-- one that resists rolling has a third impulse: the fields of ``CONTACT`` in `constraints`, `IMPULSES`, and the phases
-  that handle ``friction_x`` in `solver`.
+- Contacts push and never pull: λ_n ≥ 0, the condition of the solver. A law with adhesion changes where the solver lets
+  go of a contact: `solver.solve`, `solver.solve_block`, `solver.conjugate_gradients`, `solver.phases` and `statistics`.
+- The warm start keeps one normal and one tangential impulse, `IMPULSES`. A law that resists rolling adds a third: to
+  ``CONTACT`` in `constraints`, to `IMPULSES`, and to the phases of `solver` that handle ``friction_x``.
+- The ledger books what the normal impulse takes out as restitution, and what the tangential one takes out as friction.
 
 `carom.physics.reference_api.CollisionContext` states the law in use once more, with vectors, for tests to compare.
 """

@@ -4,9 +4,13 @@ A body is slow while |v| ≤ s and |ω| r ≤ 10 s, with s = `contact.sleep.spee
 for `contact.sleep.after` falls asleep if a contact presses it against something fixed. Its velocities become 0, and its
 contacts keep the forces of the last kick. Forces do not move sleepers; pairs of sleepers are left out of the contacts.
 
-An island wakes as a whole when an impact in the drift has moved one of its bodies, when a body that is awake comes near
-it, or when the acceleration of one of its bodies has changed by more than s / after. Its contacts then start from the
-forces that they had.
+An island wakes as a whole when
+
+- an impact in the drift has moved one of its bodies,
+- a body that is awake comes near it, or
+- the acceleration of one of its bodies has changed by more than s / after.
+
+Its contacts then start from the forces that they had.
 
 Rejected: sleep of single bodies (the bodies above them would wake them in the next step).
 """

@@ -30,8 +30,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
 
     An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
-    ones. Integrators that choose steps by their error take time.max_dt as it is, but the leapfrog that may hold their
-    contacts does not.
+    ones. Integrators that choose steps by their error take time.max_dt as it is. The leapfrog that takes over where
+    contacts come to rest takes a part of it.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:

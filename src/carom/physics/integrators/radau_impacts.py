@@ -11,8 +11,8 @@ one of these holds, with M ≥ |d''|, K ≥ |g''|:
 - g stays positive by g + g' s - ½ K s²: they separate
 - g stays negative by the same bound from the other end, and d ends inside: the only root of f is there
 
-So the first impact is found however short or grazing it is. The step is then taken again, as long as it lasts until
-that root, because the polynomial is of a lower order within a step than at its end.
+So the first impact is found however short or grazing it is. The step is then repeated so that it ends at that root,
+because the polynomial is of a lower order within a step than at its end.
 
 A contact comes to rest if forces press it together and it will be back within a part `REST` of the step.
 """

@@ -48,9 +48,8 @@ class QuickFlags(Flags):
 def _remember_signatures() -> None:
     """Let Numba find the types of an operation, such as the sum of two floats, once and not at each place in the code.
 
-    The search takes an eighth of the time of a compilation. Signatures that cannot be found are searched for anew, and
-    so are those of kernels that are not ours. Only whether references are counted tells ours apart: code for the one
-    kind may not be called by the other.
+    The search takes an eighth of the time of a compilation. Failed searches, and those for kernels of other packages,
+    are repeated. Kernels with and without reference counts are remembered apart: neither may call code of the other.
     """
     search: Any = BaseFunction.get_call_type
     if search in _searches:

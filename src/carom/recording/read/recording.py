@@ -212,8 +212,8 @@ class Recording(FrameTables):
         Raises
         ------
         RecordingError
-            If there is none at this step, or it is damaged: not finite, not what its digest was made of, or not of its
-            frame's fingerprint.
+            If there is none at this step, or it is damaged: not finite, or different from its digest or from the
+            fingerprint of its frame.
         """
         from carom.recording.read.checkpoint import checkpoint_at  # noqa: PLC0415 - loads Numba, which looking at a file does not need
 

@@ -78,7 +78,7 @@ def _clip(recording: Recording) -> dict[str, Any]:
 
 
 def _impacts(recording: Recording) -> dict[str, int]:
-    """Count the impacts that are recorded, and those that are not; empty if none were to be."""
+    """Count the impacts that are recorded and left out; empty if the run was to record none."""
     if not recording.records_contacts or not recording.frames:
         return {}
     last = int(recording.fingerprints()["step"][-1].as_py())

@@ -99,7 +99,7 @@ def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
 
 
 def _admit(column: pa.Field, depth: int = 0) -> None:
-    """Refuse types that carom does not write, and names that are not text, on which Rerun would panic."""
+    """Refuse types that carom never writes, and names that are not UTF-8, on which Rerun would panic."""
     names = [column.name.encode(), *(word for pair in (column.metadata or {}).items() for word in pair)]
     for name in names:
         name.decode()

@@ -190,8 +190,8 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     Raises
     ------
     RecordingError
-        If the row is not whole, not of so many bodies, not finite, or not what its digest was made of: a file from a
-        stranger may hold anything. Recordings of before there were digests are taken as they are.
+        If the row is incomplete, of another number of bodies, not finite, or differs from its digest: a file from a
+        stranger may hold anything. Old recordings without digests are taken as they are.
     """
     try:
         row = _Row(stored, bodies)

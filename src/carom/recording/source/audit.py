@@ -99,7 +99,7 @@ class Audit:
         return found
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
-        """Judge the energy that no contact explains, summed since the start, without that of bodies not judged."""
+        """Judge the energy of the judged bodies, summed since the start, that no contact explains."""
         error = energy.integration_error - self._unjudged
         relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:

@@ -23,7 +23,7 @@ _STATIC_PER_BODY = 1000
 class AddressReserve:
     """Refuses a batch for which there are too few addresses, while there are still enough to close the file.
 
-    It does nothing where addresses are not limited, or the system does not tell how many are in use.
+    It works only where `ulimit -v` limits addresses and the system tells how many are in use.
     """
 
     def __init__(self, bodies: int) -> None:

@@ -93,7 +93,7 @@ class Contact(Section):
     def _only_lasting_contacts_sleep(self) -> Self:
         if self.sleep is not None and self.solver != "lasting":
             raise ValueError(
-                f'sleep needs impulses that last; leave it out, or set solver = "lasting" for "{self.solver}"'
+                f'sleep needs impulses that last; leave it out, or set solver = "lasting" instead of "{self.solver}"'
             )
         return self
 

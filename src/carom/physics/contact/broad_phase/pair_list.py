@@ -1,8 +1,8 @@
 """A list of pairs that is searched again only when bodies have moved far enough to need it (Verlet 1967).
 
-The list has the pairs within a margin of what was asked for. If no body has moved by more than d since, two bodies
-have come closer by at most 2d, so all pairs within reach are in the list as long as 2d is within the margin. They get
-the exact test of the search, in the order of the list. The pairs are therefore those of a search.
+The list has the pairs within a margin of what was asked for. Two bodies that have moved by at most d since have come
+closer by at most 2d. As long as 2d is within the margin, all pairs within reach are in the list. They get the exact
+test of the search, in the order of the list, so the result is that of a search.
 
 The margin follows the pace of the bodies: it lasts for `CALLS` calls, within limits. A wider list costs more to test,
 and is made less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a step then take 0.45

@@ -73,7 +73,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
     """Push the resting contacts of a piece apart once; note whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
-    A later iteration skips contacts whose ends have not been pushed since: they did not overlap, and still do not.
+    Later iterations visit only contacts of which the last one pushed an end; the others still do not overlap.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, x, v = system.pairs, system.position, system.velocity

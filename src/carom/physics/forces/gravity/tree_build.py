@@ -8,9 +8,9 @@ thousands lie close to one point. Bodies at one point form one leaf, of any size
 The boxes are in preorder: a box, then all boxes in it. A walk goes on to the next box to open one, and to ``skip[box]``
 to pass over it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), which need a tenth to
-a third more time for the same error, because a box that is a little too large is split into eight; keys of 21 bits a
-coordinate, which have to be recomputed wherever they do not distinguish bodies.
+Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest). They split a box that
+is a little too large into eight, and need a tenth to a third more time for the same error. Keys of 21 bits a
+coordinate: they have to be recomputed for bodies that share one.
 """
 
 from __future__ import annotations
