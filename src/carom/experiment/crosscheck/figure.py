@@ -12,6 +12,8 @@ from carom.experiment.crosscheck.crosscheck import Crosscheck
 from carom.experiment.crosscheck.parting import PARTED
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.figure import FAINT, LEAST, styled
+from carom.experiment.work_precision.reference import Reference
+from carom.experiment.work_precision.result import Result
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
@@ -42,45 +44,42 @@ def draw(check: Crosscheck, path: Path) -> None:
         ax = figure.subplots()
         for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:
             ax.axvline(units.shown(float(met), TIME), color=FAINT, linewidth=0.6, alpha=0.5)
-        colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
-        seen: dict[str, int] = {}
-        for number, result in enumerate(runs):
-            engine = result.setting.engine
-            style = STYLES[seen.get(engine, 0) % len(STYLES)]
-            seen[engine] = seen.get(engine, 0) + 1
-            run = check.study.trajectory(result)
-            distance, _ = reference.scale.apart(run, reference.trajectory)
-            shown = np.maximum(distance, LEAST)
-            time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
-            colour = colours[engine]
-            ax.plot(
-                time,
-                shown,
-                style,
-                color=colour,
-                linewidth=WIDEST - (WIDEST - 1.0) * number / len(runs),
-                label=result.setting.name,
-            )
-            _mark(ax, check.examinations.get(result.setting.name), time, shown, colour, units)
+        _draw_runs(ax, check, reference, runs)
         ends = units.shown(float(reference.trajectory.time[-1]), TIME)
         sure = units.shown(reference.horizon, TIME)
+        marks = "grey lines: first contacts; crosses: a law is broken first"
         if sure < ends:
             ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
+            marks += "; shaded: the reference is no longer sure"
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("diverged", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
+        ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
         ax.set(
             yscale="log",
             xlabel=units.labelled("time", TIME),
             ylabel="rms distance from the reference / size",
             xlim=(0.0, None),
         )
-        marks = "grey lines: first contacts; crosses: a law is broken first"
-        if sure < ends:
-            marks += "; shaded: the reference is no longer sure"
-        ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.savefig(path)
+
+
+def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Result]) -> None:
+    """Draw how far each run is from the reference; later lines are thinner, and earlier ones show behind them."""
+    units = check.scene.unit_system
+    colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
+    seen: dict[str, int] = {}
+    for number, result in enumerate(runs):
+        engine = result.setting.engine
+        style = STYLES[seen.get(engine, 0) % len(STYLES)]
+        seen[engine] = seen.get(engine, 0) + 1
+        distance, _ = reference.scale.apart(check.study.trajectory(result), reference.trajectory)
+        shown = np.maximum(distance, LEAST)
+        time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
+        width = WIDEST - (WIDEST - 1.0) * number / len(runs)
+        ax.plot(time, shown, style, color=colours[engine], linewidth=width, label=result.setting.name)
+        _mark(ax, check.examinations.get(result.setting.name), time, shown, colours[engine], units)
 
 
 def colours_of(engines: Iterable[str]) -> dict[str, str]:
