@@ -22,7 +22,6 @@ WINDOW = Canvas()
 ALL = "all"
 PLOT = "plot"
 CLOSE_UP = "close-up"
-VIEWS = ("bodies", "graph", CLOSE_UP, "energy", PLOT)
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
 
@@ -48,7 +47,7 @@ def blueprint(
     canvas
         The window that the layout is for.
     only
-        One of `VIEWS`, which fills the window, or `ALL`.
+        The view that fills the window, "bodies", "graph", "close-up", "energy" or "plot"; or `ALL`.
     added
         Parts that are not in the file.
 
