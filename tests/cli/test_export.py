@@ -71,7 +71,10 @@ def test_the_bodies_of_a_clip_are_exported_and_no_others(cradle: Path, tmp_path:
     with np.load(tmp_path / "one.npz", allow_pickle=False) as arrays:
         assert arrays["body"].tolist() == [0, 3] and arrays["mass"].shape == (2,)
         assert np.array_equal(arrays["position"], position[None])
-    assert b"POINTS 2 double\n" in (tmp_path / "one.vtk").read_bytes()
+    vtk = (tmp_path / "one.vtk").read_bytes()
+    assert b"POINTS 2 double\n" in vtk
+    numbers = vtk.partition(b"body 1 2 int\n")[2]
+    assert np.frombuffer(numbers[:8], ">i4").tolist() == [0, 3]
     rows = (tmp_path / "one.extxyz").read_text(encoding="utf-8").splitlines()[2:]
     assert [row.split()[1] for row in rows] == ["0", "3"]
 

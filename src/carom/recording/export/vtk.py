@@ -25,7 +25,9 @@ def write_vtk(path: Path, snapshot: Snapshot) -> None:
         file.write(f"POINT_DATA {n}\n".encode())
         arrays = {"mass": snapshot.mass, "radius": snapshot.radius, **snapshot.vectors}
         del arrays["position"]
-        file.write(f"FIELD FieldData {len(arrays)}\n".encode())  # readers skip all but the first SCALARS and VECTORS
+        fields = len(arrays) + 1
+        file.write(f"FIELD FieldData {fields}\n".encode())  # readers skip all but the first SCALARS and VECTORS
+        file.write(f"body 1 {n} int\n".encode() + _bytes(snapshot.body.astype(np.int32)))
         for name, values in arrays.items():
             file.write(f"{name} {values[0].size} {n} double\n".encode() + _bytes(values))
 
