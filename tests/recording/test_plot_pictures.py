@@ -14,6 +14,7 @@ from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.view.canvas import Area
 from carom.recording.view.legend import place_legend
 from carom.recording.view.picture import render
+from carom.recording.view.plot_views import energy_view
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
@@ -62,9 +63,9 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
     _, path, pixels = energy
     curves = recorded_curves(Recording.open(path))
     shown = [curves[f"energy/{name}"] for name in LEGENDS]
-    place = place_legend(list(LEGENDS), shown, Area(SIZE[0] - 60.0, SIZE[1] - 18.0))
+    place = place_legend([f"{name} (J)" for name in LEGENDS], shown, Area(SIZE[0] - 60.0, SIZE[1] - 18.0))
     right, bottom = "Right" in place.corner.name, "Bottom" in place.corner.name
-    wide, tall = 7 * len("gravitational") + 44, 23 * len(LEGENDS) + 14  # px, as in legend.py
+    wide, tall = 7 * len("gravitational (J)") + 44, 23 * len(LEGENDS) + 14  # px, as in legend.py
     height = SIZE[1] - 18  # without the times below the plot
     rows = slice(height - tall, height) if bottom else slice(0, tall)
     # on the left the numbers of the axis come first: they are as wide as they are
@@ -75,3 +76,9 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
             continue  # so are the letters
         count = int(np.sum(of_colour(box, LINES[name])))
         assert 10 < count < DOT, f"{legend}: its dot, and nothing of its curve"
+
+
+def test_energies_that_fill_a_picture_have_their_unit_in_the_legend() -> None:
+    view = energy_view(Merry(20).header, None, Area(*SIZE))
+    names = {path: str(overridden) for path, overridden in view.visualizer_overrides.items()}
+    assert "total (J)" in names["energy/total"] and "translational (J)" in names["energy/translational"]

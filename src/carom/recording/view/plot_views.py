@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -38,8 +39,11 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
 
 
 def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
-    """Lay out the plot of the energies alone, in an area of this size."""
-    return _plot(header, PLOTS[0][0], curves, area)
+    """Lay out the plot of the energies alone, in an area of this size: without a title, so the legend has the unit."""
+    plot = PLOTS[0][0]
+    unit = header.units.recorded_unit(plot.unit)
+    legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
+    return _laid_out(plot.name_in(header.units), legends, curves, area)
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -54,22 +58,51 @@ def _speaks(series: Series, curves: Curves) -> bool:
 
 
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
-    series, title = shown_series(header, plot, curves), plot.name_in(header.units)
-    known = [curves[each.path] for each in series] if curves is not None else []
-    legends = [each.legend for each in series] if len(series) > 1 else []
-    return time_series_view(title, [each.path for each in series], legends, known, area)
+    series = shown_series(header, plot, curves)
+    legends = {each: each.legend if len(series) > 1 else "" for each in series}
+    return _laid_out(plot.name_in(header.units), legends, curves, area)
+
+
+def _laid_out(title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+    """Lay out the plot of some series, with the texts of its legend; empty ones are left out."""
+    known = [curves[each.path] for each in legends] if curves is not None else []
+    texts = [text for text in legends.values() if text]
+    names = {each.path: text for each, text in legends.items() if text not in ("", each.legend)}
+    return time_series_view(title, [each.path for each in legends], texts, known, area, names)
 
 
 def time_series_view(
-    title: str, paths: Sequence[str], legends: Sequence[str], curves: Sequence[Curve], area: Area
+    title: str,
+    paths: Sequence[str],
+    legends: Sequence[str],
+    curves: Sequence[Curve],
+    area: Area,
+    renamed: Mapping[str, str] = MappingProxyType({}),
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot whose legend covers no curve; without legends it has none. ``curves`` are empty during the run."""
+    """Lay out a plot whose legend covers no curve.
+
+    Parameters
+    ----------
+    title
+        It stands above the plot, unless the plot fills the picture.
+    paths
+        Of the series.
+    legends
+        The lines of the legend; without any the plot has none.
+    curves
+        The outlines of the series; empty during the run.
+    area
+        Of the plot.
+    renamed
+        By path, the names of series in the legend that differ from the recorded ones.
+    """
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
         name=title,
         origin="/",
         contents=list(paths),
+        overrides={path: rr.SeriesLines.from_fields(names=name) for path, name in renamed.items()},
         plot_legend=rrb.PlotLegend(place.corner, visible=bool(legends)),
         axis_x=whole_time(),
         axis_y=None if place.range is None else rrb.ScalarAxis(range=place.range),
