@@ -37,6 +37,9 @@ SCENES: dict[str, Scene] = {
     ),
     "a smooth cloud that pulls itself together": cloud(group=[{"count": 30, "radius": 0.3}], contact=SMOOTH),
     "bodies that move alike": scene_of(APART, gravity={"constant": 0.0}),
+    "bodies that move alike, in steps that end at impacts": scene_of(
+        APART, gravity={"constant": 0.0}, time={"integrator": "gauss-radau15"}
+    ),
     "a body alone": scene_of(APART[:1]),
     "a smooth pile": scene_of(PILE, plane=[{}], contact=SMOOTH, gravity={"constant": 0.0, "uniform": [0, 0, -9.81]}),
     "a dead gas with friction": cloud(contact={"restitution": 0.0}, gravity={"constant": 0.0}),

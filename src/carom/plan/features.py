@@ -196,13 +196,13 @@ def _energy(scene: Scene) -> Part:
 
 
 def _impact_time(scene: Scene, contact: Part) -> Part:
-    name, late = "time-of-impact", why_late(scene)
+    name, late, chosen = "time-of-impact", why_late(scene), integrator(scene)
+    if chosen.controls_error:
+        return contacts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")
     if scene.contact.timing == "time-of-impact":
         why = 'contact.timing = "time-of-impact"'
-    elif integrator(scene).controls_error:
-        return contacts.where_bodies_meet(name, contact, f"steps of {integrator(scene).name} end at impacts")
     else:
         why = "no self-gravity presses contacts together"
     return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own times within a step")
