@@ -133,6 +133,10 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(
         (["spheres.toml", "--vary", "contact.restitution=0:1:1", "-o", "new"], "two values or more"),
         (["spheres.toml", "--vary", "seed=1,2", "--seeds", "2", "-o", "new"], "given twice"),
         (["spheres.toml", "-o", "new"], "nothing varies"),
+        (
+            ["spheres.toml", "--seeds", "1000000000000", "-o", "new"],
+            "give fewer values, or fewer seeds",
+        ),
         (["spheres.toml", *VARY, "-o", "spheres.toml"], "is not a folder"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"], "expected the address of a Dask scheduler"),
         (["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers"),
@@ -158,6 +162,17 @@ def test_a_mistake_is_one_message_and_exit_code_2(
         main()
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
+    assert not (first[0] / "new").exists()
+
+
+def test_a_sweep_into_the_folder_of_its_scene_leaves_the_scene_alone(tmp_path: Path) -> None:
+    scene = write_scene(tmp_path)
+    own = f"{scene.read_text(encoding='utf-8')}\n[sweep]\nseeds = 2\n"
+    (tmp_path / "scene.toml").write_text(own, encoding="utf-8")
+    for force in ((), ("--force",)):
+        done = carom("sweep", "scene.toml", "-o", ".", *force, cwd=tmp_path)
+        assert done.returncode == 2 and "the sweep would replace it" in done.stderr
+        assert (tmp_path / "scene.toml").read_text(encoding="utf-8") == own
 
 
 def test_the_table_is_shown_sorted_and_filtered(first: tuple[Path, subprocess.CompletedProcess[str]]) -> None:

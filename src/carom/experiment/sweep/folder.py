@@ -66,6 +66,22 @@ class Folder:
         for part in (self.root, self.root / "runs", self.root / "failed", self.partial):
             output_folder(part)
 
+    @property
+    def is_fresh(self) -> bool:
+        """Whether nothing is in the folder besides the lock."""
+        return all(path == self._lock for path in self.root.iterdir())
+
+    @property
+    def _lock(self) -> Path:
+        return self.root / ".claim"
+
+    def remove(self) -> None:
+        """Remove the files of a sweep that could not begin, and the folder if nothing else is in it."""
+        self.clear()
+        self._lock.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.root.rmdir()
+
     def clear_partial(self) -> None:
         """Remove leftovers of earlier attempts."""
         for path in self.partial.iterdir():
@@ -87,7 +103,7 @@ class Folder:
         ExperimentError
             If another sweep runs here.
         """
-        with (self.root / ".claim").open("w") as claim:
+        with self._lock.open("w") as claim:
             try:
                 fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:

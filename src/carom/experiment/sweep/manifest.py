@@ -75,13 +75,15 @@ class Manifest:
         Raises
         ------
         ExperimentError
-            If the folder holds a sweep of another scene, of other keys, or of another version.
+            If the folder holds another scene, or a sweep of another scene, of other keys, or of another version.
         """
         known: dict[str, Run] = {}
         if folder.manifest.exists():
             stored = read(folder)
             _refuse_other(folder, stored, plan)
             known = _runs(stored)
+        else:
+            _refuse_scene_of_a_person(folder, plan)
         for point in plan.points:
             known.setdefault(point.name, Run(point.name, point.parameters, point.seed))
         folder.make()
@@ -216,6 +218,12 @@ def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
     theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
     if theirs != ours:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
+
+
+def _refuse_scene_of_a_person(folder: Folder, plan: Plan) -> None:
+    """Refuse to replace a scene that no sweep wrote; without a manifest, a sweep left no other than the plan's."""
+    if folder.scene.exists() and folder.scene.read_bytes() != plan.scene.encode():
+        raise ExperimentError(f"{folder.scene}: the sweep would replace it by its own; choose another folder with -o")
 
 
 def _copy_data(folder: Folder, plan: Plan) -> None:

@@ -17,7 +17,7 @@ from carom.scene.data.sources import HeldBodies
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from carom.scene.variation import Values, combinations, override, values_of
+from carom.scene.variation import MOST_RUNS, TOO_MANY_RUNS, Values, combinations, override, values_of
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer
@@ -99,6 +99,8 @@ def plan(
         rows = combinations(axes, scene.sweep.zip if zipped is None else zipped)
     except ValueError as error:
         raise ExperimentError(f"--vary: {error}") from None
+    if len(rows) * (count or 1) > MOST_RUNS:
+        raise ExperimentError(f"{TOO_MANY_RUNS}, or fewer seeds")
     rows = [{**row, SEED: seed} for row in rows for seed in _seeds(scene.seed, row, count)]
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
     text = _without_sweep(scene.toml)

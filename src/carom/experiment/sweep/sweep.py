@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from carom.experiment.environment import versions
+from carom.experiment.error import ExperimentError
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import output_folder
 from carom.experiment.sweep import table
@@ -84,8 +87,8 @@ def sweep(
     """
     folder = Folder(root.resolve())
     output_folder(folder.root)
-    with folder.claimed():
-        if force:
+    with folder.claimed(), _nothing_left_of_a_mistake(folder):
+        if force and folder.manifest.exists():
             folder.clear()
         manifest = Manifest.begin(folder, plan, command)
         todo = manifest.todo
@@ -104,6 +107,18 @@ def sweep(
         except OSError as error:
             untabled = f"{folder.table}: cannot be written: {error.strerror}; the same command writes it again"
     return Ending(manifest, found, stopped, untabled)
+
+
+@contextlib.contextmanager
+def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
+    """Remove a new folder if its sweep cannot begin, for example since no cluster is at the address."""
+    fresh = folder.is_fresh
+    try:
+        yield
+    except ExperimentError:
+        if fresh:
+            folder.remove()
+        raise
 
 
 def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | None, workers: int | None) -> str:
