@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.experiment.hunt.hunt import Hunt
+from carom.experiment.hunt.hunt import Hunt, Miss
 from carom.experiment.hunt.laws import LAWS, laws_of
 from carom.experiment.hunt.scenes import Drawn, drawn
+from carom.experiment.shrink.budget import OutOfTime
 from carom.physics.diagnostics.audit import Audit
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
@@ -77,6 +78,18 @@ def test_a_hunt_without_a_miss_leaves_no_folder(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(Hunt, "judge", lambda *_: [])
     assert not Hunt(1, tmp_path / "found", most=1).hunt().misses
     assert not (tmp_path / "found").exists()
+
+
+def test_a_hunt_tells_of_a_miss_as_soon_as_it_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def judge(hunt: Hunt, index: int, budget: object) -> list[Any]:
+        if index == 1:
+            raise OutOfTime("interrupted")
+        hunt.tally.misses.append(Miss("ledger", index, "off by 1 J", tmp_path / "small.toml", 1))
+        return []
+
+    monkeypatch.setattr(Hunt, "judge", judge)
+    made = carom("hunt", "--seed", "7", cwd=tmp_path)
+    assert f"ledger: scene 0 of seed 7: off by 1 J: {tmp_path}/small.toml, 1 body" in made.stderr.splitlines()
 
 
 def test_a_budget_that_is_no_time_is_refused_with_what_would_be_right(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,9 +12,10 @@ from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption
 from carom.cli.shrink import budget
 from carom.cli.text import say
+from carom.scene.counted import counted
 
 if TYPE_CHECKING:
-    from carom.experiment.hunt.hunt import Hunt, Tally
+    from carom.experiment.hunt.hunt import Hunt, Miss, Tally
 
 
 def hunt(
@@ -67,21 +69,31 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
     console = Terminal(stderr=True, quiet=quiet)
     if not quiet:
         announce_compilation()
-    if not console.is_terminal:
-        return hunt.hunt()
-    with console.status("hunting") as status:
-        hunt.watch = lambda tally: status.update(
-            f"{tally.scenes} scenes, {len(tally.misses)} misses, {tally.seconds:.0f} s"
-        )
+    with console.status("hunting") if console.is_terminal else nullcontext() as status:
+        told = 0
+
+        def watch(tally: Tally) -> None:
+            nonlocal told
+            for miss in tally.misses[told:]:  # at once, since a hunt may take hours
+                console.print(_said(tally, miss), soft_wrap=True)
+            told = len(tally.misses)
+            if status:
+                status.update(f"{counted(tally.scenes, 'scene')}, {counted(told, 'miss')}, {tally.seconds:.0f} s")
+
+        hunt.watch = watch
         return hunt.hunt()
 
 
 def _print(tally: Tally) -> None:
     ran = tally.scenes - tally.refused
     ends = f"{tally.refused} refused, {tally.stated} ended with a stated reason, {tally.given_up} given up as too long"
-    say(f"{tally.scenes} scenes in {tally.seconds:.3g} s, {ran} ran: {ends}.")
+    say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s, {ran} ran: {ends}.")
     if not tally.misses:
         say("No law was broken.")
     for miss in tally.misses:
-        where = f"{miss.path}, {miss.bodies} bodies" if miss.path else "not filed, since this law is"
-        say(f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}")
+        say(_said(tally, miss))
+
+
+def _said(tally: Tally, miss: Miss) -> str:
+    where = f"{miss.path}, {counted(miss.bodies, 'body')}" if miss.path else "not filed, since this law is"
+    return f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}"
