@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from rerun.chunk import RrdReader
 
 import carom
-from carom.experiment.estimate import MARKS, Estimate, estimate
+from carom.experiment.estimate import MARKS, Estimate, estimate, flight_seconds
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, recording_space, run
 from carom.physics.space import Space
@@ -140,6 +141,23 @@ def test_a_bundled_scene_that_is_forced_says_so() -> None:
     costs = {part.name: part for part in estimate(scene).parts}
     assert costs["friction"].why == "forced; otherwise not: both coefficients are 0"
     assert costs["spin"].modelled and costs["torque"].share is not None
+
+
+def test_steps_where_nothing_touches_cost_what_they_do_in_a_run_that_takes_many_in_one_call() -> None:
+    apart = scene_of([{}, {"position": [9, 0, 0], "velocity": [0, 1, 0]}], gravity={"constant": 0.0}, **SHORT)
+    found = look_ahead(apart, 1.0, flight_seconds=1e-12)
+    assert found.seconds <= 1e-12 * found.steps * (1.0 + 1e-9)
+    lying = scene_of([{"position": [0, 0, 1]}], plane=[{}], gravity=FALLING, **SHORT)
+    found = look_ahead(lying, 1.0, flight_seconds=1e-12)
+    assert found.seconds > 1e-9 * found.steps, "a contact ends such a call"
+
+
+def test_the_cost_of_a_step_where_nothing_touches_is_measured_for_few_bodies_only() -> None:
+    few = Space(scene_of([{"velocity": [1, 0, 0]}], time={"duration": 5.0, "fixed_dt": 1e-3}))
+    few.compute_dynamics(1)
+    assert 0.0 < flight_seconds(few) < math.inf
+    many = Space(SCENES["a smooth gas that spins"])
+    assert flight_seconds(many) == math.inf
 
 
 RESTING = {

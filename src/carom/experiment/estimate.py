@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import tempfile
 import time
@@ -13,9 +14,10 @@ import numpy as np
 from carom.experiment.outlook import look_ahead
 from carom.experiment.run import header_of, recording_space
 from carom.physics.forces.gravity import gravity_of
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import Frame
 from carom.physics.parallel.thread_team import Team
-from carom.physics.schedule import every
+from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
 from carom.plan.auto import frame_interval
@@ -31,6 +33,7 @@ TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
@@ -116,7 +119,9 @@ def estimate(scene: Scene) -> Estimate:
     few = _first_frames(space)
     spent = time.perf_counter() - began
     scene = space.scene  # with the step that its accuracy takes
-    outlook = look_ahead(scene, spent / space.step)
+    flight = flight_seconds(space)
+    each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
+    outlook = look_ahead(scene, each, flight)
     steps = outlook.steps
     interval = frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
@@ -168,6 +173,26 @@ def _first_frames(space: Space) -> list[Frame]:
         if space.step > 0 and over():
             break
     return frames
+
+
+def flight_seconds(space: Space) -> float:
+    """Return the time of a step where nothing touches, with its part of a check and a frame.
+
+    A run takes many of these steps in one call. It is infinite for many bodies, whose steps are taken one by one.
+    """
+    if len(space.state) > MAX_IN_ONE_BLOCK:
+        return math.inf
+    apart = max(1, min(FLIGHT_STEPS, round(frame_interval(space.scene) / space.dt)))  # steps from frame to frame
+    flying, paces, began = Space(space.scene), list[float](), math.inf
+    step, touched = 0, 0
+    for _ in flying.run(schedule=at(range(apart, apart * FLIGHT_ROUNDS + 1, apart))):
+        now = time.perf_counter()
+        if flying.step > step and flying.extremes.total_contacts == touched:
+            paces.append((now - began) / (flying.step - step))
+        if flying.step >= apart * FLIGHT_ROUNDS or now - began > FLIGHT_SECONDS:
+            break
+        step, touched, began = flying.step, flying.extremes.total_contacts, now
+    return statistics.median(paces) if paces else math.inf
 
 
 def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:

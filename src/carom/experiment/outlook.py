@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from dataclasses import dataclass
@@ -28,13 +29,15 @@ class Outlook:
     limits: dict[str, float]  # share of the steps that each limit sets, the largest first
 
 
-def look_ahead(scene: Scene, step_seconds: float) -> Outlook:
+def look_ahead(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
     """Estimate the steps of a run.
 
     Parameters
     ----------
     step_seconds
         Time that a step takes at the start.
+    flight_seconds
+        Time of a step where nothing touches, if a run takes many of these in one call, which the look does not.
 
     Raises
     ------
@@ -48,19 +51,19 @@ def look_ahead(scene: Scene, step_seconds: float) -> Outlook:
     best: Outlook | None = None
     for stride in STRIDES:
         if best is None or best.seen < 1.0:
-            found = _look(scene, stride, step_seconds)
+            found = _look(scene, stride, step_seconds, flight_seconds)
             best = found if best is None or found.seen > best.seen else best
     assert best is not None
     return best
 
 
-def _look(scene: Scene, stride: float, step_seconds: float) -> Outlook:
+def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: float) -> Outlook:
     """Run the whole scene with longer steps, and count those that it would have taken."""
     space, duration = Space(scene, stride=stride), scene.time.duration
     last = time.perf_counter()
     deadline = last + LOOK_SECONDS
     rates: list[float] = []  # 1/s, steps of the scene in a second of its time
-    before, total, counted, seconds = 0.0, 0.0, 0.0, 0.0
+    before, total, counted, seconds, touched = 0.0, 0.0, 0.0, 0.0, 0
     while before < duration and last < deadline:
         try:
             space.compute_dynamics(space.step + 1)
@@ -71,8 +74,10 @@ def _look(scene: Scene, stride: float, step_seconds: float) -> Outlook:
         now, foreseen = time.perf_counter(), sum(space.foreseen.values())
         rates.append((foreseen - total) / space.dt)
         within = rates[-1] * (min(space.time, duration) - before)
-        counted, seconds = counted + within, seconds + (now - last) * within
-        last, total, before = now, foreseen, space.time
+        contacts = space.extremes.total_contacts
+        each = now - last if contacts > touched else min(now - last, flight_seconds)
+        counted, seconds = counted + within, seconds + each * within
+        last, total, before, touched = now, foreseen, space.time, contacts
     rest = max(0.0, duration - before)
     half, lately = rates[len(rates) // 2 :], rates[-max(1, len(rates) // 4) :]
     steps = counted + rest * sum(lately) / len(lately)
