@@ -385,6 +385,25 @@ def test_energy_that_a_body_which_is_not_judged_loses_in_a_contact_is_no_fault(t
     assert recorder.faults == []
 
 
+def test_the_loss_of_a_body_which_is_not_judged_is_no_integration_error_and_its_sphere_makes_no_impact(
+    tmp_path: Path,
+) -> None:
+    landing = Landing()
+    with carom.record.Recorder(landing, tmp_path / "run.rrd") as recorder:
+        for step in range(1, 100):
+            landing.time = 0.01 * step
+            recorder.frame()
+    recording = Recording.open(tmp_path / "run.rrd")
+    summary, energy = recording.summary(), recording.energy()
+    assert summary["energy"]["max_error"] < 1e-12
+    lost = energy["total"][0].as_py() - energy["total"][-1].as_py()
+    assert lost > 8.0 and energy["restitution"][-1].as_py() == pytest.approx(lost)
+    assert summary["contacts"]["impacts"] == 0 and summary["judged"] == 1
+    assert "judged 1 of 2 bodies; the others are no free spheres" in " ".join(
+        command("inspect", "run.rrd", cwd=tmp_path).stdout.split()
+    )
+
+
 def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
     rebound = pytest.importorskip("rebound")
     simulation = rebound.Simulation()

@@ -70,6 +70,9 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
     table.add_row("scene", f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}")
     if summary["scene"].get("engine"):
         table.add_row("engine", f"{summary['scene']['engine']}, of which carom saw the states only")
+        if summary["judged"] < summary["bodies"]:
+            only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}; the others are no free spheres"
+            table.add_row("judged", only)
     clip = summary.get("clip")
     if clip:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"

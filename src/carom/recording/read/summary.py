@@ -61,10 +61,14 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def _of_engine(recording: Recording) -> dict[str, Any]:
-    """Return the laws that another engine's run broke, each with its first frame; nothing for carom's own runs."""
+    """Return how many bodies of another engine's run are judged, and the laws that it broke with their first frames."""
     if not recording.engine:
         return {}
-    return {"laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text"))}
+    judged = recording.closing.get("audit.judged", recording.info["bodies"])
+    return {
+        "judged": int(judged),
+        "laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text")),
+    }
 
 
 def _clip(recording: Recording) -> dict[str, Any]:

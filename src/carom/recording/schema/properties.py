@@ -87,7 +87,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
     "outcome": {
         "outcome": _text,
         **dict.fromkeys(("frames", "steps", "contacts.total", "contacts.impacts", "moments.*.step"), _whole),
-        "impacts.*": _whole,
+        **dict.fromkeys(("impacts.*", "audit.judged"), _whole),
         **dict.fromkeys(
             ("sim_time", "wall_time", "energy.*", "momentum.*", "angular_momentum.*", "accuracy.*"), _number
         ),

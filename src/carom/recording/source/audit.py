@@ -64,7 +64,6 @@ class Audit:
         self._typical = 0.0  # m/s
         self._scale = 0.0  # J, the largest kinetic energy so far
         self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
-        self._unjudged = 0.0  # J, that clusters with a body that is not judged gained so far
         self.counts: dict[str, int] = {}  # frames that broke each law
         self.first: dict[str, Fault] = {}
         self.broken: list[tuple[float, str]] = []  # s and law, of each of these frames
@@ -100,7 +99,7 @@ class Audit:
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
         """Judge the energy of the judged bodies, summed since the start, that no contact explains."""
-        error = energy.integration_error - self._unjudged
+        error = energy.integration_error
         relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:
             return None
@@ -110,7 +109,12 @@ class Audit:
         return fault if self._tell(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
-        """Yield the first fault of each law and how many frames broke it, under the dotted keys of `outcome`."""
+        """Yield the first fault of each law and how many frames broke it, under the dotted keys of `outcome`.
+
+        Before them comes the number of judged bodies, unless it is all.
+        """
+        if not self._setup.judged.all():
+            yield "audit.judged", int(np.count_nonzero(self._setup.judged))
         for law, first in self.first.items():
             key = f"laws.{law}"
             yield f"{key}.frames", self.counts[law]
@@ -213,7 +217,7 @@ class Audit:
         back = np.where(clusters.touched, np.clip(change, 0.0, owed), 0.0)
         taken = np.where(clusters.touched, np.maximum(-change, 0.0), 0.0)
         found.taken = float((taken - back)[clusters.judged].sum())
-        self._unjudged += float(change[~clusters.judged].sum())
+        found.unjudged = -float(change[~clusters.judged].sum())
         self._book(clusters, taken, back, owed)
         wrong = np.where(clusters.touched, np.maximum(change, 0.0) - back, change)
         excess = np.where(clusters.judged, np.abs(wrong) - rounding, 0.0)
@@ -275,7 +279,7 @@ class Audit:
             yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # or it is another body that turned them
-        self._impacts(near, np.where(met & (closing > still), closing, 0.0), found)
+        self._impacts(near, np.where(met & known & (closing > still), closing, 0.0), found)
 
     def _impacts(self, near: Near, closing: FloatArray, found: Finding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""

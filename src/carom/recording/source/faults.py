@@ -41,6 +41,7 @@ class Finding:
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, by contacts; negative where they gave some back
+    unjudged: float = 0.0  # J, that clusters with a body that is not judged lost, to whatever
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
     impacts: int = 0  # how many did
     hardest: float = 0.0  # J

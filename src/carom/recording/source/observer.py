@@ -77,7 +77,7 @@ class Observer:
         dt = 0.0 if before is None else now.time - before.time
         potentials, pull = self._potentials()
         seen, contacts = self._judge(step, before or now, now, state.contacts, pull)
-        self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken)
+        self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
         motion = Motion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
         momentum = self._momenta.balance(motion, now.time - self._began)
