@@ -133,7 +133,7 @@ def test_an_interruption_loses_only_the_run_that_is_being_followed(tmp_path: Pat
     assert len({name for names in followed for name in names}) == 4  # of each engine the two steps
 
 
-def test_what_an_engine_cannot_represent_is_named_before_anything_runs(tmp_path: Path) -> None:
+def test_parts_of_a_scene_that_an_engine_cannot_represent_are_named_before_anything_runs(tmp_path: Path) -> None:
     done = carom("crosscheck", "kepler-orbits", "--engine", "mujoco", "-o", "out", cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "mujoco cannot represent this scene: the bodies' own gravity" in done.stderr

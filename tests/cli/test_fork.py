@@ -10,7 +10,7 @@ import pytest
 from command import carom, carom_process
 
 
-def test_both_courses_are_written_and_their_difference_is_told(folder: Path) -> None:
+def test_a_fork_writes_both_courses_and_prints_their_difference(folder: Path) -> None:
     done = carom("fork", "run.rrd", "--at", "0.5", "--set", "contact.restitution=0", "--force", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "Forked at step 5, t = 0.5 s with contact.restitution = 0" in done.stdout

@@ -28,7 +28,7 @@ def test_a_moment_outside_the_recording_is_refused_with_what_it_covers(
         ["resume", "--until", "nan"],
     ],
 )
-def test_what_is_no_time_is_refused(run_file: Path, tmp_path: Path, arguments: list[str]) -> None:
+def test_an_argument_that_is_not_a_time_is_refused(run_file: Path, tmp_path: Path, arguments: list[str]) -> None:
     command, *options = arguments
     done = carom(command, "run.rrd", *options, cwd=tmp_path)
     assert done.returncode == 2 and "expected a time" in " ".join(done.stderr.split())

@@ -220,7 +220,7 @@ def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
         ("datafusion", ["--catalog", "out"], 'pip install "carom[catalog]"'),
     ],
 )
-def test_what_is_not_installed_is_named(
+def test_a_missing_package_is_named_without_a_traceback(
     first: tuple[Path, subprocess.CompletedProcess[str]], package: str, arguments: list[str], said: str
 ) -> None:
     blocked = f"import sys; sys.modules[{package!r}] = None; from carom.cli.main import main; main()"

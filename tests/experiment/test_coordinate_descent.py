@@ -101,7 +101,7 @@ def test_a_scene_that_records_every_step_keeps_enough_of_them_to_be_looked_at(tm
 
 
 @pytest.mark.slow
-def test_what_a_setting_makes_worse_is_told_with_both_values(tmp_path: Path) -> None:
+def test_errors_that_the_best_setting_raises_are_told_with_both_values(tmp_path: Path) -> None:
     tuning = search(eight(), tmp_path, energy=1e-4)
     best, written = tuning.best, tuning.written
     assert best is not None and best.errors is not None and written.errors is not None

@@ -61,7 +61,7 @@ def test_a_difference_that_is_there_at_once_is_a_jump_even_if_it_grows_afterward
         assert "step 60, t = 3 s" in said.text
 
 
-def test_what_chaos_makes_of_round_off_between_two_frames_far_apart_is_no_jump() -> None:
+def test_round_off_that_chaos_amplifies_between_two_frames_far_apart_is_not_a_jump() -> None:
     # One frame in 100 steps, 5 s: λ = 3 makes 3 million of 1 in that time.
     count, rate = 12, 3.0
     time = 5.0 * np.arange(count)
@@ -88,7 +88,7 @@ def test_a_small_difference_that_does_not_grow_is_called_that() -> None:
     assert verdict(found, None).kind == "small"
 
 
-def test_what_cannot_be_seen_in_single_precision_is_not_fitted() -> None:
+def test_differences_below_single_precision_are_not_fitted() -> None:
     found = exponential(3.0)
     blurred = replace(found, floor=np.full(len(found.rms), 1e-6))
     grown = divergence_of(blurred)

@@ -214,7 +214,7 @@ def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> 
     assert path["vz"][-1].as_py() == pytest.approx(3.0 - 9.81 * STEPS * DT, rel=1e-12)  # 130 sums
 
 
-def test_what_needs_a_second_run_says_that_another_engine_cannot_be_run(healthy: Path, tmp_path: Path) -> None:
+def test_commands_that_need_a_second_run_say_that_another_engine_cannot_be_run(healthy: Path, tmp_path: Path) -> None:
     for words in (("replay",), ("resume",), ("contacts",), ("contacts", "--impacts")):
         done = command(*words, str(healthy), cwd=tmp_path)
         assert done.returncode == 2 and "was recorded from toy 1.0" in done.stderr
@@ -275,7 +275,7 @@ def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recordin
     assert Recording.open(path).outcome.startswith("failed: Velocity of body 2")
 
 
-def test_what_is_no_run_of_bodies_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
+def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     changes: list[tuple[dict[str, Any], str]] = [
         ({"mass": [1.0, -2.0, 1.0]}, r"mass\[1\] is -2; it cannot be negative"),

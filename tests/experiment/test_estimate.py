@@ -53,7 +53,7 @@ def test_a_recording_has_the_entities_that_the_scene_requires_and_no_other(name:
     assert {chunk.entity_path for chunk in chunks if not chunk.entity_path.startswith("/__")} == expected
 
 
-def test_what_is_not_required_is_not_in_the_checkpoints(tmp_path: Path) -> None:
+def test_checkpoints_lack_the_parts_that_are_not_required(tmp_path: Path) -> None:
     for name, orientations, spins in (
         ("a smooth gas", False, False),
         ("a smooth gas with spin forced on", False, True),
@@ -123,7 +123,7 @@ def test_a_scene_as_short_as_a_step_is_estimated() -> None:
     assert found.cost.steps >= 1 and found.cost.seconds > 0.0
 
 
-def test_what_the_first_step_loads_is_no_part_of_the_cost(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cost_leaves_out_what_the_first_step_loads(monkeypatch: pytest.MonkeyPatch) -> None:
     choose, waits = Timestep.choose, [0.5]  # s, ten times what the 200 steps of this estimate take
 
     def choose_slowly_at_first(*given: Any) -> tuple[float, str]:

@@ -91,7 +91,7 @@ def test_two_in_two_out() -> None:
     ("name", "reason"),
     [("cloud-collapse", "500 bodies"), ("marbles-in-a-box", "151 bodies"), ("kepler-orbits", "")],
 )
-def test_what_cannot_be_solved_exactly_says_why(name: str, reason: str) -> None:
+def test_a_scene_without_an_exact_reference_says_why(name: str, reason: str) -> None:
     assert why_not(Scene.load(name)).startswith(reason) and bool(why_not(Scene.load(name))) is bool(reason)
 
 

@@ -96,7 +96,7 @@ def test_other_parameters_act_from_the_fork_on(gas: Path, tmp_path: Path) -> Non
         ("time.duration=1.0", "nothing to go on to"),
     ],
 )
-def test_what_a_checkpoint_holds_cannot_be_overridden(gas: Path, override: str, message: str) -> None:
+def test_a_fork_refuses_overrides_of_what_a_checkpoint_holds(gas: Path, override: str, message: str) -> None:
     with pytest.raises(ExperimentError, match=message):
         start_of(Branch(gas, 2.0, tuple(override.split(";"))))
 

@@ -132,7 +132,7 @@ def test_a_folder_with_a_file_of_another_program_is_never_replaced(run: Path, na
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_what_ends_in_the_middle_leaves_the_old_folder(
+def test_a_publication_that_fails_leaves_the_old_folder(
     run: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
     def fail(*_: object) -> None:

@@ -111,7 +111,7 @@ def test_the_scene_of_a_recording_has_the_bodies_of_the_files(recording: Recordi
     assert scene.count == 13
 
 
-def test_what_is_exported_is_read_as_bodies_again(recording: Recording, tmp_path: Path) -> None:
+def test_exported_bodies_can_be_read_as_bodies_of_a_scene(recording: Recording, tmp_path: Path) -> None:
     for ending in ("csv", "parquet", "npz"):
         file = tmp_path / f"out.{ending}"
         write(file, snapshots(recording, None, everything=True), series=True)

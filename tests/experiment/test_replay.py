@@ -158,7 +158,7 @@ def test_each_number_of_a_checkpoint_is_told_with_its_unit() -> None:
     assert (told["held_impulse"], told["ledger_friction"], told["contact_rest_speed"]) == ("N s", "J", "m/s")
 
 
-def test_one_bit_of_one_velocity_is_enough(tmp_path: Path) -> None:
+def test_replay_finds_one_changed_bit_of_one_velocity(tmp_path: Path) -> None:
     def nudge(space: Space) -> None:
         # The last bit but one: the next kick passes 0.5 m/s, where it rounds a change of the very last bit away.
         space.state.velocity[3].view(np.int64)[0] ^= 2

@@ -75,7 +75,7 @@ def test_the_bodies_of_large_extremes_are_those_that_their_script_writes(tmp_pat
         assert (copy / path.name).read_text(encoding="utf-8") == path.read_text(encoding="utf-8"), path.name
 
 
-def test_one_ball_leaves_a_long_chain_and_a_hundred_stay() -> None:
+def test_one_ball_leaves_the_elastic_chain_and_a_hundred_stay_at_rest() -> None:
     space = extreme("elastic-chain")
     run_through(space)
     assert np.array_equal(space.state.velocity[:, 0], [0.0] * 99 + [1.0, 0.0])  # the striker is the last body

@@ -52,7 +52,7 @@ def test_every_setting_gets_its_errors_and_as_many_costs_as_asked_for(tmp_path: 
     assert "front" in study.marks("position").values()
 
 
-def test_what_is_measured_is_not_measured_again(tmp_path: Path) -> None:
+def test_a_setting_is_measured_once(tmp_path: Path) -> None:
     first, _ = measured(eight(), tmp_path, "step=2,1")
     again, said = measured(eight(), tmp_path, "step=2,1")
     assert said == []

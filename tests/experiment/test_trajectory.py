@@ -140,7 +140,7 @@ def test_contacts_of_the_last_steps_are_noted(steps_left: float, timing: str) ->
     assert 1.0 - 1e-12 <= run.met[0] <= 1.0 + 0.01 * min(steps_left, 1.0) + 1e-12
 
 
-def test_what_comes_to_rest_has_sunk_by_the_overlap_it_keeps() -> None:
+def test_a_body_that_came_to_rest_has_sunk_by_the_overlap_it_keeps() -> None:
     def sinking(how: str) -> float:
         stack = [{"position": [0.0, 0.0, 1.0 + 2.0 * k], "velocity": [0.0, 0.0, -0.5]} for k in range(3)]
         scene = scene_of(

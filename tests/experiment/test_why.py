@@ -99,7 +99,7 @@ def test_the_chain_leads_back_to_the_body_that_moved_first(tmp_path: Path) -> No
     assert cause.moment == pytest.approx(3.0, rel=1e-12) and cause.energy_lost == pytest.approx(0.0, abs=1e-12)
 
 
-def test_what_happens_later_or_elsewhere_is_not_in_the_cone(tmp_path: Path) -> None:
+def test_the_cone_leaves_out_later_and_remote_events(tmp_path: Path) -> None:
     balls = row_of_balls(4).model_dump(mode="json", exclude_unset=True)
     balls["body"].append({"position": [0.0, 9.0, 0.0], "radius": 1.0, "mass": 1.0})
     recording = recorded(Scene.from_dict(balls), tmp_path)
@@ -117,7 +117,7 @@ def test_of_an_impact_both_bodies_are_asked_about_just_before_it(tmp_path: Path)
     assert answer.first_cause == 0
 
 
-def test_what_lies_in_a_pile_is_answered_by_a_flow_of_impulse(tmp_path: Path) -> None:
+def test_the_answer_for_a_body_in_a_pile_is_a_flow_of_impulse(tmp_path: Path) -> None:
     stack = [{"position": [0.0, 0.0, 0.5 + k], "radius": 0.5, "mass": 1.0 + k} for k in range(3)]
     fall = {"constant": 0.0, "uniform": [0.0, 0.0, -10.0]}
     law = {"restitution": 0.0}

@@ -88,7 +88,7 @@ def test_every_method_goes_on_with_the_same_bits(variant: dict[str, Any]) -> Non
     assert_same_run(run[150:], taken_up(scene, run[150], 150))
 
 
-def test_it_goes_on_with_the_same_bits_on_any_number_of_threads() -> None:
+def test_a_resumed_run_has_the_same_bits_on_any_number_of_threads() -> None:
     scene = cloud(60)
     run = run_of(scene, 100, threads=1)
     for threads in (2, 4):

@@ -112,7 +112,7 @@ def test_every_impact_that_the_run_counts_is_in_a_frame(timing: str) -> None:
 
 
 @pytest.mark.parametrize("solver", ["lasting", "staged"])
-def test_what_lies_on_a_plane_takes_its_weight_in_every_step(solver: str) -> None:
+def test_the_impulse_on_a_ball_on_a_plane_is_its_weight_times_the_step(solver: str) -> None:
     frames = frames_of(ball_on_floor([0.0, 0.0, 0.0], 0.5, {"solver": solver}))
     for frame in frames[2:]:
         rows = frame.contact_rows
@@ -159,7 +159,7 @@ def test_without_friction_what_lies_is_resting_and_has_no_tangential_impulse() -
     assert [rows[0][name] for name in ("friction_x", "friction_y", "friction_z")] == [0.0, 0.0, 0.0]
 
 
-def test_what_touches_and_moves_apart_is_open_and_gives_nothing() -> None:
+def test_a_contact_that_separates_is_open_and_has_no_impulse() -> None:
     left = {"position": [-1.0, 0.0, 0.0], "velocity": [-1e-3, 0.0, 0.0], "radius": 1.01}
     right = {"position": [1.0, 0.0, 0.0], "velocity": [1e-3, 0.0, 0.0], "radius": 1.01}
     time = {"duration": 0.01, "fixed_dt": 0.01}

@@ -195,7 +195,7 @@ def test_a_medium_that_moves_drives_bodies_and_raises_no_alarm() -> None:
     assert space.extremes.warned == () and space.extremes.energy_gain.value <= 1e-12
 
 
-def test_what_is_fixed_is_not_moved_by_a_wind() -> None:
+def test_a_wind_does_not_move_fixed_bodies() -> None:
     post = {"fixed": True, "position": [5.0, 0.0, 0.0]}
     drag = {"relaxation_time": 0.2, "medium_velocity": [3.0, 0.0, 0.0]}
     _, frame = run(scene_of([{}, post], gravity={"constant": 0.0}, time={"duration": 1.0}, drag=drag))

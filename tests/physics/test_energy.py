@@ -131,7 +131,7 @@ def test_on_a_parabola_the_scale_is_that_of_its_two_terms() -> None:
     assert Space(scene_of(fast, gravity={"constant": 2.0}, time={"duration": 1.0})).energy().scale == pytest.approx(0.5)
 
 
-def test_what_contacts_take_out_of_a_collapse_counts_into_its_scale() -> None:
+def test_the_energy_scale_of_a_collapse_contains_what_contacts_took_out() -> None:
     bodies = random_bodies(5, seed=1)
     account = EnergyAccount(bodies, np.zeros(3))
     pull = {"gravitational": -1e3}

@@ -257,7 +257,9 @@ def test_the_solution_within_a_step_is_that_of_a_run_which_ends_there() -> None:
         ({"domain": {"boundary": "periodic", "size": [9, 9, 9]}, "gravity": {"constant": 0.0}}, "in a periodic box"),
     ],
 )
-def test_what_it_does_not_integrate_is_refused_with_the_remedy(sections: dict[str, Any], message: str) -> None:
+def test_scenes_that_gauss_radau15_cannot_integrate_are_refused_with_the_remedy(
+    sections: dict[str, Any], message: str
+) -> None:
     contact = sections.pop("contact", {"enabled": False})
     bodies: list[dict[str, Any]] = [{"mass": 1.0}, {"mass": 1.0, "position": [3, 0, 0]}]
     time = {"integrator": RADAU} | sections.pop("time", {})

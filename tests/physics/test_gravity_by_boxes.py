@@ -50,7 +50,7 @@ def test_an_angle_of_almost_nothing_leaves_a_direct_sum(shape: Shape, method: Me
 
 @pytest.mark.parametrize("potential", [True, False])
 @pytest.mark.parametrize("method", METHODS)
-def test_what_was_summed_before_changes_no_bit(method: Method, potential: bool) -> None:
+def test_the_bits_do_not_depend_on_earlier_sums(method: Method, potential: bool) -> None:
     position, mass = plummer(1000), masses(1000)
     gravity = method(mass, 1.0, 0.0, 0.5)
     fresh, used = np.empty((1000, 3)), np.empty((1000, 3))

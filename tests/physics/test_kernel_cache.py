@@ -132,7 +132,7 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another
     assert call(package)[1] == 0
 
 
-def test_what_a_kernel_may_be_made_of_is_found_as_python_finds_it() -> None:
+def test_the_quick_search_finds_the_imports_that_python_finds() -> None:
     """The search for imports is a quick one, by patterns: compare it with Python's own parser, for every file."""
     root = Path(carom.__file__).parent
     for file in root.rglob("*.py"):

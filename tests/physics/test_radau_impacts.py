@@ -259,7 +259,7 @@ def test_a_recording_with_impacts_is_replayed_and_resumed_with_the_same_bits(tmp
     assert replay(resumed).same
 
 
-def test_what_comes_to_rest_is_held_by_leapfrog_and_said_so() -> None:
+def test_leapfrog_holds_contacts_that_come_to_rest_and_an_event_says_so() -> None:
     space = Space(falling_pair(90.0, 0.5))
     events = [event for frame in space.run() for event in frame.events]
     [said] = [event for event in events if event.kind == "at-rest"]

@@ -121,7 +121,7 @@ def test_every_part_is_left_out_by_one_of_the_scenes() -> None:
     assert {part for scene in SCENES.values() for part in left_out(scene)} == set(PARTS) - always
 
 
-def test_what_is_not_required_has_no_array() -> None:
+def test_a_part_that_is_not_required_has_no_array() -> None:
     state = Space(SCENES["a smooth gas"]).state
     turning = (state.orientation, state.angular_velocity, state.torque, state.angular_acceleration)
     assert [array.size for array in (*turning, state.ends.angular_velocity)] == [0] * 5
@@ -193,7 +193,7 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
 
 
 @pytest.mark.parametrize(("sections", "absent"), [case[1:] for case in CHOICES], ids=[case[0] for case in CHOICES])
-def test_what_is_not_required_is_neither_compiled_nor_loaded(sections: Sections, absent: set[str]) -> None:
+def test_a_part_that_is_not_required_is_neither_compiled_nor_loaded(sections: Sections, absent: set[str]) -> None:
     contact = LATE | sections.get("contact", {})  # impacts on the way have kernels of their own
     loaded = kernels_of(WHOLE | sections | {"contact": contact})
     assert ALL - loaded == absent

@@ -165,6 +165,6 @@ def test_nothing_sleeps_in_free_space() -> None:
     ("sections", "told"),
     [({"drag": {"relaxation_time": 1.0}}, r"\[drag\]"), ({"contact": {"solver": "staged"}}, "lasting")],
 )
-def test_what_contradicts_sleep_is_refused(sections: dict[str, Any], told: str) -> None:
+def test_keys_that_contradict_sleep_are_refused(sections: dict[str, Any], told: str) -> None:
     with pytest.raises(ValueError, match=told):
         pile(**sections)

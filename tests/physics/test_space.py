@@ -347,7 +347,7 @@ WALL: dict[str, Any] = {**FLOOR, "plane": [{"normal": [1, 0, 0]}]}
         (False, [{"position": [-1, 0, 0], "velocity": [5, 0, 0]}, {"position": [1, 0, 0], "velocity": [5, 0, 0]}], {}),
     ],
 )
-def test_what_falls_or_rolls_away_has_not_settled(
+def test_a_body_that_falls_or_rolls_away_has_not_settled(
     moving: bool, bodies: list[dict[str, Any]], sections: dict[str, Any]
 ) -> None:
     sections = {"gravity": {"constant": 1e-3}, **sections, "time": {"duration": 0.5, "max_dt": 0.01}}

@@ -77,7 +77,7 @@ def test_an_impact_that_will_stick_is_pushed() -> None:
     assert abs(left[0]) <= 1e-15
 
 
-def test_what_impacts_leave_is_undone_by_pushes_and_by_nothing_else() -> None:
+def test_only_pushes_undo_the_overlaps_that_impacts_leave() -> None:
     # docs/trade.md: the deepest overlap of a run is that of an impact, with or without pushes; what is left of it is
     # not. Three seeds measured 2 × 10⁻⁸ to 9 × 10⁻⁸ with them, and 4 to 6 × 10⁻⁴ without.
     left = {}

@@ -114,7 +114,7 @@ def visit(lo: int, hi: int, visits: NDArray[Any], step: float) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 19, 20, 1003])
-def test_what_is_divided_is_done_once(count: int) -> None:
+def test_each_piece_of_divided_work_is_done_once(count: int) -> None:
     for threads in (1, 2, 3):
         team = Team(threads)
         for _ in range(50):

@@ -81,7 +81,7 @@ def test_without_times_of_impact_it_passes_through() -> None:
     assert not struck(plain) and not len(plain.contacts)
 
 
-def test_it_hits_what_comes_towards_it_and_what_is_fixed() -> None:
+def test_a_fast_sphere_hits_an_approaching_and_a_fixed_sphere() -> None:
     [(_, moment)] = struck(bullet({"position": [50.0, 0.03, 0.0], "velocity": [-100.0, 0, 0]}))
     assert moment == pytest.approx((100.0 - 0.2) / 200.0, rel=1e-14)
     space = bullet({"position": [0.0, 0.03, 0.0], "fixed": True})
@@ -89,7 +89,7 @@ def test_it_hits_what_comes_towards_it_and_what_is_fixed() -> None:
     assert space.state.velocity[0].tolist() == [-100.0, 0.0, 0.0] and not space.state.velocity[1].any()
 
 
-def test_it_hits_a_plane_and_comes_back() -> None:
+def test_a_fast_sphere_rebounds_from_a_plane() -> None:
     space = bullet({"position": [0.0, 9.0, 0.0]}, plane=[{"point": [20.0, 0, 0], "normal": [-1, 0, 0]}])
     [(pair, moment)] = struck(space)
     assert pair == (0, 2) and moment == pytest.approx(0.699, rel=1e-14)
@@ -97,7 +97,7 @@ def test_it_hits_a_plane_and_comes_back() -> None:
 
 
 @pytest.mark.parametrize("size", [[60.0, 6.0, 6.0], [7.0, 6.0, 6.0], [0.9, 0.8, 0.7]])
-def test_it_hits_across_the_edge_of_a_periodic_box_however_often_it_passes_through(size: list[float]) -> None:
+def test_a_fast_sphere_hits_across_the_edge_of_a_periodic_box_after_any_number_of_passes(size: list[float]) -> None:
     # across the y edge it is 0.03 m beside the target only if images are taken into account, and in the smallest box
     # it passes a dozen of them, ever nearer, before it meets one
     space = bullet({"position": [0.0, size[1], 0.0]}, domain={"boundary": "periodic", "size": size})
@@ -112,7 +112,7 @@ def test_it_hits_across_the_edge_of_a_periodic_box_however_often_it_passes_throu
     assert found[0][1] == pytest.approx(expected, abs=1e-14)
 
 
-def test_one_fast_sphere_in_a_crowd_hits_what_stands_in_its_way_and_nothing_else() -> None:
+def test_a_fast_sphere_in_a_crowd_hits_only_the_sphere_in_its_way() -> None:
     # 20³ spheres at rest, 4 radii apart; the bullet flies along a row of gaps, and meets the one sphere put there
     grid = np.array(list(itertools.product(range(20), repeat=3)), dtype=float) * 0.4
     bodies: list[Document] = [{"position": x.tolist(), "radius": 0.1, "mass": 1.0} for x in grid]
@@ -323,7 +323,7 @@ def test_a_collapse_conserves_what_a_collapse_conserves_and_overlaps_less() -> N
 
 
 @pytest.mark.parametrize("constant", [0.0, 1.0])
-def test_what_rests_rests_with_the_same_bits(constant: float) -> None:
+def test_contacts_at_rest_have_the_same_bits_with_either_timing(constant: float) -> None:
     # a row of ten on a plane, or drawn together by themselves: nothing closes faster than a contact at rest
     row = [{"position": [0.0, 0.0, 0.5 + k], "radius": 0.5, "mass": 1.0} for k in range(10)]
     ends = []

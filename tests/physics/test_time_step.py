@@ -275,7 +275,7 @@ def after(scene: Scene, steps: int) -> Space:
     return space
 
 
-def test_what_rests_on_each_other_gets_the_step_of_many_bodies_whatever_their_number() -> None:
+def test_bodies_that_rest_on_each_other_get_the_step_of_many_bodies_at_any_number() -> None:
     # Each is pulled by √3/4, and held by 1/4 at two contacts. Three in flight get 0.003 of a fall, 33 times the steps.
     space = after(huddle(), 60)
     pull = math.sqrt(3.0) / 4.0
@@ -305,7 +305,7 @@ def test_two_that_roll_about_each_other_turn_in_some_six_hundred_steps() -> None
     assert space.first_dt == pytest.approx(0.01 / 0.25, rel=1e-3)
 
 
-def test_what_holds_a_body_is_in_the_checkpoint() -> None:
+def test_the_impulses_that_hold_a_body_are_in_the_checkpoint() -> None:
     space = after(huddle(), 60)
     again = Space(huddle())
     again.restore(space.frame().checkpoint)
@@ -314,7 +314,7 @@ def test_what_holds_a_body_is_in_the_checkpoint() -> None:
     assert np.array_equal(stepper_of(again).borne(), borne) and len(borne) == 3
 
 
-def test_what_is_squeezed_between_heavy_bodies_keeps_the_short_step() -> None:
+def test_a_body_squeezed_between_heavy_ones_keeps_the_short_step() -> None:
     scene = Scene.load("extremes/mass-ratio-squeezed")
     space = after(scene, 20)
     assert space.dt == pytest.approx(Space(scene).first_dt, rel=1e-6)

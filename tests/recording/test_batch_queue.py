@@ -9,7 +9,7 @@ import pytest
 from carom.recording.write.batch_queue import BatchQueue
 
 
-def test_what_goes_in_comes_out_in_order_and_in_batches() -> None:
+def test_a_batch_queue_hands_out_frames_in_order_and_in_batches() -> None:
     queue: BatchQueue[int] = BatchQueue(capacity=8, batch=4, seconds=60.0)
     taken: list[list[int]] = []
 

@@ -58,7 +58,9 @@ def test_names_with_commas_are_asked_for_as_they_are(tmp_path: Path) -> None:
         (",".join(f"{body}.{name}" for body in (0, 1) for name in QUANTITIES), "22 curves are more than 12"),
     ],
 )
-def test_what_does_not_exist_is_told_in_one_sentence(thrown: Recording, text: str, said: str) -> None:
+def test_a_plot_of_a_missing_body_or_quantity_is_refused_in_one_sentence(
+    thrown: Recording, text: str, said: str
+) -> None:
     with pytest.raises(RecordingError) as raised:
         asked_quantities(thrown, text)
     assert said in str(raised.value)

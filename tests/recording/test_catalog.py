@@ -48,7 +48,7 @@ def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
             assert row in (viewer.client.get_state().active_recording or "")
 
 
-def test_what_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_catalog_names_missing_recordings(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"no recording at .*gone"), catalog("bounces", [tmp_path / "gone.rrd"]):
         pass
     with pytest.raises(RecordingError, match="no recordings yet"), catalog("bounces", []):

@@ -319,7 +319,9 @@ def test_a_clip_has_its_impacts_and_those_of_its_bodies_only(recording: Recordin
         (lambda r: r.trajectory(0, start="1 s"), r"^start = '1 s': a time is a number, in seconds$"),
     ],
 )
-def test_what_is_not_there_is_said_in_one_sentence(recording: Recording, question: Any, message: str) -> None:
+def test_a_question_about_missing_contacts_is_refused_in_one_sentence(
+    recording: Recording, question: Any, message: str
+) -> None:
     with pytest.raises(RecordingError, match=message):
         question(recording)
 
@@ -335,7 +337,7 @@ def frames_with_impacts(count: int, each: int) -> list[Frame]:
     return frames
 
 
-def test_what_is_too_large_for_float32_is_recorded_as_infinite_without_a_warning() -> None:
+def test_numbers_too_large_for_float32_are_recorded_as_infinite_without_a_warning() -> None:
     (frame,) = frames_with_impacts(1, 2)
     assert frame.impacts is not None
     for name in ("x", "approach_speed", "normal_impulse", "friction_x", "restitution_loss"):

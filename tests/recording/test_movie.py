@@ -70,7 +70,7 @@ def test_the_delays_of_a_gif_add_up_to_its_length(fps: float) -> None:
 
 @pytest.mark.parametrize("name", ["movie.mp4", "movie.gif"])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), RecordingError("the viewer has ended")])
-def test_what_ends_in_the_middle_leaves_no_torn_file_and_the_old_movie(
+def test_a_movie_that_fails_leaves_no_torn_file_and_the_old_movie(
     tmp_path: Path, name: str, error: BaseException
 ) -> None:
     def torn() -> Iterator[bytes]:

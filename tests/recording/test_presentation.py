@@ -184,7 +184,7 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
         (None, None, "0,left", "is one body; give two"),
     ],
 )
-def test_what_does_not_exist_is_one_sentence(
+def test_a_request_for_a_missing_moment_or_body_is_refused_in_one_sentence(
     at: float | None, name: str | None, bodies: str | None, said: str, bounce: Recording
 ) -> None:
     with pytest.raises(RecordingError, match=said):

@@ -35,7 +35,7 @@ def entities(path: Path) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(path).store().stream()}
 
 
-def test_what_was_put_in_comes_out(tmp_path: Path, merry: Merry) -> None:
+def test_a_recording_holds_the_header_and_the_frames_that_were_put(tmp_path: Path, merry: Merry) -> None:
     frames = list(merry.frames(150))
     record(tmp_path / "run.rrd", merry, 150)
     recording = Recording.open(tmp_path / "run.rrd")
@@ -87,7 +87,7 @@ def test_across_a_periodic_boundary_lines_take_the_short_way(tmp_path: Path) -> 
             assert np.all(np.abs(lines[:, 1] - lines[:, 0]) <= 2.0001)
 
 
-def test_what_a_scene_does_not_require_leaves_no_entity(tmp_path: Path) -> None:
+def test_a_part_that_a_scene_does_not_require_has_no_entity(tmp_path: Path) -> None:
     record(tmp_path / "all.rrd", Merry(5), 30)
     record(tmp_path / "few.rrd", Merry(5, spins=False, collides=False, forces=frozenset()), 30)
     missing = entities(tmp_path / "all.rrd") - entities(tmp_path / "few.rrd")

@@ -50,7 +50,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 100, b"RRF2" + bytes(500)])
-def test_what_is_not_a_recording_is_refused_in_one_sentence(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_recording_is_refused_in_one_sentence(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "scene.toml").write_bytes(content)
     with pytest.raises(RecordingError, match=r"scene\.toml (is not a recording|holds no recording)"):
         Recording.open(tmp_path / "scene.toml")
@@ -94,7 +94,7 @@ def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry)
     assert summary["versions"] == {"carom": "0.1.0", "rerun": "0.41.0"}
 
 
-def test_what_the_run_itself_counted_is_believed_more_than_the_recorded_frames(path: Path) -> None:
+def test_counts_of_the_run_take_precedence_over_the_recorded_frames(path: Path) -> None:
     summary = Recording.open(path).summary()
     assert summary["contacts"]["total"] == 1234
     assert summary["expect"] == {"energy_error": KEPT}

@@ -104,7 +104,7 @@ def test_wrong_bytes_in_the_middle_cost_one_chunk_which_is_named(run_file: Path,
     assert f"1 piece lost: {done.lost[0]}" in fixed.outcome
 
 
-def test_what_follows_a_wrong_length_is_found_again(run_file: Path, tmp_path: Path) -> None:
+def test_messages_after_a_wrong_length_are_found_again(run_file: Path, tmp_path: Path) -> None:
     offset, length = entry(run_file, "energy/total")
     without_footer(run_file)
     flip(run_file, offset - 8)
@@ -159,7 +159,7 @@ def test_a_run_killed_before_its_first_frame_is_refused_or_repaired_into_what_ca
 
 
 @pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 1000, b"RRF2" + bytes(500), b"\x8f" * 100_000])
-def test_what_is_no_recording_cannot_be_made_one(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_recording_cannot_be_repaired(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "scene.toml").write_bytes(content)
     with pytest.raises(RecordingError, match=r"nothing of .*scene\.toml can be read as a recording"):
         repair(tmp_path / "scene.toml", tmp_path / "fixed.rrd")

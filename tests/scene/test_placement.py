@@ -84,7 +84,7 @@ def test_a_dense_region_is_filled_and_one_too_dense_is_refused() -> None:
         placed(count=2000, radius=1.0, region={"radius": 16.04})
 
 
-def test_what_finds_no_room_is_an_error_not_an_endless_loop() -> None:
+def test_a_group_that_finds_no_room_is_refused_with_the_remedy() -> None:
     # Below the limit on paper, but whole spheres must lie inside: the room left for centres is far smaller.
     with pytest.raises(
         SceneError,
@@ -158,7 +158,7 @@ def test_a_body_that_begins_on_the_border_of_a_periodic_box_stays_there_when_it_
     assert np.abs(once.position).max() <= size / 2.0
 
 
-def test_what_is_written_outside_a_periodic_box_begins_inside_it() -> None:
+def test_a_body_written_outside_a_periodic_box_begins_inside_it() -> None:
     bodies = [{"position": [0.0, 1000.0, -4.5]}, {"position": [3.0, 3.0, 12.0]}]
     group = {"count": 5, "radius": 0.1, "region": {"radius": 5.0, "centre": [300.0, 0.0, 0.0]}}
     domain = {"boundary": "periodic", "size": [10.0, 12.0, 14.0]}

@@ -44,7 +44,7 @@ def test_an_override_by_the_old_name_is_warned_of(tmp_path: Path) -> None:
         Scene.load(write(tmp_path, BODY), ["record.log_freq=7"])
 
 
-def test_both_names_are_one_error(tmp_path: Path) -> None:
+def test_an_old_and_a_new_name_of_one_key_together_are_refused(tmp_path: Path) -> None:
     path = write(tmp_path, f"{OLD}check_every = 7\n")
     with pytest.raises(SceneError) as raised:
         Scene.load(path)

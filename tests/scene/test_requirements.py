@@ -215,7 +215,7 @@ def test_a_forced_part_brings_what_it_cannot_be_without() -> None:
     assert forced("potential")["gravity"] == "forced by potential; otherwise not: gravity.constant = 0"
 
 
-def test_what_follows_from_a_forced_part_is_decided_as_ever() -> None:
+def test_a_forced_part_requires_the_parts_that_it_needs() -> None:
     needs = require(pair(contact=SMOOTH, model={"force": "friction"}))
     assert needs.torque.why == needs.spin.why == "friction turns bodies"
 

@@ -16,7 +16,7 @@ value = st.recursive(scalar, lambda inner: st.lists(inner, max_size=3) | st.dict
 
 
 @given(st.dictionaries(text, value, max_size=5))
-def test_what_is_written_is_read_as_it_was(data: dict[str, Any]) -> None:
+def test_a_document_reads_back_as_it_was_written(data: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(data)) == data
 
 
@@ -24,6 +24,6 @@ def test_numbers_of_numpy_and_tuples_are_written_as_numbers_and_lists() -> None:
     assert toml_text({"body": [{"position": (np.float64(0.1), 2, 3.0)}]}) == "\n[[body]]\nposition = [0.1, 2, 3.0]\n"
 
 
-def test_what_no_scene_has_is_refused() -> None:
+def test_a_value_of_a_type_that_scenes_lack_is_refused() -> None:
     with pytest.raises(TypeError, match="values of type NoneType"):
         toml_text({"time": {"duration": None}})

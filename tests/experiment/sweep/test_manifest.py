@@ -30,7 +30,7 @@ def finish(manifest: Manifest, name: str) -> None:
     manifest.settle(name, {"status": DONE, "outcome": "completed", "file": f"runs/{path.name}", "size": 5})
 
 
-def test_what_is_saved_is_read_again(tmp_path: Path) -> None:
+def test_a_saved_manifest_is_read_again(tmp_path: Path) -> None:
     manifest = begin(tmp_path)
     finish(manifest, "seed=6")
     manifest.save()
