@@ -247,7 +247,7 @@ def test_a_spent_budget_ends_the_wait_for_a_worker() -> None:
 @pytest.mark.slow
 def test_the_workers_of_a_sweep_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.experiment.shrink.workers.START", -1.0)
-    monkeypatch.setattr("carom.experiment.shrink.workers.WORTH", -1.0)
+    monkeypatch.setattr("carom.experiment.shrink.workers.MIN_SECONDS_TO_SEND", -1.0)
     asked: list[int] = []
     first = Workers.first
 

@@ -12,7 +12,7 @@ from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.event import Event
 from carom.physics.integrators.batch import Batch, BatchIntegrator
-from carom.physics.integrators.checkpoint import HELD, IntegratorCheckpoint
+from carom.physics.integrators.checkpoint import BY_LEAPFROG, IntegratorCheckpoint
 from carom.physics.rotation import rotate
 from carom.physics.schedule import Pause, quiet
 from carom.physics.step import KickDriftStepper
@@ -68,7 +68,7 @@ class BatchStepper:
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of the integrator's state besides the bodies."""
         last = self._integrator.checkpoint
-        return replace(last, last_dt=HELD) if self._held else last
+        return replace(last, last_dt=BY_LEAPFROG) if self._held else last
 
     @property
     def first_dt(self) -> float:
@@ -80,7 +80,7 @@ class BatchStepper:
         self._integrator.begin(dt)
         self._integrator.advance(0.0, dt, np.inf, 1)
         if self._world.contact and self._holder:
-            self._world.contact.strike(None, dt)
+            self._world.contact.resolve_meeting(None, dt)
             self._world.contact.step_by_impacts(dt)
             self._holder.warm_up(dt)
 
@@ -92,7 +92,7 @@ class BatchStepper:
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint."""
-        self._held = checkpoint.integrator is not None and checkpoint.integrator.last_dt == HELD
+        self._held = checkpoint.integrator is not None and checkpoint.integrator.last_dt == BY_LEAPFROG
         self._took_last = not self._held
         if self._holder and self._held:
             self._holder.restore(checkpoint)
@@ -113,7 +113,7 @@ class BatchStepper:
         if checked:
             self._books.suspect_contacts(clock.step)
         if contact:
-            contact.begin_flight()
+            contact.begin_batch()
         if audit:
             audit.begin(self._books.audit.ledger)
         batch = self._fly(goal.end, until, most)
@@ -127,8 +127,8 @@ class BatchStepper:
         if contact:
             self._books.begin_contacts()
             if batch.meeting:
-                contact.strike(batch.meeting.ends, clock.dt)
-            contact.end_flight(clock.dt, world.profile)
+                contact.resolve_meeting(batch.meeting.ends, clock.dt)
+            contact.end_batch(clock.dt, world.profile)
         # an end or an impact cuts one step, and is no limit of the scene
         clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")
@@ -154,7 +154,7 @@ class BatchStepper:
             ends = batch.meeting.ends
             if batch.meeting.rests:
                 break
-            contact.strike(ends, 0.0)
+            contact.resolve_meeting(ends, 0.0)
         self._hand_over(ends)
         return batch
 

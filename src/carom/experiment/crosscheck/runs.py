@@ -21,7 +21,7 @@ from carom.experiment.work_precision.trajectory import Trajectory, sample_times
 from carom.physics.parallel.cores import cores
 from carom.scene.schema import Scene
 
-WORTH = 8  # runs, below which processes would take longer to start than they save
+MIN_RUNS_FOR_PROCESSES = 8  # for fewer, processes take longer to start than they save
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Runs:
     Parameters
     ----------
     workers
-        Processes; None is one for each core if there are `WORTH` runs or more, and 1 does all in this process.
+        Processes; None is one for each core from `MIN_RUNS_FOR_PROCESSES` runs on, and 1 does all in this process.
     """
 
     def __init__(self, workers: int | None) -> None:
@@ -92,7 +92,7 @@ class Runs:
 
     def begin(self) -> None:
         """Begin all runs that were announced, if other processes follow them."""
-        workers = self._workers or (cores() if len(self._tasks) >= WORTH else 1)
+        workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
         spawn = multiprocessing.get_context("spawn")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 START = 6.0  # s, about twice what workers take to start
-WORTH = 0.05  # s of a candidate; shorter ones take as long to send
+MIN_SECONDS_TO_SEND = 0.05  # s of a candidate; shorter ones take as long to send
 AHEAD = 2  # candidates a worker that are sent before they are needed
 _TICK = 0.1  # s between two looks at the budget
 
@@ -72,7 +72,7 @@ class Workers:
             return False
         if self._client is None and seconds * candidates > START:
             self._begin()
-        return self._client is not None and seconds > WORTH
+        return self._client is not None and seconds > MIN_SECONDS_TO_SEND
 
     def first(
         self, documents: Sequence[Document], condition: Condition, steps: int, check: Callable[[], None]

@@ -231,12 +231,12 @@ class _Solver:
         apart = gap > TOUCHING * self._reach
         earliest, which = math.inf, -1
         for pair in np.flatnonzero(apart & (gap < bound * (end - before))):
-            time = self._meeting(dense, int(pair), before, min(end, earliest), float(bound[pair]))
+            time = self._first_touch(dense, int(pair), before, min(end, earliest), float(bound[pair]))
             if time < earliest:
                 earliest, which = time, int(pair)
         return None if which < 0 else self._refined(before, y, earliest, which)
 
-    def _meeting(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
+    def _first_touch(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
         """Return the time of the first contact of a pair, by conservative advancement; infinite if there is none."""
         near = TOUCHING * self._reach[pair]
         while time < end:

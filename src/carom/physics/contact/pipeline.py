@@ -8,7 +8,7 @@
 4. `resolve`: after the last kick, find the impulses at the final positions
 5. `turn`: torques and angular accelerations of the step
 
-An integrator that ends its steps at impacts calls `begin_flight`, `strike` at each impact, and `end_flight`.
+An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
 """
 
 from __future__ import annotations
@@ -249,21 +249,21 @@ class ContactPipeline:
         self.held, self.impacts, self.statistics = NOTHING_HELD, NO_IMPACTS, NO_CONTACTS
         self._seen.rest(self._found)
 
-    def begin_flight(self) -> None:
+    def begin_batch(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
         if self._needs.torque.modelled:
             self._torques.remember()
         self.impacts = NO_IMPACTS
 
-    def strike(self, pair: tuple[int, int] | None, dt: float) -> None:
+    def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> None:
         """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all that touch there.
 
         Without a pair, only the kernels are loaded.
         """
         assert self._event_drift is not None, "the integrator ends its steps at impacts"
-        self.impacts = self.impacts.followed_by(self._event_drift.strike(pair, dt))
+        self.impacts = self.impacts.followed_by(self._event_drift.resolve_meeting(pair, dt))
 
-    def end_flight(self, dt: float, profile: Profile) -> None:
+    def end_batch(self, dt: float, profile: Profile) -> None:
         """Gather the effects of the impacts at the end of the last step, of dt s."""
         if self.tap:
             self.tap.see_drift(self.impacts)
@@ -322,7 +322,7 @@ class ContactPipeline:
     def fall_asleep(self, dt: float) -> None:
         """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.tire(self._found.pairs, self._hold, dt)
+        lost = self._sleepers.fall_asleep(self._found.pairs, self._hold, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):

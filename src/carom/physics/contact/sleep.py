@@ -89,7 +89,7 @@ class Sleepers:
         _spread(pairs, ends.inverse_mass, nobody, nobody.copy())
         _kick_energy(nobody, ends.acceleration, ends.inverse_mass, 0.0)
         _fall_asleep(pairs, np.empty((0, 4)), *shape, ends.inverse_inertia, np.inf, self._calm, nobody)
-        self.tire(pairs, ImpulseCache.empty(), 0.0)
+        self.fall_asleep(pairs, ImpulseCache.empty(), 0.0)
         self._keep(pairs, np.empty((0, 4)))
         self.contacts.graph()
 
@@ -181,7 +181,7 @@ class Sleepers:
         lost[0, RESTITUTION] = -_kick_energy(woken, ends.acceleration, ends.inverse_mass, kick)
         return ImpulseCache.of(joined[order], impulse[order], length), lost
 
-    def tire(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
+    def fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
         """Let islands fall asleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
 
         Parameters
@@ -193,7 +193,7 @@ class Sleepers:
         """
         bodies, ends = self._bodies, self._bodies.ends
         seen = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
-        tired = _tire(*seen, self._sleep.speed, dt, self._sleep.after, self._calm)
+        tired = _count_calm(*seen, self._sleep.speed, dt, self._sleep.after, self._calm)
         if not tired or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
             return NOTHING_LOST
         impulse = cache.impulse
@@ -331,7 +331,7 @@ def _kick_energy(woken: Flags, acceleration: FloatArray, inverse_mass: FloatArra
 
 
 @kernel
-def _tire(
+def _count_calm(
     velocity: FloatArray,
     spin: FloatArray,
     radius: FloatArray,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
-HELD = -1.0  # in place of ``last_dt``: contacts came to rest, and leapfrog takes the steps
+BY_LEAPFROG = -1.0  # in place of ``last_dt``: contacts came to rest, and leapfrog takes the steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class IntegratorCheckpoint:
     Its arrays have no rows while Wisdom–Holman integration goes on without it.
     """
 
-    last_dt: float  # s; 0 if nothing is to be predicted from the last step, or `HELD`
+    last_dt: float  # s; 0 if nothing is to be predicted from the last step, or `BY_LEAPFROG`
     position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
     velocity_rest: FloatArray  # (n, 3) m/s
     accepted: FloatArray  # (3 n, 8) m/s², coefficients of the last step's polynomial

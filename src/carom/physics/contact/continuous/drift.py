@@ -223,7 +223,7 @@ class EventDrivenDrift:
             drift(bodies.position, bodies.velocity, dt, self._team)
         return impacts
 
-    def strike(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
+    def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
         """Resolve the impacts of a pair at the end of a step of dt s, and of all that touch there.
 
         Without a pair, only the kernels are loaded.

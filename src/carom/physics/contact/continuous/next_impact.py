@@ -51,18 +51,18 @@ def step_by_impacts(
             dx, dy, dz = between(x, i, j)
             vx, vy, vz = between(v, i, j)
             ax, ay, az = between(a, i, j)
-            first = min(first, _meeting(dx, dy, dz, vx, vy, vz, ax, ay, az, radius[i] + radius[j], span))
+            first = min(first, _time_to_impact(dx, dy, dz, vx, vy, vz, ax, ay, az, radius[i] + radius[j], span))
         for p in range(len(offset)):
             nx, ny, nz = vector(surface, p)
             h = nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2] - offset[p]
             u = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
             g = nx * a[i, 0] + ny * a[i, 1] + nz * a[i, 2]
-            first = min(first, _meeting(h, 0.0, 0.0, u, 0.0, 0.0, g, 0.0, 0.0, radius[i], span))
+            first = min(first, _time_to_impact(h, 0.0, 0.0, u, 0.0, 0.0, g, 0.0, 0.0, radius[i], span))
     return APPROACH * first if first > SHORT * span else first + SHORT * span
 
 
 @inline
-def _meeting(
+def _time_to_impact(
     dx: float,
     dy: float,
     dz: float,

@@ -24,7 +24,7 @@ from carom.physics.parallel.jit import kernel, unowned
 
 # The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
 # a tenth of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
-BAD_ENOUGH = 10.0  # times the tolerated speed: the search begins if a contact closes faster than this
+INTOLERABLE = 10.0  # times the tolerated speed; the search begins if a contact closes faster
 PART_OF_REST = 0.3  # of the rest speed
 PART_OF_APPROACH = 0.03  # of the speed at which an impact closed
 PART_OF_RADIUS = 3e-5  # of the smaller radius, per step

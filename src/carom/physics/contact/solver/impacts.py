@@ -35,7 +35,7 @@ from carom.physics.contact.law import (
     tangential_loss,
 )
 from carom.physics.contact.solver.body_state import prefetch_velocities, push, turn
-from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH, tolerated
+from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inline, long_kernel, unowned
 from carom.physics.vector import between
@@ -163,7 +163,7 @@ def look_for_closing(
         vx, vy, vz = between(v, i, j)
         vn = vx * contact.nx + vy * contact.ny + vz * contact.nz
         small = smaller_arm(contact)
-        left = BAD_ENOUGH * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)
+        left = INTOLERABLE * tolerated(state.rest_speed, state.approach_speed, state.overlap / small, small / dt)
         if -(vn + max(0.0, contact.velocity_bias)) > max(state.rest_speed, negligible, left):
             closing[0] = True
             return

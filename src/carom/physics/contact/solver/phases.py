@@ -29,11 +29,11 @@ from carom.physics.contact.constraints import (
     WARM_START,
     ConstraintSystem,
 )
-from carom.physics.contact.solver.conjugate_gradients import BAD_ENOUGH
+from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE
 from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.line_search import step_length
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
-from carom.physics.contact.solver.solve import HELD
+from carom.physics.contact.solver.solve import HOLD_CONVERGED
 from carom.physics.parallel.jit import borrowing, inline, inner
 from carom.physics.parallel.task import assign, do, kind_of, lay_out, raise_fault
 from carom.physics.parallel.thread_team import lead_phase
@@ -45,7 +45,7 @@ MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round
 MAX_SETTLING = 256  # Gauss-Seidel iterations after the last round
 GROWN = 1e6  # times the largest impulse before the search; impulses beyond it show that there is no solution
-WORTH = 0.5  # of the violation before; a round that leaves more is the last
+MOST_LEFT = 0.5  # of the violation before; a round that leaves more is the last
 SOLVED = 1e-3  # of r·z at the start of a round
 
 
@@ -130,14 +130,14 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     _share(board, phases, PREPARE, 0, pieces, True)
     largest = _largest_residual(phases)
     _share_colours(board, phases, WARM_START)
-    settings.alpha, settings.negligible = 0.0, HELD * largest
+    settings.alpha, settings.negligible = 0.0, HOLD_CONVERGED * largest
     iterations, change = 0, np.inf
-    while iterations < max_iterations and change > HELD * largest:
+    while iterations < max_iterations and change > HOLD_CONVERGED * largest:
         change = _iterate(board, phases, iterations > 0)
         iterations += 1
-    if change > HELD * largest and settings.refines:
+    if change > HOLD_CONVERGED * largest and settings.refines:
         iterations += _refine(board, phases)
-    if change > HELD * largest:
+    if change > HOLD_CONVERGED * largest:
         _share(board, phases, SCALE_BACK, 0, 1, False)
     _share(board, phases, AUDIT, 0, pieces, True)
     return iterations
@@ -159,11 +159,11 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
 def _refine(board: IntArray, phases: Phases) -> int:
     """Solve for all contacts that carry a load together, until each is within its tolerance."""
     pieces, passes, rounds = len(phases.found), 0, 0
-    phases.settings[0].tolerance = BAD_ENOUGH
+    phases.settings[0].tolerance = INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     phases.settings[0].tolerance = 1.0
     before, missed = np.inf, _largest_residual(phases)
-    while rounds < MAX_ROUNDS and 0.0 < missed < WORTH * before:
+    while rounds < MAX_ROUNDS and 0.0 < missed < MOST_LEFT * before:
         passes += _conjugate_gradients(board, phases)
         _iterate(board, phases, True)
         _iterate(board, phases, True)
@@ -182,7 +182,7 @@ def _settle(board: IntArray, phases: Phases) -> int:
     contact that has slid once keeps sliding.
     """
     pieces, settings, iterations = len(phases.found), phases.settings[0], 0
-    settings.keeps_sliding, settings.tolerance = True, BAD_ENOUGH
+    settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     while _largest_residual(phases) > 0.0 and iterations < MAX_SETTLING:
         _iterate(board, phases, True)

@@ -38,8 +38,9 @@ IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 BAUMGARTE = 0.2  # part of the overlap that the bias removes in a step
-LEAVING = 0.1  # of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times
-# the energy in the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms)
+# Of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times the energy in
+# the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms).
+MAX_SEPARATION = 0.1
 NEVER = -2  # in place of the iteration in which a body was last pushed
 ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
 ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed and quick ones; the next step has one iteration for them
@@ -97,7 +98,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         vn = vx * nx + vy * ny + vz * nz
         material = system.materials[material_index(i, j, n, places)]
         rebounds = LAW.restitution(material, -vn, state.rest_speed) > 0.0
-        if vn > LEAVING * state.rest_speed or rebounds:
+        if vn > MAX_SEPARATION * state.rest_speed or rebounds:
             continue
         if overlap > enough * reach:
             again = 1.0

@@ -38,7 +38,7 @@ from carom.physics.contact.solver.velocity import bias_of, relative_velocity, sl
 from carom.physics.parallel.jit import inline, unowned
 from carom.physics.parallel.lanes import WIDTH
 
-HELD = 1e-8  # of the largest velocity that a contact removes; iterations end when they change velocities by less
+HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
 MIN_PER_BLOCK = 4  # contacts; fewer are solved one by one
 
 

@@ -106,7 +106,7 @@ class _Block:
         largest = abs(more)
         J = more * n[0], more * n[1], more * n[2]
         if turns:
-            d = self._rub(c, a, b, u, alpha)
+            d = self._friction(c, a, b, u, alpha)
             largest = greater(largest, abs(d[0]), abs(d[1]), abs(d[2]))
             J = J[0] + d[0], J[1] + d[1], J[2] + d[2]
             torque = _cross(d, n)
@@ -142,7 +142,7 @@ class _Block:
 
         return computed_if(builder, drifts, along_arc, bias)
 
-    def _rub(self, c: Fields, a: Fields, b: Fields, u: Three, alpha: Lanes) -> Three:
+    def _friction(self, c: Fields, a: Fields, b: Fields, u: Three, alpha: Lanes) -> Three:
         """Find the friction; return its change."""
         w = [c["arm_i"] * a[axis] + c["arm_j"] * b[axis] for axis in ("wx", "wy", "wz")]
         turning = _cross((w[0], w[1], w[2]), (c["nx"], c["ny"], c["nz"]))
