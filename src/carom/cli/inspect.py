@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 AROUND = 20  # frames, of a clip of a moment
 
+Row = tuple[str, str]  # name and text
+
 
 def inspect(
     file: RecordingArgument,
@@ -59,59 +61,76 @@ def _grid() -> Table:
 
 
 def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
-    from carom.experiment.contact_counts import counts_text, overlap_text
-    from carom.experiment.ending import accuracy_text, in_words
-    from carom.recording.schema.impacts import RecordedImpacts
+    table = _grid()
+    for rows in (_run(summary, units), _conservation(summary, units), _contacts(summary), _judgements(summary, units)):
+        for row in rows:
+            table.add_row(*row)
+    table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
+    return table
+
+
+def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
+    """Say what ran, for how long, and how it ended."""
+    from carom.experiment.ending import in_words
     from carom.scene.names import in_series
 
-    energy, contacts = summary["energy"], summary["contacts"]
-    angular = summary["angular_momentum"]["max_error"]
-    table = _grid()
-    table.add_row("scene", f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}")
-    if summary["scene"].get("engine"):
-        table.add_row("engine", f"{summary['scene']['engine']}, of which carom saw the states only")
+    scene, clip = summary["scene"], summary.get("clip")
+    yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
+    if scene.get("engine"):
+        yield "engine", f"{scene['engine']}, of which carom saw the states only"
         if summary["judged"] < summary["bodies"]:
-            only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}; the others are no free spheres"
-            table.add_row("judged", only)
-    clip = summary.get("clip")
+            only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
+            yield "judged", f"{only}; the others are no free spheres"
     if clip:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
-        table.add_row("clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}")
-    table.add_row("outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else ""))
+        yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
+    yield "outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else "")
     steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else counted(summary["steps"], "step")
     length = summary["sim_time"] - (clip["from"] if clip else 0.0)
-    table.add_row("length", f"{counted(summary['frames'], 'frame')}, {steps}, {units.text(length, TIME)} simulated")
+    yield "length", f"{counted(summary['frames'], 'frame')}, {steps}, {units.text(length, TIME)} simulated"
+
+
+def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
+    """Say how well energy and momenta were conserved."""
+    energy = summary["energy"]
+    linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
-    table.add_row("energy", f"{first} at first, {last} at last")
-    table.add_row("", f"integration error at most {energy['max_error']:.2e} of the energy scale")
-    linear = summary["momentum"]["max_error"]
-    table.add_row(
-        "momentum", "not conserved: something fixed takes it" if linear is None else f"error at most {linear:.2e}"
-    )
+    yield "energy", f"{first} at first, {last} at last"
+    yield "", f"integration error at most {energy['max_error']:.2e} of the energy scale"
+    taken_up = "not conserved: something fixed takes it"
+    yield "momentum", taken_up if linear is None else f"error at most {linear:.2e}"
     unknown = "not conserved in a periodic box" if linear is not None else "likewise"
-    table.add_row("angular momentum", unknown if angular is None else f"error at most {angular:.2e}")
-    counts = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
-    table.add_row("contacts", counts)
+    yield "angular momentum", unknown if angular is None else f"error at most {angular:.2e}"
+
+
+def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
+    """Count contacts and impacts, and name the deepest overlap."""
+    from carom.experiment.contact_counts import counts_text, overlap_text
+    from carom.recording.schema.impacts import RecordedImpacts
+
+    contacts = summary["contacts"]
+    yield "contacts", counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     if summary["impacts"]:
-        table.add_row("", f"impacts: {RecordedImpacts(**summary['impacts'])}")
+        yield "", f"impacts: {RecordedImpacts(**summary['impacts'])}"
     if deepest := overlap_text(contacts["max_overlap"]):
-        table.add_row("", deepest)
+        yield "", deepest
+
+
+def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
+    """Say which accuracy and promises were kept, and which laws were broken."""
+    from carom.experiment.ending import accuracy_text
+
     if summary["accuracy"]:
-        table.add_row("accuracy", accuracy_text(summary["accuracy"], units))
+        yield "accuracy", accuracy_text(summary["accuracy"], units)
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):
             kept = "not judged, the run ended elsewhere"
         bound = verdict.get("bound", "at most")  # recordings of before there was another bound
-        table.add_row("promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}")
+        yield "promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}"
     for law, broken in summary.get("laws", {}).items():
-        table.add_row(
-            "law broken",
-            f"{law.replace('-', ' ')}, first at step {broken['step']}, t = {units.text(broken['time'], TIME)}; "
-            f"in {counted(broken['frames'], 'frame')}",
-        )
-    table.add_row("versions", ", ".join(f"{name} {version}" for name, version in summary["versions"].items()))
-    return table
+        first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"
+        yield "law broken", f"{law.replace('-', ' ')}, {first}; in {counted(broken['frames'], 'frame')}"
 
 
 def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:

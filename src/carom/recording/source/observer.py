@@ -16,7 +16,7 @@ from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.diagnostics.momentum import MomentumAccount
+from carom.physics.diagnostics.momentum import Momentum, MomentumAccount
 from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
@@ -81,20 +81,10 @@ class Observer:
         motion = Motion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
         momentum = self._momenta.balance(motion, now.time - self._began)
-        faults = seen.faults
-        drift = self.audit.drifted(step, now.time, energy)
-        faults = faults if drift is None else [*faults, drift]
-        statistics = self._statistics(contacts, seen)
-        events = [*self._first_contact(step, now.time, contacts), *(fault.event for fault in faults)]
-        if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
-            self.extremes.see_contacts(step, now.time, statistics)
-            if self.extremes.impact and self.extremes.impact.value == 0.0:
-                self.extremes.impact = None
-        self._see_energy(step, now.time, energy)
-        self.extremes.see_momentum(step, now.time, momentum)
         if before is not None:
             self._activity.see(len(contacts), seen.struck)
             self._activity.judge(energy)
+        events = self._see(step, now.time, energy, momentum, contacts, seen)
         self._before, self._pull = now, pull
         slot = None if store is None else store.keep()
         arrays = copies(self.bodies) if store is None or slot is None else store.kept(slot)
@@ -125,6 +115,22 @@ class Observer:
             angular_momentum_error=momentum.angular_error,
             slot=slot,
         )
+
+    def _see(
+        self, step: int, time: float, energy: Energy, momentum: Momentum, contacts: CollisionGraph, seen: Finding
+    ) -> list[Event]:
+        """Update the extremes of the run; return the events of the frame."""
+        drift = self.audit.drifted(step, time, energy)
+        faults = seen.faults if drift is None else [*seen.faults, drift]
+        events = [*self._first_contact(step, time, contacts), *(fault.event for fault in faults)]
+        statistics = self._statistics(contacts, seen)
+        if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
+            self.extremes.see_contacts(step, time, statistics)
+            if self.extremes.impact and self.extremes.impact.value == 0.0:
+                self.extremes.impact = None
+        self._see_energy(step, time, energy)
+        self.extremes.see_momentum(step, time, momentum)
+        return events
 
     def _take(self, state: State) -> None:
         """Copy a state into the bodies."""
