@@ -308,6 +308,16 @@ def test_a_scene_with_an_accuracy_takes_the_same_steps_in_other_units() -> None:
     assert said_of("scaling", "body = [{}]\n[time]\nduration = 2e6\nmax_dt = 6e6\naccuracy = 1e-8\n") == ""
 
 
+def test_bodies_of_drawn_radii_may_take_other_steps_than_arrays_of_the_same_bodies() -> None:
+    """The steps follow from the smallest radius that may be drawn, and of arrays from the smallest that is there."""
+    falling = (
+        "[gravity]\nconstant = 0.0\nuniform = [0, 0, -9.8]\n[[plane]]\npoint = [0, 0, -10]\n[time]\nduration = 0.1\n"
+    )
+    drawn = '[[group]]\ncount = 4\nradius = {min = 0.1, max = 0.4}\nregion = {shape = "ball", radius = 4.0}\n'
+    assert said_of("arrays", falling + drawn) == ""
+    assert said_of("arrays", falling + drawn.replace("{min = 0.1, max = 0.4}", "0.1")) == ""
+
+
 def test_an_image_that_does_not_run_alike_is_told_in_the_units_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     class Elsewhere(Image):
         def positions(self, position: FloatArray, time: float) -> FloatArray:
