@@ -287,6 +287,17 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
         ({"constant": -1.0}, "constant is -1; it must be a number that is not negative"),
         ({"softening": -0.5}, "softening is -0.5; it must be a number that is not negative"),
         ({"softening": float("nan")}, "softening is nan; it must be a number that is not negative"),
+        ({"constant": "x"}, "constant is no array of numbers"),
+        ({"time_step": -1.0}, "time_step is -1; it must be a number that is not negative"),
+        ({"mass": ["a", "b", "c"]}, "mass is no array of numbers"),
+        ({"mass": [[1.0], [2.0, 3.0], [1.0]]}, "mass is no array of numbers"),
+        ({"engine": ""}, "engine is ''; it must be a name"),
+        ({"engine": None}, "engine is None; it must be a name"),
+        ({"box": [1.0, 1.0, 0.0]}, "all three sizes must be positive"),
+        ({"box": [1.0, 1.0, -1.0]}, "all three sizes must be positive"),
+        ({"planes": [carom.record.Plane((0.0, 0.0, float("nan")))]}, "the normals of the planes.* is nan"),
+        ({"planes": [((0.0, 0.0, 1.0), float("nan"))]}, "the offsets of the planes.* is nan"),
+        ({"planes": [5.0]}, "planes must be a list of carom.record.Plane"),
     ]
     for change, message in changes:
         toy = Toy()
@@ -305,6 +316,9 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
         ({"last": 2.5}, "last = 2.5: keep a whole number of frames, at least one"),
         ({"last": 0}, "last = 0: keep a whole number of frames, at least one"),
         ({"every": 1.5}, "every = 1.5: record each call of `frame`, or each second, and so on"),
+        ({"every": "2"}, "every = '2': record each call of `frame`, or each second, and so on"),
+        ({"duration": float("nan")}, "duration = nan: expected the time that the run will reach"),
+        ({"duration": -1.0}, "duration = -1.0: expected the time that the run will reach"),
     ],
 )
 def test_a_number_of_frames_that_is_not_whole_and_positive_is_refused(
@@ -312,6 +326,86 @@ def test_a_number_of_frames_that_is_not_whole_and_positive_is_refused(
 ) -> None:
     with pytest.raises(RecordingError, match=message):
         carom.record.Recorder(Toy(), tmp_path / "run.rrd", **frames)
+
+
+def test_a_model_that_records_no_call_is_refused(tmp_path: Path) -> None:
+    toy = Toy()
+    toy.model = replace(toy.model, every=0)
+    with pytest.raises(RecordingError, match="every = 0"):
+        carom.record.Recorder(toy, tmp_path / "run.rrd")
+
+
+@pytest.mark.parametrize("source", [None, object(), Toy])
+def test_what_is_no_source_is_named_with_what_it_needs(source: Any, tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="is no source: it needs `model`, a"):
+        carom.record.Recorder(source, tmp_path / "run.rrd")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time": None}, "the time of the state is None; it must be a number"),
+        ({"time": float("nan")}, "time.* is nan, which is not finite"),
+        ({"velocity": None}, "velocity has the shape|velocity is no array"),
+        ({"position": np.zeros((3, 2))}, r"position has the shape \(3, 2\) in place of \(3, 3\)"),
+        ({"orientation": np.zeros((3, 4))}, r"orientation\[0\] has the length 0; it must be a quaternion of length 1"),
+    ],
+)
+def test_a_first_state_that_is_none_leaves_no_file_and_no_claim(
+    change: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, state = tmp_path / "run.rrd", Toy.state
+    with monkeypatch.context() as patch:
+        patch.setattr(Toy, "state", lambda toy: replace(state(toy), **change))
+        with pytest.raises(RecordingError, match=message), carom.record.Recorder(Toy(), path):
+            pass
+    assert not path.exists()
+    with carom.record.Recorder(Toy(), path):
+        pass
+
+
+def test_a_source_that_returns_no_state_is_told_what_to_return(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Toy, "state", lambda toy: (0.0, toy.position, toy.velocity))
+    with (
+        pytest.raises(RecordingError, match=r"`state` of Toy returned tuple; return a carom\.record\.State"),
+        carom.record.Recorder(Toy(), tmp_path / "run.rrd"),
+    ):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"position": np.zeros((1, 3))},
+            r"position has the shape \(1, 3\) and had \(3, 3\): a recording keeps its bodies",
+        ),
+        ({"velocity": np.zeros(3)}, r"velocity has the shape \(3,\) and had \(3, 3\)"),
+        ({"angular_velocity": None}, r"angular_velocity has the shape \(\) and had \(3, 3\)"),
+        ({"time": "late"}, "the time of the state is 'late'; it must be a number"),
+        ({"time": float("nan")}, "the time is nan, which is not finite"),
+        ({"contacts": [[0, 3]]}, "contacts names 3; bodies and planes are 0 to 2"),
+        ({"contacts": [0, 1, 2]}, r"contacts has the shape \(3,\) in place of \(m, 2\)"),
+    ],
+)
+def test_a_later_state_of_another_form_is_refused_and_the_frames_before_it_are_kept(
+    change: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, toy = Toy.state, Toy()
+    path = tmp_path / "run.rrd"
+    with pytest.raises(RecordingError, match=message), carom.record.Recorder(toy, path) as recorder:
+        for step in range(20):
+            if step == 10:
+                monkeypatch.setattr(Toy, "state", lambda toy: replace(state(toy), **change))
+            toy.step()
+            recorder.frame()
+    assert Recording.open(path).frames == 11
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, float("nan")])
+def test_a_tolerance_that_would_find_nothing_is_refused(tolerance: float) -> None:
+    with pytest.raises(RecordingError, match=r"the tolerance overlap is .*; it must be 0 or more"):
+        carom.record.Tolerances(overlap=tolerance)
 
 
 def test_whole_numbers_of_numpy_are_numbers_of_frames_and_flags(tmp_path: Path) -> None:

@@ -27,7 +27,17 @@ from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.faults import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
 from carom.recording.source.snapshot import Snapshot, memory_of, reader_of
-from carom.recording.source.source import Model, Setup, Source, State, SteppedSource, array_of, setup_of
+from carom.recording.source.source import (
+    Model,
+    Setup,
+    Source,
+    State,
+    SteppedSource,
+    array_of,
+    refuse_no_rotation,
+    setup_of,
+    time_of,
+)
 from carom.recording.write.recorder import Recorder as FrameRecorder
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -97,8 +107,15 @@ class Recorder:
     ) -> None:
         if last is not None and not _counts(last):
             raise RecordingError(f"last = {last}: keep a whole number of frames, at least one")
-        if every is not None and not _counts(every):
-            raise RecordingError(f"every = {every}: record each call of `frame`, or each second, and so on")
+        if not isinstance(getattr(source, "model", None), Model) or not callable(getattr(source, "state", None)):
+            raise RecordingError(
+                f"{type(source).__name__} is no source: it needs `model`, a carom.record.Model, and a method `state`"
+            )
+        self.every = source.model.every if every is None else every
+        if not _counts(self.every):
+            raise RecordingError(f"every = {self.every!r}: record each call of `frame`, or each second, and so on")
+        if not 0.0 <= duration < np.inf:
+            raise RecordingError(f"duration = {duration}: expected the time that the run will reach, or 0 if unknown")
         try:
             named = units or source.model.units
             self._units = UnitSystem.of_text(named) if named else SI
@@ -106,7 +123,6 @@ class Recorder:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_output(self.path, force)
-        self.every = source.model.every if every is None else every
         self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
@@ -154,7 +170,9 @@ class Recorder:
         if not snapshot.bounded and (fault := not_finite(setup, call, state)) is not None:
             self._end(fault)
             return False
-        if not state.time >= self._time:
+        if not np.isfinite(state.time):
+            raise RecordingError(f"{setup.engine}: the time is {state.time}, which is not finite")
+        if state.time < self._time:
             raise RecordingError(
                 f"{setup.engine}: the time went back from {self._units.shown(self._time, TIME):g} to "
                 f"{self._units.text(state.time, TIME, 'g')}; begin another recording"
@@ -217,13 +235,19 @@ class Recorder:
 
     def _begin(self, first: State) -> Setup:
         """Check what the source shows, before anything is allocated or written."""
-        model: Model = self._source.model
-        setup = setup_of(model, first)
+        if not isinstance(first, State):
+            raise RecordingError(
+                f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
+            )
+        setup = setup_of(self._source.model, first)
+        array_of(setup.engine, "time", time_of(first), ())
         n = len(setup)
         array_of(setup.engine, "velocity", first.velocity, (n, 3))
         for name, width in (("orientation", 4), ("angular_velocity", 3)):
             if getattr(first, name) is not None:
                 array_of(setup.engine, name, getattr(first, name), (n, width))
+        if first.orientation is not None:
+            refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
         self._new = memory_of(self._source, first)
         if self._ring is None:
             self._sink = self._writer(self.path, setup, first, self._force)
@@ -292,6 +316,7 @@ class _Writer:
         self._queue: queue.SimpleQueue[list[tuple[int, Snapshot]] | None] = queue.SimpleQueue()
         self._spare: queue.SimpleQueue[Snapshot] = queue.SimpleQueue()  # whose memory can be used again
         self._error: Exception | None = None
+        self._whole = True  # whether the file can be closed: what is wrong is a state, and not the disk
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
@@ -326,7 +351,7 @@ class _Writer:
         self._thread.join()
         audit = self._observer.audit
         try:
-            if self._error is not None:
+            if self._error is not None and not self._whole:
                 raise self._error
             for fault in faults:
                 audit.note(fault)
@@ -337,9 +362,12 @@ class _Writer:
                 *(fault.event for fault in faults),
                 *self._observer.extremes.highlights(self._observer.names, self._observer.units),
             )
-            self._recorder.finish(outcome, totals | closing_of(extremes) | dict(audit.closing()), events)
+            ended = outcome if self._error is None else f"failed: {self._error}"
+            self._recorder.finish(ended, totals | closing_of(extremes) | dict(audit.closing()), events)
         finally:
             self._stack.close()
+        if self._error is not None:
+            raise self._error
         return sorted(audit.first.values(), key=lambda fault: fault.step)
 
     def _run(self) -> None:
@@ -353,10 +381,15 @@ class _Writer:
 
     def _record(self, step: int, state: State) -> None:
         try:
-            self._recorder.put(self._observer.frame(step, state, self._store))
-            self._last = (step, state.time)
+            frame = self._observer.frame(step, state, self._store)
         except Exception as error:
             self._error = error
+            return
+        try:
+            self._recorder.put(frame)
+            self._last = (step, state.time)
+        except Exception as error:
+            self._error, self._whole = error, False
 
 
 def _counts(number: int) -> bool:

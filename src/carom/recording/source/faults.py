@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from carom.physics.event import Event
+from carom.recording.errors import RecordingError
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,6 +17,12 @@ class Tolerances:
     momentum: float = 1e-3  # of Σ m |v|
     angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|)
     overlap: float = 0.05  # of the smaller radius
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if not value >= 0.0:  # NaN would find nothing
+                raise RecordingError(f"the tolerance {each.name} is {value}; it must be 0 or more")
 
 
 @dataclass(frozen=True, slots=True)

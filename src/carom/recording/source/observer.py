@@ -21,6 +21,7 @@ from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
+from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.audit import Audit
 from carom.recording.source.faults import Fault, Finding, Tolerances
@@ -161,12 +162,22 @@ class Observer:
         self, step: int, before: Moment, now: Moment, known: Any, pull: float | None
     ) -> tuple[Finding, CollisionGraph]:
         near = self._proximity.between(before, now)
-        given = None if known is None else np.asarray(known, dtype=np.int64).reshape(-1, 2)
+        given = None if known is None else self._named(known)
         contacts = self._proximity.graph(near, given)
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
         if before is now:
             return Finding(), contacts
         return self.audit.see(step, before, now, near, potentials), contacts
+
+    def _named(self, known: Any) -> NDArray[np.int64]:
+        """Return the contacts that the engine names; refuse ends that are no bodies or planes."""
+        pairs, ends = np.asarray(known, dtype=np.int64), len(self.setup) + len(self.setup.planes)
+        if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
+            raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} in place of (m, 2)")
+        if pairs.size and not (pairs.min() >= 0 and pairs.max() < ends):
+            wrong = pairs[(pairs < 0) | (pairs >= ends)][0]
+            raise RecordingError(f"{self.setup.engine}: contacts names {wrong}; bodies and planes are 0 to {ends - 1}")
+        return pairs.reshape(-1, 2)
 
     def _see_energy(self, step: int, time: float, energy: Energy) -> None:
         """Update the extremes of the energy; what soft contacts give back is no gain."""

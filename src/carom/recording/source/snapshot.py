@@ -9,7 +9,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.source.source import LARGEST, Source, State
+from carom.recording.errors import RecordingError
+from carom.recording.source.source import LARGEST, Source, State, time_of
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` go through Python
 _ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
@@ -48,13 +49,19 @@ class Snapshot:
         return cls(State(state.time, **dict(zip(there, parts, strict=True))), block)
 
     def take(self, state: State) -> None:
-        """Copy a state."""
+        """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
         own = self.state
-        own.time = state.time
+        own.time = time_of(state)
         for name in _ARRAYS:
             view = getattr(own, name)
             if view is not None:
-                view[:] = getattr(state, name)
+                values = getattr(state, name)
+                if np.shape(values) != view.shape:  # or numpy would repeat the rows that there are
+                    raise RecordingError(
+                        f"{name} has the shape {np.shape(values)} and had {view.shape}: a recording keeps its bodies; "
+                        "begin another one"
+                    )
+                view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts, dtype=np.int64)
 
     @property

@@ -18,6 +18,7 @@ IntArray = NDArray[np.int64]
 LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
 DRAWN_RADIUS = 0.01  # of the bodies' extent, in place of a point mass's 0
+ROUGHLY = 0.01  # of the length of a quaternion
 SPHERE = 0.4  # moment of inertia / (m r²)
 
 
@@ -150,6 +151,8 @@ def setup_of(model: Model, first: State) -> Setup:
         Naming the array and the body.
     """
     engine = model.engine
+    if not isinstance(engine, str) or not engine:
+        raise RecordingError(f'engine is {engine!r}; it must be a name, such as "mine 1.0"')
     mass = _column(engine, "mass", model.mass)
     n = len(mass)
     if n == 0:
@@ -179,9 +182,9 @@ def setup_of(model: Model, first: State) -> Setup:
         constant=_not_negative(engine, "constant", model.constant),
         softening=_not_negative(engine, "softening", model.softening),
         planes=_planes(engine, model.planes),
-        box=np.zeros(3) if model.box is None else array_of(engine, "box", model.box, (3,)),
+        box=_box(engine, model.box),
         collides=collides and (n > 1 or len(model.planes) > 0),
-        time_step=float(model.time_step),
+        time_step=_not_negative(engine, "time_step", model.time_step),
         spins=first.angular_velocity is not None,
         turns=first.orientation is not None,
     )
@@ -189,7 +192,7 @@ def setup_of(model: Model, first: State) -> Setup:
 
 def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
     """Return an array of a shape, finite, as float64; RecordingError names the first wrong number."""
-    array = np.array(values, dtype=np.float64)
+    array = _numbers(engine, name, values)
     if array.shape != shape:
         raise RecordingError(f"{engine}: {name} has the shape {array.shape} in place of {shape}")
     if not np.isfinite(array).all():
@@ -200,9 +203,46 @@ def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> Flo
     return array
 
 
+def time_of(state: State) -> float:
+    """Return the time of a state in s; RecordingError says what it is if it is no number."""
+    try:
+        return float(state.time)
+    except (TypeError, ValueError):
+        raise RecordingError(f"the time of the state is {state.time!r}; it must be a number") from None
+
+
+def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
+    """Refuse quaternions whose length is not 1, up to rounding in single precision."""
+    length = np.linalg.norm(orientation, axis=1)
+    wrong = np.flatnonzero(np.abs(length - 1.0) > ROUGHLY)
+    if len(wrong):
+        body = int(wrong[0])
+        raise RecordingError(
+            f"{engine}: orientation[{body}] has the length {length[body]:g}; it must be a quaternion of length 1, xyzw"
+        )
+
+
+def _numbers(engine: str, name: str, values: Any) -> FloatArray:
+    """Return an array of float64; RecordingError if these are no numbers."""
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"{engine}: {name} is no array of numbers: {error}") from None
+
+
+def _box(engine: str, size: Any) -> FloatArray:
+    """Return the size of the box, zeros in open space."""
+    if size is None:
+        return np.zeros(3)
+    box = array_of(engine, "box", size, (3,))
+    if not box.min() > 0.0:
+        raise RecordingError(f"{engine}: box is {box.tolist()}; all three sizes must be positive, or it must be None")
+    return box
+
+
 def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
     """Return numbers of all bodies that are not negative."""
-    array = np.atleast_1d(np.array(values, dtype=np.float64))
+    array = np.atleast_1d(_numbers(engine, name, values))
     array = array_of(engine, name, array, (len(array) if n is None else n,))
     if len(array) and array.min() < 0.0:
         raise RecordingError(f"{engine}: {name}[{int(array.argmin())}] is {array.min():g}; it cannot be negative")
@@ -222,18 +262,25 @@ def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> NDArra
 
 
 def _not_negative(engine: str, name: str, value: float) -> float:
-    if not 0.0 <= value < np.inf:
+    number = _numbers(engine, name, value)
+    if number.shape or not 0.0 <= (value := float(number)) < np.inf:
         raise RecordingError(f"{engine}: {name} is {value:g}; it must be a number that is not negative")
-    return float(value)
+    return value
 
 
 def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
-    normal = np.array([plane.normal for plane in planes], dtype=np.float64).reshape(-1, 3)
+    try:
+        planes = [Plane(*plane) for plane in planes]
+    except TypeError:
+        raise RecordingError(f"{engine}: planes must be a list of carom.record.Plane") from None
+    count = len(planes)
+    normals = [plane.normal for plane in planes] if count else np.empty((0, 3))
+    normal = array_of(engine, "the normals of the planes", normals, (count, 3))
     length = np.linalg.norm(normal, axis=1)
     if not np.all(length > 0.0):
         raise RecordingError(f"{engine}: the normal of a plane has length 0")
     return HalfSpaces(
         name=[plane.name or f"plane {k}" for k, plane in enumerate(planes)],
         normal=normal / length[:, None],
-        offset=np.array([plane.offset for plane in planes], dtype=np.float64),
+        offset=array_of(engine, "the offsets of the planes", [plane.offset for plane in planes], (count,)),
     )
