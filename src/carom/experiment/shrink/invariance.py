@@ -208,9 +208,7 @@ def applies(name: str, scene: Scene) -> bool:
             return not (scene.group or bounded or needs.tree.modelled)
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
-        case (
-            _
-        ):  # steps follow from the smallest radius that a group may draw, of arrays from the smallest that is there
+        case _:  # steps follow from the smallest radius that a group may draw, and of arrays from the smallest of all
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
 
