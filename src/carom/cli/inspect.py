@@ -92,15 +92,17 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say how well energy and momenta were conserved."""
+    from carom.experiment.ending import error_text
+
     energy = summary["energy"]
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     yield "energy", f"{first} at first, {last} at last"
-    yield "", f"integration error at most {energy['max_error']:.2e} of the energy scale"
+    yield "", f"integration error at most {error_text(energy['max_error'])} of the energy scale"
     taken_up = "not conserved: something fixed takes it"
-    yield "momentum", taken_up if linear is None else f"error at most {linear:.2e}"
+    yield "momentum", taken_up if linear is None else f"error at most {error_text(linear)}"
     unknown = "not conserved in a periodic box" if linear is not None else "likewise"
-    yield "angular momentum", unknown if angular is None else f"error at most {angular:.2e}"
+    yield "angular momentum", unknown if angular is None else f"error at most {error_text(angular)}"
 
 
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
@@ -109,7 +111,8 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     from carom.recording.schema.impacts import RecordedImpacts
 
     contacts = summary["contacts"]
-    yield "contacts", counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    if contacts["total"] or contacts.get("impacts") or "contacts" in summary["moments"] or summary.get("clip"):
+        yield "contacts", counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
     if summary["impacts"]:
         yield "", f"impacts: {RecordedImpacts(**summary['impacts'])}"
     if deepest := overlap_text(contacts["max_overlap"]):

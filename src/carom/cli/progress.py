@@ -14,7 +14,7 @@ from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text, overlap_text
-from carom.experiment.ending import accuracy_text, in_words
+from carom.experiment.ending import accuracy_text, error_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.scene.command import command
@@ -70,13 +70,15 @@ class Progress(LiveLine):
             "run", f"{counted(outcome.steps, 'step')}, {simulated} simulated in {duration_text(outcome.wall_time)}"
         )
         if moments.energy_error:
-            table.add_row("energy", f"integration error at most {moments.energy_error.value:.2e} of the energy scale")
+            table.add_row(
+                "energy", f"integration error at most {error_text(moments.energy_error.value)} of the energy scale"
+            )
         linear, angular = moments.momentum_error, moments.angular_momentum_error
         if linear is None:
             table.add_row("momentum", "not conserved: planes, walls or fixed bodies take it")
         else:
-            angular_text = "not conserved in a periodic box" if angular is None else f"{angular.value:.2e}"
-            table.add_row("momentum", f"error at most {linear.value:.2e}, angular {angular_text}")
+            angular_text = "not conserved in a periodic box" if angular is None else error_text(angular.value)
+            table.add_row("momentum", f"error at most {error_text(linear.value)}, angular {angular_text}")
         if moments.overlap and moments.contacts:
             counts = counts_text(moments.total_contacts, moments.impacts, outcome.impacts_counted)
             table.add_row("contacts", counts)

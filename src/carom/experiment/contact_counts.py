@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
 from carom.scene.counted import counted
 
 EACH = "each"  # impacts during the drift of a step
@@ -28,5 +29,5 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None) -> st
 
 
 def overlap_text(deepest: float) -> str:
-    """Describe the deepest overlap over the smaller radius; empty where nothing overlapped."""
-    return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > 0.0 else ""
+    """Describe the deepest overlap over the smaller radius; empty where nothing overlapped but by rounding."""
+    return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > ROUNDED_OVERLAP else ""

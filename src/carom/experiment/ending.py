@@ -16,6 +16,11 @@ def in_words(outcome: str) -> str:
     return _FAILED + outcome.removeprefix(_DISK) if outcome == _DISK or outcome.startswith(f"{_DISK}:") else outcome
 
 
+def error_text(error: float) -> str:
+    """Return a relative error with three digits, or 0."""
+    return f"{error:.2e}" if error else "0"
+
+
 def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
     """Say whether a run kept its accuracy; for the keys see `carom.experiment.run.kept_accuracy`."""
     until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"

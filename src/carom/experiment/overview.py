@@ -7,6 +7,7 @@ from typing import Any
 
 from carom.experiment.contact_counts import counts_text, overlap_text
 from carom.experiment.ending import in_words
+from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
@@ -34,11 +35,22 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
     found = []
     for name, wording in MOMENTS.items():
         moment = summary["moments"].get(name)
-        if moment and not (name == "overlap" and moment["value"] == 0.0):
+        if moment and is_worth_a_look(name, summary):
             between = f", {moment['between']}" if moment["between"] else ""
             value = value_shown(name, moment["value"], units)
             found.append(Moment(wording.format(value=value) + between, moment["step"], moment["time"]))
     return found
+
+
+def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
+    """Tell whether a moment of a recording's summary shows anything.
+
+    An overlap by rounding, an error of 0 and the fastest approach of contacts at rest, which are no impacts, do not.
+    """
+    if name == "impact":
+        return bool(summary["contacts"].get("impacts") != 0)
+    least = ROUNDED_OVERLAP if name == "overlap" else 0.0
+    return bool(summary["moments"][name]["value"] > least)
 
 
 def value_shown(name: str, value: float, units: UnitSystem) -> float | str:

@@ -12,7 +12,7 @@ from typing import Any
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.excerpt import excerpt
-from carom.experiment.overview import overview, value_shown
+from carom.experiment.overview import is_worth_a_look, overview, value_shown
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
 from carom.recording.edit import bundle
@@ -100,7 +100,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 def worst_moment(recording: Recording) -> tuple[float, str]:
     """Return the time in s that a report is about, and what happened then."""
     recording.require_frames()
-    moments: dict[str, Any] = recording.summary()["moments"]
+    summary = recording.summary()
+    moments: dict[str, Any] = summary["moments"]
     last = float(recording.fingerprints()["time"][-1].as_py())
     if recording.outcome.startswith(("failed", "disk")):
         return last, in_words(recording.outcome)
@@ -112,7 +113,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     if error and error["value"] > ENERGY_ERROR:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
     for name, wording in WORST.items():
-        if name in moments and moments[name]["between"] and moments[name]["value"] > 0.0:
+        if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
             what = wording.format(value=value_shown(name, moments[name]["value"], recording.units))
             return moments[name]["time"], f"{what}, {moments[name]['between']}"
     return recording.moment(), "the fullest moment"

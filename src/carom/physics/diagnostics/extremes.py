@@ -15,6 +15,8 @@ from carom.scene.names import Names
 from carom.scene.units.dimension import ENERGY
 from carom.scene.units.system import UnitSystem
 
+ROUNDED_OVERLAP = 1e-13  # of a radius; bodies that just touch overlap by this much at most, by rounding
+
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
@@ -87,10 +89,12 @@ class Extremes:
     def highlights(self, names: Names, units: UnitSystem) -> tuple[Event, ...]:
         """Return the extremes of contacts and energy as events, in order of time."""
         known = self.named(names)
-        approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
+        impact = known.impact if self.impacts else None  # resting contacts close, too
+        overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
+        approach = "" if impact is None else units.text(impact.value, ENERGY, ".4g")
         wordings = (
-            (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
-            (known.overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
+            (impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
+            (overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
             (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
         )
