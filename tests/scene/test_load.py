@@ -67,6 +67,12 @@ MISTAKES = {
     ),
     "a ball without a radius": ("[[group]]\nregion = { shape = 'ball' }\n", [":2:", "region", "needs radius"]),
     "periodic without a size": ("[domain]\nboundary = 'periodic'\n" + ONE_BODY, [":1:", "needs size"]),
+    "a size without walls": (
+        "[domain]\nsize = [9, 9, 9]\n" + ONE_BODY,
+        [":1:", 'add boundary = "walls" or "periodic"'],
+    ),
+    "single brackets for two bodies": ("[body]\n[body]\n", ["not TOML", "line 2", "[[body]]"]),
+    "a key twice": ("seed = 1\nseed = 2\n" + ONE_BODY, ["not TOML", "line 2", "a key is given twice"]),
     "walls without a size": ("[domain]\nboundary = 'walls'\n" + ONE_BODY, [":1:", "needs size"]),
     "periodic with self-gravity": (
         "[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,
@@ -456,3 +462,15 @@ def test_a_promise_about_the_end_stays_with_the_duration_it_was_written_for(
 def test_a_scene_without_a_promise_about_the_end_gets_no_duration_for_one() -> None:
     scene = scene_from_text("[expect]\nmax_overlap = 0.1\n" + ONE_BODY, "x.toml", ["time.duration=1.0"])
     assert scene.expect.duration is None
+
+
+def test_a_scene_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(ONE_BODY, encoding="utf-8-sig")
+    assert Scene.load(path).count == 1
+
+
+def test_a_box_that_an_override_opens_keeps_its_size(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text('[domain]\nboundary = "walls"\nsize = [9, 9, 9]\n' + ONE_BODY, encoding="utf-8")
+    assert Scene.load(path, ["domain.boundary=open"]).domain.boundary == "open"

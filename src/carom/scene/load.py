@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 import tomllib
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ import numpy as np
 import tomlkit
 from pydantic import ValidationError
 
-from carom.scene.conversion import converted
+from carom.scene.conversion import converted, members_of_list
 from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
 from carom.scene.error import SceneError
 from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
@@ -123,12 +124,20 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # not only TOMLDecodeError: Python refuses whole numbers of thousands of digits
-        raise SceneError(f"{source}: not TOML: {error}") from None
+        raise SceneError(f"{source}: not TOML: {error}{_meant(str(error))}") from None
     except RecursionError:
         raise SceneError(f"{source}: {_TOO_DEEP}") from None
     if is_too_deep(data):
         raise SceneError(f"{source}: {_TOO_DEEP}")
     return data
+
+
+def _meant(error: str) -> str:
+    """Say what was probably meant, by the message of the parser."""
+    twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
+    if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
+        return f"; write each of several sections as [[{twice[1]}]]"
+    return "; a key is given twice" if error.startswith("Cannot overwrite a value") else ""
 
 
 def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:

@@ -43,7 +43,7 @@ def read_text(path: Path) -> str:
                 raise SceneError(f"{path}: a recording, not a scene; {_what_to_do_with(path)}")
         if path.stat().st_size > LARGEST_FILE:
             raise SceneError(f"{path}: {path.stat().st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
     except OSError as error:

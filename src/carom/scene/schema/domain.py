@@ -32,4 +32,6 @@ class Domain(Section):
     def _a_box_has_a_size(self) -> Self:
         if self.boundary != "open" and self.size is None:
             raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z]')
+        if self.size is not None and "boundary" not in self.model_fields_set:
+            raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or leave it out')
         return self
