@@ -27,9 +27,9 @@ class Motion(NamedTuple):
     @classmethod
     def of(cls, bodies: Bodies) -> Motion:
         """Sum over the bodies as they move now."""
-        linear, angular = momenta = np.zeros((2, 3))
-        velocities = bodies.velocity, bodies.angular_velocity
-        return cls(linear, angular, *_add_up(bodies.position, *velocities, bodies.mass, bodies.inertia, momenta))
+        linear, angular = np.empty(3), np.empty(3)
+        state = bodies.position, bodies.velocity, bodies.angular_velocity
+        return cls(linear, angular, *_add_up(*state, bodies.mass, bodies.inertia, linear, angular))
 
 
 def internal_energy(bodies: Bodies) -> float:
@@ -60,12 +60,18 @@ def _internal_energy(velocity: FloatArray, mass: FloatArray) -> float:
 
 @kernel
 def _add_up(
-    x: FloatArray, v: FloatArray, omega: FloatArray, mass: FloatArray, inertia: FloatArray, momenta: FloatArray
+    x: FloatArray,
+    v: FloatArray,
+    omega: FloatArray,
+    mass: FloatArray,
+    inertia: FloatArray,
+    linear: FloatArray,
+    angular: FloatArray,
 ) -> tuple[float, float, float, float]:
-    """Add p and L to two vectors, (2, 3); return the scales and energies of `Motion`."""
+    """Write p and L; return the scales and energies of `Motion`."""
     linear_scale, angular_scale, translational, rotational = 0.0, 0.0, 0.0, 0.0
-    lx, ly, lz = momenta[0, 0], momenta[0, 1], momenta[0, 2]
-    ax, ay, az = momenta[1, 0], momenta[1, 1], momenta[1, 2]
+    lx, ly, lz = 0.0, 0.0, 0.0
+    ax, ay, az = 0.0, 0.0, 0.0
     for i in range(len(mass)):
         m = mass[i]
         px, py, pz = vector(x, i)
@@ -89,6 +95,6 @@ def _add_up(
         az += I * wz
         angular_scale += I * np.sqrt(square(omega, i))
         rotational += 0.5 * I * (wx * wx + wy * wy + wz * wz)
-    momenta[0, 0], momenta[0, 1], momenta[0, 2] = lx, ly, lz
-    momenta[1, 0], momenta[1, 1], momenta[1, 2] = ax, ay, az
+    linear[0], linear[1], linear[2] = lx, ly, lz
+    angular[0], angular[1], angular[2] = ax, ay, az
     return linear_scale, angular_scale, translational, rotational

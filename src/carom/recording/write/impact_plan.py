@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.aligned import record
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.recording.schema.header import Header
 from carom.recording.write.encoding_kernels import count_moved
@@ -21,7 +22,10 @@ _ROW = 60  # bytes of a row besides its arrays
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars, likewise
 
-_OTHERS, _SPENT, _DRAWN, _SHOWN = range(4)  # bytes so far: of all else, of contacts, of that on arrows, on bodies
+_BUDGET = record(  # bytes so far
+    "others contacts"  # of all else; of contacts and impacts
+    " arrows scenes"  # of the latter on arrows, and on the frames of all bodies
+)
 
 
 class Kept(NamedTuple):
@@ -49,7 +53,8 @@ class ImpactPlan:
 
     def __init__(self, *, everything: bool, oriented: bool, turned: bool) -> None:
         self._model = everything, oriented, turned
-        self._budget = np.array([ONCE, 0.0, 0.0, 0.0])
+        self._budget = np.zeros(1, _BUDGET)
+        self._budget["others"] = ONCE
         self._before: NDArray[np.float32] | None = None  # (n, 3) m, as drawn in the frame before
 
     @classmethod
@@ -73,7 +78,7 @@ class ImpactPlan:
         moved = np.empty(len(position), dtype=np.int64)
         count_moved(position, self._before, moved)
         kept = Kept(*np.empty((3, len(position)), dtype=np.int64))
-        _spend(SHARE, *self._model, position.shape[1], moved, edges, contacts, impacts, self._budget, *kept)
+        _spend(SHARE, *self._model, position.shape[1], moved, edges, contacts, impacts, self._budget, kept)
         return kept
 
 
@@ -95,31 +100,29 @@ def _spend(
     edges: IntArray,
     contacts: IntArray,
     impacts: IntArray,
-    budget: FloatArray,
-    kept: IntArray,
-    arrows: IntArray,
-    scenes: IntArray,
+    budget: NDArray[np.void],
+    kept: Kept,
 ) -> None:
     """Decide for frames, (frames,), by how many bodies moved, edges, contacts and impacts each has."""
-    others, spent, drawn, shown = budget[_OTHERS], budget[_SPENT], budget[_DRAWN], budget[_SHOWN]
+    used = budget[0]
     scene = _ROW + bodies * (28 if oriented else 12)
     arrow = 2 * _ARROW if turned else _ARROW  # with friction two
     for f in range(len(moved)):
-        others += _size(bodies, moved[f] / bodies, edges[f], oriented, turned)
-        kept[f], arrows[f], room = impacts[f], contacts[f], np.inf
+        used.others += _size(bodies, moved[f] / bodies, edges[f], oriented, turned)
+        most, arrows, room = impacts[f], contacts[f], np.inf
         if not everything:
-            spent += _CONTACT * contacts[f]
-            kept[f] = min(impacts[f], max(1, int((share * others - spent) / _IMPACT)))
-            spent += _IMPACT * kept[f]
-            left = min(share * others - spent, _ARROWS * others - drawn)
-            arrows[f] = max(0, min(contacts[f], int(left / arrow)))
-            spent += arrow * arrows[f]
-            drawn += arrow * arrows[f]
-            room = share * others - spent
-        scenes[f] = max(0, int(min(float(kept[f]), min(room, _SCENES * others - shown) / scene)))
-        spent += scene * scenes[f]
-        shown += scene * scenes[f]
-    budget[_OTHERS], budget[_SPENT], budget[_DRAWN], budget[_SHOWN] = others, spent, drawn, shown
+            used.contacts += _CONTACT * contacts[f]
+            most = min(impacts[f], max(1, int((share * used.others - used.contacts) / _IMPACT)))
+            used.contacts += _IMPACT * most
+            left = min(share * used.others - used.contacts, _ARROWS * used.others - used.arrows)
+            arrows = max(0, min(contacts[f], int(left / arrow)))
+            used.contacts += arrow * arrows
+            used.arrows += arrow * arrows
+            room = share * used.others - used.contacts
+        scenes = max(0, int(min(float(most), min(room, _SCENES * used.others - used.scenes) / scene)))
+        used.contacts += scene * scenes
+        used.scenes += scene * scenes
+        kept.impacts[f], kept.arrows[f], kept.scenes[f] = most, arrows, scenes
 
 
 @inline
