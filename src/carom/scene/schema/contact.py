@@ -43,7 +43,8 @@ class Contact(Section):
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split",
-        description="how overlaps are corrected: bodies are moved (split), a velocity bias (baumgarte), or not (none)",
+        description="how overlaps are corrected: by moving the bodies (split), by a velocity bias (baumgarte), or not "
+        "at all (none)",
     )
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
@@ -55,9 +56,9 @@ class Contact(Section):
     )
     sweeps: Sweeps | Annotated[Count, Field(le=10_000)] = Field(
         "auto",
-        description="solver iterations in a step: until the impulses converge (auto), only until no contact changes by "
-        "3e-6 of a radius, which makes heaps at rest cheaper (as-needed), at most four of these, which makes falling "
-        "heaps cheaper at deeper overlaps (quick), or at most this many, up to 10000",
+        description="solver iterations in a step: until the impulses converge (auto); until no contact changes by 3e-6 "
+        "of a radius, cheaper for heaps at rest (as-needed); at most four of these, cheaper while heaps fall, with "
+        "deeper overlaps (quick); or at most this many, up to 10000",
     )
     sleep: Sleep | None = Field(
         None,

@@ -24,8 +24,8 @@ class Gravity(Section):
     opening_angle: Positive = Field(
         0.5,
         le=1,
-        description="boxes of a tree with a smaller angular radius in radians pull as a whole; with "
-        "fast-multipole, boxes that see the sum of their radii so small; more than 0, at most 1",
+        description="in radians: boxes of a tree that look smaller, by their radius, pull as a whole; with "
+        "fast-multipole, pairs of boxes whose radii together look smaller; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
         True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
