@@ -11,6 +11,7 @@ from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_table import IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.law import LAW, Materials, material_index
+from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.periodic_box import nearest_image
@@ -90,26 +91,24 @@ def merge(held: Held, struck: Records, found: Found, ends: Ends, step: int, ende
         i, j = n, 0  # the first pair of the three lists
         if a < len(held_pairs):
             i, j = held_pairs[a, 0], held_pairs[a, 1]
-        if b < len(struck) and (struck[b].i < i or (struck[b].i == i and struck[b].j < j)):
+        if b < len(struck) and comes_before(struck[b].i, struck[b].j, i, j):
             i, j = struck[b].i, struck[b].j
-        if c < len(pairs) and (pairs[c, 0] < i or (pairs[c, 0] == i and pairs[c, 1] < j)):
+        if c < len(pairs) and comes_before(pairs[c, 0], pairs[c, 1], i, j):
             i, j = pairs[c, 0], pairs[c, 1]
         row, seen = rows[min(count, len(rows) - 1)], False
+        material = materials[material_index(i, j, n, places)]
         _begin(row, step, ended, i, j)
         touches = c < len(pairs) and pairs[c, 0] == i and pairs[c, 1] == j
         if a < len(held_pairs) and held_pairs[a, 0] == i and held_pairs[a, 1] == j:
             k = held_place[a]
             _add(row, held_contacts[k])
             _add_losses(row, terms[k, RESTITUTION], terms[k, FRICTION], terms[k, STABILISATION])
-            row.mode = _mode(held_contacts[k], materials[material_index(i, j, n, places)], friction)
+            row.mode = _mode(held_contacts[k], material, friction)
             if not touches:
                 _place(row, held_contacts[k], position, box)
             a += 1
         if b < len(struck) and struck[b].i == i and struck[b].j == j:
-            hardest = struck[b]
-            row.time, row.mode, row.approach_speed = hardest.time, hardest.mode, hardest.approach_speed
-            row.nx, row.ny, row.nz = hardest.nx, hardest.ny, hardest.nz
-            row.x, row.y, row.z = hardest.x, hardest.y, hardest.z
+            _copy_moment(row, struck[b])
             while b < len(struck) and struck[b].i == i and struck[b].j == j:
                 _add(row, struck[b])
                 _add_losses(row, struck[b].restitution_loss, struck[b].friction_loss, struck[b].stabilisation_gain)
@@ -126,9 +125,9 @@ def merge(held: Held, struck: Records, found: Found, ends: Ends, step: int, ende
             if given.normal_impulse > 0.0 and state.approach_speed > state.rest_speed:
                 row.mode = IMPACT_MODE
             elif row.mode != IMPACT_MODE and contact.normal_impulse > 0.0:
-                row.mode = _mode(contact, materials[material_index(i, j, n, places)], friction)
+                row.mode = _mode(contact, material, friction)
             elif row.mode != IMPACT_MODE and given.normal_impulse > 0.0:
-                row.mode = _mode(given, materials[material_index(i, j, n, places)], friction)
+                row.mode = _mode(given, material, friction)
             seen = not state.apart
             c += 1
         if seen or row.normal_impulse > 0.0 or row.stabilisation_gain != 0.0:
@@ -161,6 +160,14 @@ def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
     row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
     row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
     row.restitution_loss = row.friction_loss = row.stabilisation_gain = 0.0
+
+
+@inline
+def _copy_moment(row: Any, impact: Any) -> None:
+    """Take over when, where and how fast a pair met."""
+    row.time, row.mode, row.approach_speed = impact.time, impact.mode, impact.approach_speed
+    row.nx, row.ny, row.nz = impact.nx, impact.ny, impact.nz
+    row.x, row.y, row.z = impact.x, impact.y, impact.z
 
 
 @inline

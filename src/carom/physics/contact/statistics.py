@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK, LEDGER_TERMS
+from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.jit import inline, kernel, long_kernel
@@ -167,4 +168,4 @@ def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
 @inline
 def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
     """Tell whether a value is larger than the largest so far, or equal and of an earlier pair."""
-    return value > largest or (value == largest and (i < first or (i == first and j < second)))
+    return value > largest or (value == largest and comes_before(i, j, first, second))

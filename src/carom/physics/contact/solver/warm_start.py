@@ -15,6 +15,7 @@ from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem
 from carom.physics.contact.law import IMPULSES
+from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_velocities
 from carom.physics.parallel.jit import kernel, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
@@ -108,7 +109,7 @@ def _carry(
         prefetch_record(contacts, p, 1)
         prefetch_record(old_contacts, q, 1)
         i, j = pairs[c, 0], pairs[c, 1]
-        while k < len(old_pairs) and (old_pairs[k, 0] < i or (old_pairs[k, 0] == i and old_pairs[k, 1] < j)):
+        while k < len(old_pairs) and comes_before(old_pairs[k, 0], old_pairs[k, 1], i, j):
             k += 1
         known = k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j
         contact, old = contacts[place[c]], old_contacts[old_place[k] if known else 0]
