@@ -25,10 +25,8 @@ from carom.recording.schema.series import SERIES, Past
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 
-_MOST_FRAMES, _MOST_BODIES = (
-    128,
-    20_000,
-)  # compared together: encoding one frame costs as much as a batch of a hundred
+# compared together: encoding one frame costs as much as a batch of a hundred
+_MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
 _LED = "what led to the first frame (contacts, torques, dt, events)"
 _LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"

@@ -108,9 +108,8 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
-    bodies[on_plane] = np.maximum(
-        bodies[on_plane], 0
-    )  # a plane is not a node: a body that touches only planes has the first colour
+    # a plane is not a node: a body that touches only planes has the first colour
+    bodies[on_plane] = np.maximum(bodies[on_plane], 0)
     colours = bodies[pairs[:, 0]]
     colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
     return colours, bodies

@@ -25,9 +25,8 @@ END, STORE, CHUNK, ACTIVATION = 0, 1, 2, 3  # kinds of messages
 
 _MAGIC, _PROTOBUF = b"RRF2", 2
 _MESSAGE = struct.Struct("<QQ")
-_FOOTER = struct.Struct(
-    "<QQI8sI"
-)  # where the end message's body lies, its length and checksum; magic, how many footers
+# where the end message's body lies, its length and checksum; magic, how many footers
+_FOOTER = struct.Struct("<QQI8sI")
 _FOOTER_MAGIC = b"RRF2FOOT"
 _FOOTER_SEED = 7850921  # of the checksum
 
