@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -179,6 +180,23 @@ def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     result = replay(recording, consent=decline)
     assert len(asked) == 1 and asked[0] >= 0.0
     assert not result.same and result.ended == "declined" and result.difference is None
+
+
+def test_what_the_first_step_of_a_replay_compiles_is_no_part_of_the_time_that_it_asks_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("carom.experiment.replay.TRIAL_SECONDS", 0.0)
+    recording, asked, compiling = carom.run(cloud(), tmp_path / "cloud.rrd"), list[float](), 0.5  # s
+
+    def compile_at_first(status: StepStatus) -> None:
+        time.sleep(compiling if status.step == 1 else 0.0)
+
+    def consent(seconds: float) -> bool:
+        asked.append(seconds)
+        return True
+
+    assert replay(recording, consent=consent, watch=compile_at_first).same
+    assert asked[0] < 0.5 * compiling * recording.frames
 
 
 def test_a_replay_that_is_interrupted_says_how_far_it_got(tmp_path: Path) -> None:

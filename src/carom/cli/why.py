@@ -11,6 +11,7 @@ from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
 
 if TYPE_CHECKING:
@@ -290,7 +291,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         for edge in answer.edges[:MOST_EDGES]:
             between = names.pair((edge.i, edge.j))
             impulse = units.text(edge.impulse, IMPULSE, ".4g")
-            yield f"  {edge.share:6.1%}  {between}: {impulse} in {edge.count} impulses"
+            yield f"  {edge.share:6.1%}  {between}: {impulse} in {counted(edge.count, 'impulse')}"
     elif answer.chain:
         yield "The chain of causes, backwards:"
         for link in answer.chain:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -170,7 +171,7 @@ def _run_again(
 
     ``recorder`` gets every step from ``begin`` on, in s.
     """
-    began, asked = clock.perf_counter(), False
+    began, first, asked = math.inf, run.begin, False  # the pace is that after the first step, which may compile
     schedule = at(run.fingerprints) if recorder is None else every(0.0)
     try:
         for frame in space.run(schedule=schedule):
@@ -178,10 +179,12 @@ def _run_again(
             run.see(frame)
             if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > run.begin):
                 recorder.put(frame)
+            if began == math.inf and frame.step > run.begin:
+                began, first = clock.perf_counter(), frame.step
             spent = clock.perf_counter() - began
             if not asked and spent > TRIAL_SECONDS:
                 asked = True
-                if not consent(spent * run.left(space.step) / max(1, space.step - run.begin)):
+                if not consent(spent * run.left(space.step) / max(1, space.step - first)):
                     return "declined"
             if run.difference or frame.step >= run.last:
                 break

@@ -72,7 +72,7 @@ def text_of(start: Start, found: Diff) -> str:
     return (
         f"{forked}: the first frame that differs is step {curve.step[first]}, t = {when}; at {last} counterparts are "
         f"{'' if apart > resolved else 'less than '}{distance} apart (rms), in a system of "
-        f"{units.text(curve.size, LENGTH, '.3g')}"
+        f"{units.text(curve.size, LENGTH, '.3g')} at first"
     )
 
 
