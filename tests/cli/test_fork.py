@@ -9,6 +9,8 @@ import pytest
 
 from command import carom, carom_process
 
+SEEDED = ("--at", "0.5", "--perturb", "1ulp", "--seeds", "2")
+
 
 def test_a_fork_writes_both_courses_and_prints_their_difference(folder: Path) -> None:
     done = carom("fork", "run.rrd", "--at", "0.5", "--set", "contact.restitution=0", "--force", cwd=folder)
@@ -54,6 +56,13 @@ def test_distances_of_many_forks_are_told_with_their_time(folder: Path) -> None:
         (("--at", "0.5", "--set", "contact.restitution=0", "--seeds", "3"), "add --perturb 1ulp"),
         (("--at", "0.5", "--perturb", "1ulp", "--outcome", "x_0 < 0"), "--seeds 100"),
         (("--at", "0.5", "--perturb", "1ulp", "--seeds", "9", "--inevitable"), "needs an --outcome"),
+        (("--at", "0.5", "--perturb", "1ulp", "--seeds", "9", "--times", "3"), "--times needs an --outcome"),
+        ((*SEEDED, "--outcome", ""), "--outcome : expected a condition"),
+        ((*SEEDED, "--outcome", "x_9 < 0"), "--outcome x_9 < 0: there is no body 9 for x_9; the last is 1"),
+        (
+            (*SEEDED, "--outcome", "energy.finl < 0"),
+            "--outcome energy.finl < 0: the summary has no energy.finl; did you",
+        ),
         (("--at", "0.5", "--perturb", "1ulp", "-o", "run.rrd", "--force"), "is the recording itself"),
     ],
 )

@@ -202,6 +202,16 @@ def test_a_run_in_which_nothing_touches_has_no_hardest_impact_and_no_deepest_ove
     assert not {"impact", "overlap", "contacts"} & set(moments)
 
 
+def test_a_gap_so_small_that_it_counts_as_touching_is_no_negative_overlap(tmp_path: Path) -> None:
+    toy = Toy()
+    toy.position[:2] = [[-0.10001, 0.0, 0.0], [0.10001, 0.0, 0.0]]
+    toy.velocity[:2] = 0.0
+    with carom.record.Recorder(toy, tmp_path / "run.rrd") as recorder:
+        recorder.frame()
+    contacts = Recording.open(tmp_path / "run.rrd").summary()["contacts"]
+    assert contacts["total"] > 0 and contacts["max_overlap"] == 0.0
+
+
 def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:
     recording = Recording.open(healthy)
     assert recording.engine == "toy 1.0" and recording.outcome == "completed" and recording.frames == STEPS + 1

@@ -98,7 +98,7 @@ def test_a_scene_that_rebound_lacks_something_for_is_refused_by_what_it_lacks(
 def test_an_engine_that_is_not_installed_or_unknown_is_refused_with_the_remedy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with pytest.raises(ExperimentError, match="--engine mujoko: unknown; known engines: rebound"):
+    with pytest.raises(ExperimentError, match='--engine mujoko: unknown; did you mean "mujoco"'):
         engine_called("mujoko")
     monkeypatch.setitem(sys.modules, "rebound", None)
     with pytest.raises(ExperimentError, match="pip install 'rebound>=5'"):

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from carom.experiment.fork.inevitable import Inevitable
 
 MOST_SEEDS, MOST_TIMES = 100_000, 1000
+DEFAULT_TIMES = 8
 
 
 def fork(
@@ -48,15 +49,16 @@ def fork(
         ),
     ] = None,
     times: Annotated[
-        int,
+        int | None,
         typer.Option(
             "--times",
             metavar="N",
             min=1,
             max=MOST_TIMES,
-            help="Fork at N times from T on, to show how the probability of the --outcome depends on the time.",
+            help="Fork at N times from T on, to show how the probability of the --outcome depends on the time. "
+            f"Default: {DEFAULT_TIMES}.",
         ),
-    ] = 8,
+    ] = None,
     when: Annotated[
         bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
     ] = False,
@@ -86,6 +88,8 @@ def fork(
         raise ExperimentError("without --perturb all forks have the same bits; add --perturb 1ulp")
     if when and outcome is None:
         raise ExperimentError('--inevitable needs an --outcome, such as "x_0 < 0"')
+    if times is not None and outcome is None:
+        raise ExperimentError('--times needs an --outcome, such as "x_0 < 0"')
     if outcome is not None and seeds == 1:
         raise ExperimentError("--outcome counts forks: add --perturb 1ulp --seeds 100")
     target = output or file.with_name(f"{file.stem}-fork.rrd")
@@ -98,7 +102,7 @@ def fork(
         if seeds == 1:
             document, lines = _one(start, target, None if perturb is None else 1, ulps)
         else:
-            document, lines = _many(start, branch, target, seeds, ulps, outcome, times, when)
+            document, lines = _many(start, branch, target, seeds, ulps, outcome, times or DEFAULT_TIMES, when)
     if as_json:
         say_json(document)
         return

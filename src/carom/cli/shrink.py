@@ -12,6 +12,7 @@ from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, SetOption
 from carom.cli.text import say
 from carom.scene.command import command
+from carom.scene.counted import counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -173,17 +174,20 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
 
 def _line(progress: Progress) -> str:
     return (
-        f"{progress.stage}: {progress.bodies} bodies, {progress.steps} steps; {progress.candidates} candidates, "
+        f"{progress.stage}: {counted(progress.bodies, 'body')}, {counted(progress.steps, 'step')}; "
+        f"{counted(progress.candidates, 'candidate')}, "
         f"{progress.seconds:.1f} s"
     )
 
 
 def _print(result: Reduction, path: Path) -> None:
     bodies, steps = result.before
-    say(f"{result.bodies} of {bodies} bodies and {result.steps} of {steps} steps are left: {result.said}")
+    left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')}"
+    say(f"{left} are left: {result.said}")
     if result.stopped:
         say(f"Not finished: {result.stopped}. The same command goes on.")
-    say(f"Written to {path} after {result.candidates} candidates in {result.seconds:.3g} s; {command('run', path)}")
+    effort = f"{counted(result.candidates, 'candidate')} in {result.seconds:.3g} s"
+    say(f"Written to {path} after {effort}; {command('run', path)}")
 
 
 def _command(source: str, condition: str | None, while_command: str | None, overrides: list[str] | None) -> str:

@@ -15,6 +15,7 @@ from carom.experiment.engines.stepped import Simulation
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
+from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
 
 
@@ -82,11 +83,20 @@ def engine_called(name: str) -> Engine:
         If there is none of that name.
     """
     if name not in ENGINES:
-        raise ExperimentError(f"--engine {name}: unknown; known engines: {', '.join(ENGINES)}")
+        raise ExperimentError(f"--engine {name}: unknown; {suggestion(name, ENGINES)}")
     return ENGINES[name]
 
 
 def engines_called(names: Iterable[str]) -> list[Engine]:
-    """Return engines by their names, several of which may stand in one text, separated by commas; each once."""
-    each = [name.strip() for text in names for name in text.split(",") if name.strip()]
+    """Return engines by their names, several of which may stand in one text, separated by commas; each once.
+
+    Raises
+    ------
+    ExperimentError
+        If one is unknown, or a text names none.
+    """
+    given = list(names)
+    each = [name.strip() for text in given for name in text.split(",") if name.strip()]
+    if not each and given:
+        raise ExperimentError(f"--engine: names no engine; expected some of {', '.join(ENGINES)}")
     return [engine_called(name) for name in dict.fromkeys(each)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carom.experiment.diff.divergence import Curve, Divergence, divergence_of
 from carom.experiment.fork.branch import Branch, Start
 from carom.experiment.fork.chance import Chance
-from carom.experiment.fork.path import Path, path_of
+from carom.experiment.fork.path import OPTION, Path, path_of
 from carom.experiment.fork.workers import Task, Workers
 from carom.experiment.shrink.expression import Expression
 
@@ -72,7 +72,7 @@ def ensemble(
     watch
         Called with the number of branches that are done.
     """
-    expression = None if outcome is None else Expression(outcome)
+    expression = None if outcome is None else Expression(outcome, OPTION)
     reference = path_of(start, None, 0, expression, None)  # also tells whether the expression fits
     rms = np.empty((seeds, len(reference.time)))
     squares = np.zeros(reference.position.shape[:2])

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +19,7 @@ from carom.plan.auto import frame_interval
 
 FloatArray = NDArray[np.float64]
 
+OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
 
@@ -60,9 +64,15 @@ def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | No
         try:
             came = outcome.holds(summary)
         except UnknownNameError as error:
-            explained = explain_unknown(outcome.text, error.name, summary)
-            raise ExperimentError(explained.replace("--while", "--outcome", 1)) from None
+            raise ExperimentError(_explained(outcome.text, error.name, summary, len(space.state.position))) from None
     return Path(time, position, came)
+
+
+def _explained(text: str, name: str, summary: Mapping[str, Any], bodies: int) -> str:
+    """Say that an outcome names no such number, or no such body."""
+    if re.fullmatch(r"([xyz]|speed)_\d+", name):
+        return f"{OPTION} {text}: there is no body {name.partition('_')[2]} for {name}; the last is {bodies - 1}"
+    return explain_unknown(text, name, summary).replace("--while", OPTION, 1)
 
 
 def _times(origin: float, end: float, interval: float) -> FloatArray:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Branch, Start, start_of
-from carom.experiment.fork.path import Path, path_of
+from carom.experiment.fork.path import OPTION, Path, path_of
 from carom.experiment.shrink.expression import Expression
 
 FloatArray = NDArray[np.float64]
@@ -86,7 +86,7 @@ def by_seed(results: Iterable[Result]) -> Iterator[Result]:
 def execute(task: Task) -> Result:
     """Run one branch."""
     start, reference = _prepared(task.branch)
-    outcome = None if task.outcome is None else Expression(task.outcome)
+    outcome = None if task.outcome is None else Expression(task.outcome, OPTION)
     path = path_of(start, task.seed, task.ulps, outcome)
     return Result(task.seed, apart(path.position, reference.position, start).astype(np.float32), path.outcome)
 

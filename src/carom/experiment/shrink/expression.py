@@ -64,17 +64,17 @@ class Expression:
         If it cannot be read.
     """
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    def __init__(self, text: str, option: str = "--while") -> None:
+        self.text, self.option = text, option
         try:
             if len(text) > LONGEST:
-                raise ExperimentError(f"--while: {len(text)} characters are too many; at most {LONGEST}")
+                raise ExperimentError(f"{option}: {len(text)} characters are too many; at most {LONGEST}")
             self._tree = ast.parse(text.strip(), mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise ExperimentError(f"--while {text}: {_EXAMPLE}") from None
+            raise ExperimentError(f"{option} {text}: {_EXAMPLE}") from None
         self.names = list(dict.fromkeys(self._names(self._tree)))
         if not self.names:
-            raise ExperimentError(f"--while {text}: it names nothing of a run; {_EXAMPLE}")
+            raise ExperimentError(f"{option} {text}: it names nothing of a run; {_EXAMPLE}")
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
         """Tell whether the condition holds.
@@ -119,7 +119,7 @@ class Expression:
             case ast.Call(func=ast.Name(id=function), args=parts, keywords=[]) if function in _FUNCTIONS:
                 pass
             case _:
-                raise ExperimentError(f"--while {self.text}: {ast.unparse(node)} is not allowed; {_EXAMPLE}")
+                raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not allowed; {_EXAMPLE}")
         for part in parts:
             yield from self._names(part)
 
@@ -128,7 +128,7 @@ class Expression:
             return node.id
         if isinstance(node, ast.Attribute):
             return f"{self._dotted(node.value)}.{node.attr}"
-        raise ExperimentError(f"--while {self.text}: {ast.unparse(node)} is not a name; {_EXAMPLE}")
+        raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not a name; {_EXAMPLE}")
 
     def _value(self, node: ast.expr, summary: Mapping[str, Any]) -> Any:
         match node:

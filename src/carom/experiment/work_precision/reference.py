@@ -26,6 +26,7 @@ from carom.experiment.work_precision.trajectory import Trajectory, follow, sampl
 from carom.physics.space import Space
 from carom.plan.auto import cfl, integrator, pull_fraction, target_dx, uses_tree
 from carom.plan.features import require
+from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 
@@ -145,7 +146,7 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> Re
         if len(known):
             tell(f"reference: exact, check {twin} of 2, up to t = {scene.unit_system.text(known[-1], TIME)}")
             checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
-    text = f"exact: DOP853, tolerance {TIGHTEST:g}, {len(best.time)} contacts located"
+    text = f"exact: DOP853, tolerance {TIGHTEST:g}, {counted(len(best.time), 'contact')} located"
     return _reference(
         scene,
         best.trajectory,

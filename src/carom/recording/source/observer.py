@@ -194,7 +194,8 @@ class Observer:
             radius = np.append(self.setup.radius, np.full(len(self.setup.planes), np.inf))
             judged = np.append(self.setup.judged, np.ones(len(self.setup.planes), bool))
             known = judged[contacts.pairs].all(axis=1)
-            depth = np.where(known, contacts.overlaps / radius[contacts.pairs].min(axis=1), 0.0)
+            relative = contacts.overlaps / radius[contacts.pairs].min(axis=1)
+            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # a small gap counts as touching
             worst = int(np.argmax(depth))
             deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
         return ContactStatistics(
