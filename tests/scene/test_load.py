@@ -73,6 +73,12 @@ MISTAKES = {
     ),
     "single brackets for two bodies": ("[body]\n[body]\n", ["not TOML", "line 2", "[[body]]"]),
     "a key twice": ("seed = 1\nseed = 2\n" + ONE_BODY, ["not TOML", "line 2", "a key is given twice"]),
+    "a place in a vector": ("[[body]]\nposition = [0, nan, 0]\n", ["body.0.position.1 = nan", "(position: m"]),
+    "a word of TOML": ("gravity.constant = true\n" + ONE_BODY, ["gravity.constant = true: must be a number"]),
+    "a material that is none": (
+        '[[body]]\nmaterial = "rubber"\n',
+        ['no material "rubber"; there is no [[material]], only "default"'],
+    ),
     "walls without a size": ("[domain]\nboundary = 'walls'\n" + ONE_BODY, [":1:", "needs size"]),
     "periodic with self-gravity": (
         "[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,

@@ -39,7 +39,7 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
         return f"{place}{key} is missing{_expected(path, units)}"
     if detail["type"] == "value_error":
         return f"{place}{key}{': ' if key else ''}{detail['ctx']['error']}"
-    shown = repr(given) if isinstance(given, str) else str(given)
+    shown = repr(given) if isinstance(given, str) else str(given).lower() if isinstance(given, bool) else str(given)
     return f"{place}{key} = {shown[:80]}: {_wrong(detail, path)}{_expected(path, units)}"
 
 
@@ -162,4 +162,5 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
         unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
         if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default, which is in SI
             text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
-    return f" ({path[-1]}: {text})"
+    name = next(key for key in reversed(path) if isinstance(key, str))  # of a list, if the path ends with a place in it
+    return f" ({name}: {text})"

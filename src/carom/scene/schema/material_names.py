@@ -50,7 +50,9 @@ def check_materials(scene: Scene) -> None:
 
 def _check_name(path: Path, name: str, known: Iterable[str]) -> None:
     if name not in known:
-        raise SectionError(path, f'no material "{name}"; {suggestion(name, known)}')
+        given = list(known)
+        only = f'there is no [[material]], only "{DEFAULT}"'
+        raise SectionError(path, f'no material "{name}"; {suggestion(name, given) if len(given) > 1 else only}')
 
 
 def _check_matter(path: Path, matter: Matter, known: Mapping[str, Material | None]) -> None:
