@@ -166,7 +166,7 @@ MISTAKES = {
     ),
     "a group of a material that there is not": (
         "[[group]]\nmaterial = 'steel'\n",
-        [":2:", 'group.0.material: no material "steel"', "here are default"],
+        [":2:", 'group.0.material: no material "steel"', 'there is no [[material]], only "default"'],
     ),
     "a plane of a material that there is not": (
         "[[plane]]\nmaterial = ''\n" + ONE_BODY,
