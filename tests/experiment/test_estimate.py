@@ -133,7 +133,7 @@ def test_the_cost_leaves_out_what_the_first_step_loads(monkeypatch: pytest.Monke
     monkeypatch.setattr(Timestep, "choose", choose_slowly_at_first)
     few = cloud(gravity={"constant": 0.0}, contact=SMOOTH, time={"duration": 0.2})
     shares = {part.name: part.share for part in estimate(few).parts}
-    assert shares["adaptive-step"] is not None and shares["adaptive-step"] < 0.5
+    assert shares["adaptive-step"] is not None and shares["adaptive-step"] < 0.8  # 0.9 with the wait
 
 
 def test_a_bundled_scene_that_is_forced_says_so() -> None:
