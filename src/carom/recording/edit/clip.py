@@ -27,6 +27,7 @@ from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.names import bodies_called
 from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 PROPERTY = "clip"
 
@@ -136,13 +137,22 @@ def _cut(recording: Recording, start: float, end: float) -> _Cut:
         nearest = times[np.argmin(np.abs(times - min(max(start, times[0]), end)))]
         units = recording.units
         raise RecordingError(
-            f"{recording.path} has no frame between {units.shown(start, TIME):g} and {units.text(end, TIME, 'g')}; "
+            f"{recording.path} has no frame {_between(start, end, units)}; "
             f"it goes from {units.span(times[0], times[-1], TIME, 'g')}, with {len(times)} frames, "
             f"the nearest at {units.text(nearest, TIME, 'g')}"
         )
     steps, shown = prints[STEP].to_numpy(), prints[SIM_TIME].cast(pa.int64()).to_numpy()
     first, last = inside[0], inside[-1]
     return _Cut(int(steps[first]), int(steps[last]), int(shown[first]), times[first], times[last], len(inside))
+
+
+def _between(start: float, end: float, units: UnitSystem) -> str:
+    """Name an interval of times, in s, of which one end may be infinite."""
+    if end == np.inf:
+        return f"from {units.text(start, TIME, 'g')} on"
+    if start == -np.inf:
+        return f"up to {units.text(end, TIME, 'g')}"
+    return f"between {units.shown(start, TIME):g} and {units.text(end, TIME, 'g')}"
 
 
 def _selection(recording: Recording, bodies: Sequence[int]) -> Selection:
