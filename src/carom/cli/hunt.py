@@ -51,9 +51,10 @@ def hunt(
     from carom.experiment.hunt.hunt import Hunt, as_document
 
     chosen = secrets.randbelow(2**32) if seed is None else seed
+    hunting = Hunt(chosen, folder, seconds, first, scenes)
     if not as_json:
         say(f"seed {chosen}")
-    tally = _watched(Hunt(chosen, folder, seconds, first, scenes), quiet=as_json)
+    tally = _watched(hunting, quiet=as_json)
     if as_json:
         say_json(as_document(tally))
     else:

@@ -89,6 +89,11 @@ class Hunt:
         Number of the first scene, and of scenes at most.
     watch
         Called after each scene.
+
+    Raises
+    ------
+    RecordingError
+        If the folder cannot be made, before anything is run.
     """
 
     seed: int
@@ -98,24 +103,19 @@ class Hunt:
     most: int | None = None
     watch: Callable[[Tally], None] = lambda tally: None
     tally: Tally = field(init=False)
+    _new: bool = field(init=False)  # whether the hunt made the folder
 
     def __post_init__(self) -> None:
         self.tally = Tally(self.seed)
+        self._new = not self.folder.exists()
+        output_folder(self.folder)
 
     def hunt(self) -> Tally:
-        """Hunt until the budget is spent, the scenes are judged, or the user ends it.
-
-        Raises
-        ------
-        RecordingError
-            If the folder cannot be made, before anything is run.
-        """
-        new = not self.folder.exists()
-        output_folder(self.folder)
+        """Hunt until the budget is spent, the scenes are judged, or the user ends it."""
         try:
             return self._hunted()
         finally:
-            if new:
+            if self._new:
                 with contextlib.suppress(OSError):  # it holds misses
                     self.folder.rmdir()
 
