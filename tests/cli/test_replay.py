@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from carom.physics.error import PhysicsError
 from carom.recording.read.recording import Recording
 from command import carom
 
@@ -34,6 +35,16 @@ def test_a_window_as_json_and_with_every_step(folder: Path) -> None:
     assert carom("inspect", "ts-dense.rrd", cwd=folder).returncode == 0
     again = carom("replay", "ts.rrd", "--every", "step", cwd=folder)
     assert again.returncode == 2 and "exists; give --force" in again.stderr
+
+
+def test_a_replay_that_fails_tells_a_script_why(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise PhysicsError("the state is no longer finite")
+
+    monkeypatch.setattr("carom.experiment.replay.replay", fails)
+    done = carom("replay", "ts.rrd", "--json", cwd=folder)
+    assert done.returncode == 1 and "the replay failed: the state is no longer finite" in done.stderr
+    assert json.loads(done.stdout) == {"same": False, "ended": "the state is no longer finite"}
 
 
 def test_a_resumed_run_is_the_file_itself_or_another(folder: Path) -> None:

@@ -85,6 +85,8 @@ def replay(
                 consent=lambda seconds: yes or _agreed(seconds),
             )
     except PhysicsError as error:
+        if as_json:
+            say_json({"same": False, "ended": str(error)})
         say(f"carom: the replay failed: {error}", err=True)
         raise typer.Exit(1) from None
     if as_json:
