@@ -80,6 +80,20 @@ def test_without_values_to_vary_it_searches_and_tells_a_script_what_it_found(tmp
     assert tuned.time.integrator == named.get("integrator", Scene.load("figure-eight").time.integrator)
 
 
+def test_an_interrupted_search_tells_a_script_what_is_left_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("carom.experiment.work_precision.tune.tuned", interrupted)
+    done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, "--json", cwd=tmp_path)
+    told = json.loads(done.stdout)
+    assert done.returncode == 1 and "stopped; what is measured is kept" in done.stderr
+    assert told["best"] is None and told["tried"] == 0 and told["why_none"] == "stopped by the user"
+    assert told["limits"] == {"energy": 1e-8} and told["study"] == "recordings/tradeoff/figure-eight"
+
+
 def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Path) -> None:
     done = carom("tune", "figure-eight", "--error", "position=1e-12", *QUICK, *SHORT, cwd=tmp_path)
     assert done.returncode == 1

@@ -62,7 +62,7 @@ def tune(
     continues where it stopped.
     """
     from carom.experiment.output import refuse_output
-    from carom.experiment.work_precision.tune import limits, tuned, write
+    from carom.experiment.work_precision.tune import limits, stopped, tuned, write
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
@@ -73,6 +73,8 @@ def tune(
     if not as_json:
         _show(study, asked)
     if not finished:
+        if as_json:
+            say_json(stopped(study, asked))
         say(STOPPED, err=True)
         raise typer.Exit(1)
     (tuning,) = found

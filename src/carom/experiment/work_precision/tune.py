@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -96,21 +97,33 @@ class Tuning:
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON document."""
         best, speed = self.best, self.speed
-        return {
-            "units": self.study.scene.unit_system.recorded,
-            "scene": {"title": self.study.scene.title, "bodies": self.study.scene.count},
-            "limits": self.limits,
+        return _asked(self.study, self.limits) | {
             "tried": len(self.tried),
             "best": best and result_entry(best),
             "as_written": result_entry(self.written),
             "speed": None if math.isnan(speed) else speed,
             "worse": {name: list(values) for name, values in self.worse().items()},
             "why_none": None if best else self.why_none(),
-            "study": str(self.study.folder),
         }
 
     def _excess(self, result: Result) -> float:
         return excess(self.study, self.written, result, self.limits)
+
+
+def stopped(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
+    """Return the JSON document of a search that the user ended before it had a result."""
+    none = {"best": None, "why_none": "stopped by the user"}
+    return _asked(study, limits) | {"tried": len(study.results)} | none
+
+
+def _asked(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
+    """Return what was searched for, and where the measurements are."""
+    return {
+        "units": study.scene.unit_system.recorded,
+        "scene": {"title": study.scene.title, "bodies": study.scene.count},
+        "limits": dict(limits),
+        "study": str(study.folder),
+    }
 
 
 def tuned(
