@@ -31,6 +31,11 @@ def complaint(tmp_path: Path, text: str, overrides: list[str] | None = None) -> 
 
 MISTAKES = {
     "not TOML": ("title = \n" + ONE_BODY, ["scene.toml", "not TOML", "line 1"]),
+    "a decimal comma": ("seed = 1,5\n" + ONE_BODY, ["scene.toml:1: not TOML", "write a decimal point, not a comma"]),
+    "a decimal comma in a text": (
+        "[time]\nduration = '3,5 s'\n" + ONE_BODY,
+        ["scene.toml:2: time.duration = '3,5 s': a decimal comma; write \"3.5 s\""],
+    ),
     "not text": ("title = '\x00'\n" + ONE_BODY, ["scene.toml", "not TOML"]),
     "unknown key": ("[contact]\nrestitutoin = 0.5\n" + ONE_BODY, [":2:", "restitutoin", 'did you mean "restitution"']),
     "unknown section": ("[contacts]\n" + ONE_BODY, [":1:", "contacts", 'did you mean "contact"']),

@@ -104,7 +104,7 @@ MISTAKES = {
     "not finite": ("nan km", ["expected a number"]),
     "too large": ("1e400 km", ["must be a finite number"]),
     "too many digits of an exponent": ("1e99999999 km", ["is not a unit"]),
-    "a comma": ("1,5 km", ["is not a unit"]),
+    "a comma": ("1,5 km", ['a decimal comma; write "1.5 km"']),
     "a power that would take for ever": ("1 km^999999999", ["is not a unit"]),
     "powers of powers": ("1 ((km^9)^9)^9", ["is not a unit"]),
     "a program": ("1 __import__('os')", ["is not a unit"]),

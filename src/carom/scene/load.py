@@ -124,12 +124,21 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # not only TOMLDecodeError: Python refuses whole numbers of thousands of digits
-        raise SceneError(f"{source}: not TOML: {error}{_meant(str(error))}") from None
+        at = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
+        place = f"{source}:{at[1]}" if at else source
+        comma = at is not None and _is_decimal_comma(text, int(at[1]), int(at[2]))
+        meant = "; write a decimal point, not a comma" if comma else _meant(str(error))
+        raise SceneError(f"{place}: not TOML: {error}{meant}") from None
     except RecursionError:
         raise SceneError(f"{source}: {_TOO_DEEP}") from None
     if is_too_deep(data):
         raise SceneError(f"{source}: {_TOO_DEEP}")
     return data
+
+
+def _is_decimal_comma(text: str, line: int, column: int) -> bool:
+    """Tell whether a comma between two digits is at a place of a text; lines and columns count from 1."""
+    return bool(re.fullmatch(r"\d,\d", text.split("\n")[line - 1][column - 2 : column + 1]))
 
 
 def _meant(error: str) -> str:
@@ -186,7 +195,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
             f"{places.file or 'the scene'}: {len(text)} characters are too many for a scene of {scene.count} bodies; "
             f"at most {longest_text(scene.count)}"
         )
-    scene._toml, scene._unit_system = text, units
+    scene._toml, scene._unit_system, scene._places = text, units, places
     return scene
 
 

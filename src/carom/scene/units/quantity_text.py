@@ -10,6 +10,8 @@ from carom.scene.units.unit import LONGEST, UnitError, unit_of
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
 
+_DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
+
 
 def quantity(text: str, dimension: Dimension) -> Fraction:
     """Read a quantity of a dimension; returns it in SI, exactly.
@@ -22,6 +24,8 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
     found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
     if not found:
         raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
+    if _DECIMAL_COMMA.match(text):
+        raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
     if not found[2].strip():
         raise UnitError(
             f"a text needs a unit{_such_as(dimension)}; for {dimension.unit} write the number without quotes"
