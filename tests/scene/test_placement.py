@@ -12,9 +12,35 @@ from hypothesis import strategies as st
 from carom.physics.placement import packing_fraction, place
 from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
+from carom.scene.load import scene_from_text
 from carom.scene.materials import pair_coefficients
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
+
+WRONG_STARTS = {
+    "bodies that overlap": ("[[body]]\nradius = 1\n[[body]]\nradius = 1\n", 1, "body.0 and body.1 overlap"),
+    "a body in a plane": ("[[plane]]\n[[body]]\nradius = 1\n", 2, "body.0 reaches 1 m into"),
+    "a full region": ("[[group]]\nregion = { radius = 3 }\nradius = 1\n", 2, "group.0.region is too small"),
+    "a body larger than its region": (
+        '[[group]]\nradius = 1\ncount = 1\n[group.region]\nshape = "box"\nsize = [9, 9, 1]\n',
+        4,
+        "group.0: a body of radius 1 m does not fit",
+    ),
+    "a full box": ('[domain]\nboundary = "walls"\nsize = [4, 4, 4]\n[[group]]\nradius = 1\n', 3, "domain.size: the"),
+}
+
+
+@pytest.mark.parametrize(("text", "line", "said"), WRONG_STARTS.values(), ids=WRONG_STARTS)
+def test_a_start_that_cannot_be_placed_is_refused_with_the_line_of_its_key(text: str, line: int, said: str) -> None:
+    with pytest.raises(SceneError, match=rf"^mine\.toml:{line}: {said}"):
+        place(scene_from_text(text, "mine.toml"))
+
+
+def test_a_start_that_an_override_makes_impossible_is_refused_with_the_override() -> None:
+    text = '[domain]\nboundary = "walls"\nsize = [9, 9, 9]\n[[group]]\nradius = 1\ncount = 10\n'
+    scene = scene_from_text(text, "mine.toml", ["domain.size=[4, 4, 4]"])
+    with pytest.raises(SceneError, match=r"^the override domain\.size=\[4, 4, 4\]: domain\.size: the groups"):
+        place(scene)
 
 
 def brute_force(position: Any, radius: Any, box: Any) -> Any:

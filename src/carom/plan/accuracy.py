@@ -42,7 +42,10 @@ def refuse_coarse_tree(scene: Scene) -> None:
         return
     tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
     better = f"gravity.opening_angle = {_floor(angle)}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
-    raise SceneError(f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}")
+    raise SceneError(
+        f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
+        ("time", "accuracy"),
+    )
 
 
 def _floor(angle: float) -> float:

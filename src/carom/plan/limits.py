@@ -10,6 +10,8 @@ from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
 from carom.scene.error import SceneError
+from carom.scene.key_places import naming_places
+from carom.scene.lines import KeyPath
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
 
@@ -17,6 +19,10 @@ BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured 
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: 2400 abort at 4 × 10⁵ bodies
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
+
+INTEGRATOR: KeyPath = ("time", "integrator")
+METHOD: KeyPath = ("gravity", "method")
+BOUNDARY: KeyPath = ("domain", "boundary")
 
 
 def memory_estimate(scene: Scene) -> int:
@@ -32,6 +38,11 @@ def refuse_impossible(scene: Scene) -> None:
     SceneError
         With the key and what would be right.
     """
+    with naming_places(scene):
+        _refuse_impossible(scene)
+
+
+def _refuse_impossible(scene: Scene) -> None:
     refuse_coarse_tree(scene)
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
@@ -55,7 +66,8 @@ def _refuse_times_of_impact(scene: Scene) -> None:
         why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
         raise SceneError(
             f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
-            'take "leapfrog", or the timing "end-of-step"'
+            'take "leapfrog", or the timing "end-of-step"',
+            INTEGRATOR if scene.contact.timing == "auto" else ("contact", "timing"),
         )
 
 
@@ -67,7 +79,8 @@ def _refuse_forces_of_mid_step(scene: Scene) -> None:
     if not chosen.holds_contacts and require(scene).resting.modelled:
         raise SceneError(
             f'time.integrator = "{chosen.name}" where bodies may press on each other: its forces are those of the '
-            'middle of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false'
+            'middle of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false',
+            INTEGRATOR,
         )
 
 
@@ -77,7 +90,8 @@ def _refuse_damping(scene: Scene) -> None:
     if force and not chosen.damps:
         raise SceneError(
             f'time.integrator = "{chosen.name}" with [{force.name}]: the {force.name} needs one drift between two '
-            'equal kicks; use "leapfrog" or "auto"'
+            'equal kicks; use "leapfrog" or "auto"',
+            INTEGRATOR,
         )
 
 
@@ -90,21 +104,24 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
     if require(scene).contact.modelled and contact.timing == "end-of-step":
         raise SceneError(
             f'contact.timing = "end-of-step" with {name}, which ends its steps at impacts; '
-            'leave contact.timing out, or take "leapfrog"'
+            'leave contact.timing out, or take "leapfrog"',
+            ("contact", "timing"),
         )
     if require(scene).contact.modelled and contact.allow_overlap:
         raise SceneError(
             f"contact.allow_overlap with {name}, which does not push bodies apart; "
-            'leave contact.allow_overlap out, or take "leapfrog"'
+            'leave contact.allow_overlap out, or take "leapfrog"',
+            ("contact", "allow_overlap"),
         )
     if scene.domain.boundary == "periodic":
-        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"')
+        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"', BOUNDARY)
     if uses_tree(scene):
         raise SceneError(
-            f'{name} with gravity.method = "{gravity_method(scene)}", whose error it cannot control; set "direct"'
+            f'{name} with gravity.method = "{gravity_method(scene)}", whose error it cannot control; set "direct"',
+            METHOD,
         )
     if key := _limit_of_steps(scene):
-        raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out")
+        raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out", ("time", key))
 
 
 def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
@@ -114,23 +131,29 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
         if scene.time.encounters != "resolve":
             raise SceneError(
                 f'time.encounters = "{scene.time.encounters}" with time.integrator = "{chosen.name}", which has no '
-                'separate encounters; leave it out, or take "wisdom-holman"'
+                'separate encounters; leave it out, or take "wisdom-holman"',
+                ("time", "encounters"),
             )
         return
     name = f'time.integrator = "{chosen.name}"'
     if require(scene).contact.modelled:
         raise SceneError(
             f"{name} where bodies may touch: it does not resolve contacts; set contact.enabled = false, "
-            'or take "leapfrog"'
+            'or take "leapfrog"',
+            INTEGRATOR,
         )
     if scene.domain.boundary == "periodic":
-        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog"')
+        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog"', BOUNDARY)
     if uses_tree(scene):
-        raise SceneError(f'{name} with gravity.method = "{gravity_method(scene)}": it sums all pairs; set "direct"')
+        raise SceneError(
+            f'{name} with gravity.method = "{gravity_method(scene)}": it sums all pairs; set "direct"', METHOD
+        )
     if why := why_no_hierarchy(scene):
-        raise SceneError(f"{name} {why}")
+        raise SceneError(f"{name} {why}", INTEGRATOR)
     if key := _limit_of_steps(scene):
-        raise SceneError(f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead")
+        raise SceneError(
+            f"time.{key} with {name}, whose step follows from the orbits; use time.fixed_dt instead", ("time", key)
+        )
 
 
 def _limit_of_steps(scene: Scene) -> str:
@@ -148,7 +171,8 @@ def _refuse_narrow_box(scene: Scene) -> None:
         least = units.text(4 * largest, LENGTH, "g")
         raise SceneError(
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
-            f"largest radius wide ({least}), or a body meets another and its image at once"
+            f"largest radius wide ({least}), or a body meets another and its image at once",
+            ("domain", "size"),
         )
 
 

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from carom.scene.error import SceneError
 from carom.scene.lines import KeyPath, line_of
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
 
 
 class KeyPlaces:
@@ -13,6 +21,12 @@ class KeyPlaces:
         self.text = text
         self.overrides = overrides
 
+    def __eq__(self, other: object) -> bool:
+        """Scenes are equal wherever they were written."""
+        return isinstance(other, KeyPlaces)
+
+    __hash__ = None  # type: ignore[assignment]
+
     def of(self, path: KeyPath) -> str:
         """Return the place of a key as a message begins with it; empty if it is not known."""
         for overridden, text in self.overrides.items():
@@ -22,3 +36,14 @@ class KeyPlaces:
             return ""
         line = line_of(self.text, path)
         return f"{self.file}:{line}: " if line else f"{self.file}: "
+
+
+@contextmanager
+def naming_places(scene: Scene) -> Iterator[None]:
+    """Put the place of the key of a `SceneError` before its message, where the scene was read from a text."""
+    try:
+        yield
+    except SceneError as error:
+        if scene.places is None or not error.key:
+            raise
+        raise SceneError(f"{scene.places.of(error.key)}{error}") from None

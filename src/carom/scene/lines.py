@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable
 
 KeyPath = tuple[str | int, ...]
 
@@ -24,10 +25,11 @@ def line_of(text: str, path: KeyPath) -> int | None:
     for number, line in enumerate(text.splitlines(), start=1):
         header, key = _HEADER.match(line), _KEY.match(line)
         if header:
-            section = _split(header[2])
+            *above, last = _split(header[2])
+            section = (*_indexed(above, seen), last)
             if header[1] == "[[":
                 seen[section] += 1
-                section = (*section, seen[section] - 1)
+            section = _indexed([*above, last], seen)
             written = section
         elif key:
             written = (*section, *_split(key[1]))
@@ -36,6 +38,16 @@ def line_of(text: str, path: KeyPath) -> int | None:
         if path[: len(written)] == written and len(written) > best[0]:
             best = (len(written), number)
     return best[1] or None
+
+
+def _indexed(keys: Iterable[str | int], seen: Counter[KeyPath]) -> KeyPath:
+    """Put the index of the latest section after each key that stands for several, such as ``[[group]]``."""
+    path: KeyPath = ()
+    for key in keys:
+        path = (*path, key)
+        if seen[path]:
+            path = (*path, seen[path] - 1)
+    return path
 
 
 def _split(dotted: str) -> KeyPath:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from carom.scene.error import SceneError
 from carom.scene.half_space import HalfSpaces
+from carom.scene.lines import KeyPath
 from carom.scene.names import body_called, body_key
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
@@ -21,7 +22,16 @@ FloatArray = NDArray[np.float64]
 MOST_PAIRS = 3  # that a message names
 
 
-def key_of(scene: Scene, number: int, names: Sequence[str]) -> str:
+def key_of(scene: Scene, number: int) -> KeyPath:
+    """Return the key of a body whose position is given, or that of the data that it is a row of."""
+    row = number - len(scene.body)
+    if row < 0:
+        return "body", number
+    ends = np.cumsum([len(columns) for columns in scene.data])
+    return "bodies", int(np.searchsorted(ends, row, side="right"))
+
+
+def written_name(scene: Scene, number: int, names: Sequence[str]) -> str:
     """Name a body whose position is given by its key in the scene, or by its row in the data."""
     return "".join(_place_of(scene, number, names))
 
@@ -39,14 +49,17 @@ def _place_of(scene: Scene, number: int, names: Sequence[str]) -> tuple[str, str
     raise IndexError(number)
 
 
-def refuse_unresolved(key: str, reach: float, radius: float, units: UnitSystem, remedy: str = "") -> None:
+def refuse_unresolved(
+    called: str, key: KeyPath, reach: float, radius: float, units: UnitSystem, remedy: str = ""
+) -> None:
     """Refuse bodies smaller than the spacing of floating-point numbers at their positions; lengths in m."""
     step = float(np.spacing(reach))
     if step > radius:
         away, apart, size = (units.text(length, LENGTH, ".3g") for length in (reach, step, radius))
         raise SceneError(
-            f"{key}: {away} from the origin, positions are {apart} apart, and the radius is "
-            f"{size}; place it nearer to the origin or enlarge the radius{remedy}"
+            f"{called}: {away} from the origin, positions are {apart} apart, and the radius is "
+            f"{size}; place it nearer to the origin or enlarge the radius{remedy}",
+            key,
         )
 
 
@@ -92,7 +105,8 @@ def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
         more = f"; so do {', '.join(map(called, others))}{f' and {left} more pairs' if left else ''}"
     depth = scene.unit_system.text(overlap[worst], LENGTH)
     raise SceneError(
-        f"{called(worst)} overlap by {depth} at the start{more}; move them apart, or set contact.allow_overlap = true"
+        f"{called(worst)} overlap by {depth} at the start{more}; move them apart, or set contact.allow_overlap = true",
+        key_of(scene, int(pairs[worst, 0])),
     )
 
 
@@ -104,8 +118,9 @@ def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
         deep = scene.unit_system.text(depth[body, plane], LENGTH)
         raise SceneError(
-            f"{key_of(scene, int(body), start.name)} reaches {deep} into {solids.name[plane]} "
-            "at the start; move it out, or set contact.allow_overlap = true"
+            f"{written_name(scene, int(body), start.name)} reaches {deep} into {solids.name[plane]} "
+            "at the start; move it out, or set contact.allow_overlap = true",
+            key_of(scene, int(body)),
         )
 
 

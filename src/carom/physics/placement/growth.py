@@ -99,7 +99,9 @@ def grown(
         rate = min(FASTEST, max(SLOWEST, EASE * n * flown / max(1, 2 * count)))
         if 2 * impacts > MOST_IMPACTS * n:
             raise SceneError(
-                f"group.{index}: spheres jam at {size:.3g} of their radius; enlarge the region or lower count or radius"
+                f"group.{index}: spheres jam at {size:.3g} of their radius; "
+                "enlarge the region or lower count or radius",
+                ("group", index, "region"),
             )
     return np.asarray(np.stack([sphere[axis][:n] for axis in "xyz"], axis=1) + centre)
 

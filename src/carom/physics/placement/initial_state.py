@@ -15,6 +15,7 @@ from carom.physics.placement.check import (
     refuse_overflow,
     refuse_overlaps,
     refuse_unresolved,
+    written_name,
 )
 from carom.physics.placement.growth import DENSEST, grown, shrunken
 from carom.physics.placement.lattice import lattice
@@ -32,6 +33,7 @@ from carom.scene.body_names import NumberedNames
 from carom.scene.data.columns import BodyColumns
 from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
+from carom.scene.key_places import naming_places
 from carom.scene.materials import made_of
 from carom.scene.matter import drawn_radii, mass_of, mean_volume
 from carom.scene.neighbours import overlapping_pairs
@@ -55,13 +57,19 @@ def place(scene: Scene) -> Start:
         If bodies of given positions overlap each other or a plane, which the scene does not allow, or a group does not
         fit.
     """
+    with naming_places(scene):
+        return _place(scene)
+
+
+def _place(scene: Scene) -> Start:
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
     parts = [_given(scene)] if scene.body or scene.bodies else []
     if parts and scene.contact.enabled:
         reach = np.abs(parts[0].position).max(axis=1)
         worst = int(np.argmax(np.spacing(reach) / parts[0].radius))
-        remedy, key = ", or set contact.enabled = false", key_of(scene, worst, parts[0].name)
-        refuse_unresolved(key, float(reach[worst]), float(parts[0].radius[worst]), scene.unit_system, remedy)
+        remedy, called = ", or set contact.enabled = false", written_name(scene, worst, parts[0].name)
+        size, key = float(parts[0].radius[worst]), key_of(scene, worst)
+        refuse_unresolved(called, key, float(reach[worst]), size, scene.unit_system, remedy)
     solids = half_spaces(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         refuse_overlaps(scene, parts[0], box)
@@ -143,7 +151,8 @@ def _group(
     radius = drawn_radii(group, rng)
     region = group.region or default_region(index, radius, units)
     room = float(half_extent(region).max())
-    refuse_unresolved(f"group.{index}", max(map(abs, region.centre)) + room, float(radius.min()), units)
+    reach = max(map(abs, region.centre)) + room
+    refuse_unresolved(f"group.{index}", ("group", index), reach, float(radius.min()), units)
     position = _arranged(index, group, region, radius, around, rng, units)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
@@ -152,7 +161,8 @@ def _group(
     if group.velocity.virial is not None:
         if constant == 0.0:
             raise SceneError(
-                f"group.{index}.velocity.virial without gravity of the bodies; set gravity.constant, or leave it out"
+                f"group.{index}.velocity.virial without gravity of the bodies; set gravity.constant, or leave it out",
+                ("group", index, "velocity", "virial"),
             )
         scale, cut = plummer_lengths(region)
         distance = np.sqrt(((position - np.array(region.centre)) ** 2).sum(axis=1))
@@ -191,7 +201,8 @@ def _arranged(
         if around.box is not None and len(overlapping_pairs(found, radius, around.box)):
             raise SceneError(
                 f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
-                "smaller than the box by a spacing"
+                "smaller than the box by a spacing",
+                ("group", index, "region"),
             )
         return found
     refuse_too_large(index, region, radius, units)
@@ -213,7 +224,8 @@ def _refuse_full_region(index: int, group: Group) -> None:
     if packing > fullest:
         raise SceneError(
             f"group.{index}.region is too small: {group.count} bodies would fill {packing:.3g} of it, and {jams} "
-            f"{fullest}; enlarge the region or lower count or radius{way_out}"
+            f"{fullest}; enlarge the region or lower count or radius{way_out}",
+            ("group", index, "region"),
         )
 
 
@@ -226,5 +238,6 @@ def _refuse_full_box(scene: Scene) -> None:
     if filled > (FULLEST if loosest else MOST_FILLED):
         raise SceneError(
             f"domain.size: the groups would fill {filled:.3g} of the box, and random placement jams at "
-            f"{FULLEST}; enlarge the box or lower count or radius"
+            f"{FULLEST}; enlarge the box or lower count or radius",
+            ("domain", "size"),
         )

@@ -58,14 +58,16 @@ def lattice(
         if group.spacing < 2.0 * radius.max():
             widest = 2.0 * float(radius.max())
             raise SceneError(
-                f"group.{index}.spacing = {given} is less than a diameter, {units.text(widest, LENGTH, 'g')}; raise it"
+                f"group.{index}.spacing = {given} is less than a diameter, {units.text(widest, LENGTH, 'g')}; raise it",
+                ("group", index, "spacing"),
             )
         found = _points(index, group, region, max(group.spacing, least), float(radius.max()))
         found = found[is_clear(found)]
         if len(found) < n:
             raise SceneError(
                 f"group.{index}.region has room for {len(found)} of {n} bodies at spacing = {given}; "
-                "enlarge the region or lower spacing or count"
+                "enlarge the region or lower spacing or count",
+                ("group", index, "region"),
             )
         return found[:n]
     edges, points = CELLS[group.arrangement]
@@ -79,7 +81,8 @@ def lattice(
         if spacing <= least:
             raise SceneError(
                 f"group.{index}.region has room for {len(found)} of {n} bodies on a lattice; enlarge the region or "
-                "lower count or radius"
+                "lower count or radius",
+                ("group", index, "region"),
             )
         spacing *= NARROWER
 
@@ -92,7 +95,10 @@ def _points(index: int, group: Group, region: Region, spacing: float, radius: fl
     low, high = low + radius, high - radius
     counts = [max(0, math.floor(extent)) + 1 for extent in ((high - low) / cell).tolist()]
     if math.prod(counts) * len(fractions) > MOST_POINTS:
-        raise SceneError(f"group.{index}.region: more than {MOST_POINTS:g} points of the lattice; raise spacing")
+        raise SceneError(
+            f"group.{index}.region: more than {MOST_POINTS:g} points of the lattice; raise spacing",
+            ("group", index, "region"),
+        )
     x, y, z = np.meshgrid(*(np.arange(count, dtype=np.float64) for count in counts), indexing="ij")
     corners = np.stack((x.ravel(), y.ravel(), z.ravel()), axis=1)
     points = np.concatenate([low + (corners + np.array(fraction)) * cell for fraction in fractions])

@@ -87,11 +87,15 @@ def _place_class(
     in_the_way = np.flatnonzero(np.all(around.solids.depth(fresh, radius[fresh_owner]) >= 0.0, axis=0))
     if len(in_the_way):
         names = " and ".join(around.solids.name[plane] for plane in in_the_way)
-        raise SceneError(f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it")
+        raise SceneError(
+            f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it",
+            ("group", index, "region"),
+        )
     denser = "" if region.shape == "plummer" else f', or set group.{index}.arrangement = "compressed"'
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
-        f"placement (packing fraction {packing:.3g}); enlarge the region, lower count or radius{denser}"
+        f"placement (packing fraction {packing:.3g}); enlarge the region, lower count or radius{denser}",
+        ("group", index),
     )
 
 

@@ -105,7 +105,9 @@ def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Re
         room = float(max(cube_root(volume), 1.01 * radius.max()))
     if room > LARGEST:
         most = units.text(LARGEST, LENGTH, "g")
-        raise SceneError(f"group.{index}: bodies so large need a region of more than {most}; lower the radius")
+        raise SceneError(
+            f"group.{index}: bodies so large need a region of more than {most}; lower the radius", ("group", index)
+        )
     return Region(radius=room)
 
 
@@ -116,7 +118,10 @@ def refuse_too_large(index: int, region: Region, radius: FloatArray, units: Unit
         room = 0.5 * (room - region.inner_radius)
     if radius.max() > room:
         size = units.text(float(radius.max()), LENGTH, "g")
-        raise SceneError(f"group.{index}: a body of radius {size} does not fit into its region; enlarge the region")
+        raise SceneError(
+            f"group.{index}: a body of radius {size} does not fit into its region; enlarge the region",
+            ("group", index, "region"),
+        )
 
 
 def drawn_centres(region: Region, radius: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from carom.scene.data.columns import BodyColumns
     from carom.scene.data.sources import HeldBodies
+    from carom.scene.key_places import KeyPlaces
 
 
 class Scene(Forces, Heading):
@@ -59,6 +60,7 @@ class Scene(Forces, Heading):
     _toml: str = PrivateAttr("")
     _unit_system: UnitSystem = PrivateAttr(SI)
     _held: HeldBodies | None = PrivateAttr(None)
+    _places: KeyPlaces | None = PrivateAttr(None)
 
     @property
     def toml(self) -> str:
@@ -70,6 +72,12 @@ class Scene(Forces, Heading):
         """The units that the scene is written, simulated and printed in."""
         units: UnitSystem = self._private("_unit_system")
         return units
+
+    @property
+    def places(self) -> KeyPlaces | None:
+        """Where its keys were written; None if it was not read from a text."""
+        places: KeyPlaces | None = self._private("_places")
+        return places
 
     @property
     def refinement(self) -> float:
