@@ -457,7 +457,9 @@ def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monk
     scene = scene.model_copy(update={"time": scene.time.model_copy(update={"integrator": "leapfrog"})})
     compared: list[int] = []
 
-    def cliff(times: FloatArray, apart: list[FloatArray], order: int, accuracy: float) -> tuple[int, float, FloatArray]:
+    def cliff(
+        times: FloatArray, apart: list[FloatArray], order: int, accuracy: float, farthest: int
+    ) -> tuple[int, float, FloatArray]:
         compared.append(len(apart))
         return -1, 0.5 * float(times[-1]), np.where(times <= 0.5 * times[-1], 0.0, 1.0)
 
@@ -496,6 +498,38 @@ def test_a_look_ahead_notices_contacts_that_come_to_rest_after_its_last_but_one_
     run = TrialRun(scene, 1.0, 1, place(scene), np.array([0.4, 0.8, 1.2, 1.6]))  # at rest from 3 √(2 / 10) = 1.34 s
     assert run.at(2) is not None and run.rests_from == np.inf
     assert run.at(3) is not None and run.rests_from == 1.2
+
+
+def chattering_cube() -> Scene:
+    """Return 27 balls that fill a box, whose contacts at rest part and meet without end."""
+    places = [[-0.02 * (x - 1), 0.02 * (y - 1), 0.02 * (z - 1)] for x in range(3) for y in range(3) for z in range(3)]
+    velocities = np.random.default_rng(1).uniform(-1e-4, 1e-4, (27, 3)).tolist()
+    return scene_of(
+        [
+            {"position": place, "velocity": velocity, "radius": 0.01 - 1e-11, "mass": 0.2}
+            for place, velocity in zip(places, velocities, strict=True)
+        ],
+        time={"duration": 30.0, "max_dt": 20.0, "accuracy": 1e-6},
+        gravity={"constant": 0.0, "uniform": [-2e-7, 0.0, -1e-7]},
+        contact={"restitution": 0.5},
+        domain={"boundary": "walls", "size": [0.06] * 3},
+    )
+
+
+def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.MOST_HELD", 200.0)
+    runs: list[TrialRun] = []
+
+    class Remembered(TrialRun):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            runs.append(self)
+
+    monkeypatch.setattr("carom.physics.look_ahead.settle.TrialRun", Remembered)
+    promise = settled(chattering_cube(), 1).promise
+    assert promise is not None and promise.kept_until < 30.0
+    assert promise.refinement == 1.0, "shorter steps cost even more"
+    assert any(run.is_given_up for run in runs)
 
 
 def struck_pair(**time: Any) -> Scene:

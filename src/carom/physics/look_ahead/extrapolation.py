@@ -14,26 +14,28 @@ FloatArray = NDArray[np.float64]
 
 SAFETY = 3.0  # the step is chosen for an error that is smaller than requested by this factor
 FARTHEST = 3  # halvings of the step beyond the finest run ahead, which then costs an eighth of the run itself
+COARSER = -1  # instead of halvings: the step of the coarser of two runs ahead
 TRIED = 2  # comparisons before an order is believed
 NEARLY = 0.95  # part of the longest time with the accuracy that is enough, unless that is the whole run
 FALLING = 0.7  # largest part of the distance that a halving should leave
 
 
 def extrapolate(
-    times: FloatArray, apart: list[FloatArray], highest: int, accuracy: float
+    times: FloatArray, apart: list[FloatArray], highest: int, accuracy: float, farthest: int
 ) -> tuple[int, float, FloatArray]:
     """Return how often to halve the finer step, the time in s until which it keeps the accuracy, and its error.
 
-    -1 takes the coarser step. The factor in front of h^p depends on where in its step an impact happens, so the
-    largest of the last three distances counts, each scaled to the present step by the order.
+    It is at most ``farthest``; `COARSER` takes the coarser step. The factor in front of h^p depends on where in its
+    step an impact happens, so the largest of the last three distances counts, each scaled to the present step by the
+    order.
     """
     order = _observed(apart, highest)
     latest = apart[-1:-4:-1]
     distance = np.max([each / 2.0 ** (order * age) for age, each in enumerate(latest)], axis=0)
     surely = len(apart) >= TRIED and bool(latest[0].any())
-    if not surely:
-        return FARTHEST, 0.0, distance
-    tried = range(-1, FARTHEST + 1)
+    if not surely and farthest != COARSER:
+        return farthest, 0.0, distance
+    tried = range(COARSER, farthest + 1)
     errors = [distance / (1.0 - 2.0**-order) / 2.0 ** (order * (halvings + 1)) for halvings in tried]
     kept = [kept_until(times, SAFETY * error, accuracy) for error in errors]
     longest = max(kept)

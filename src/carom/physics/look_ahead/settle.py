@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from carom.physics.integrators.radau_twin import Orbits, orbits, part
 from carom.physics.look_ahead.error_curve import kept_until, samples, with_start
-from carom.physics.look_ahead.extrapolation import SAFETY, TRIED, extrapolate, stays
+from carom.physics.look_ahead.extrapolation import COARSER, FARTHEST, SAFETY, TRIED, extrapolate, stays
 from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.trial_run import TrialRun
@@ -131,6 +131,8 @@ class _LookAhead:
         run: TrialRun | Orbits
         if needs.contact.modelled:
             run, twins = self._part_at_impacts(RADAU_AHEAD if needs.gravity.modelled else RADAU_LONG)
+            if run.is_given_up:
+                return self._settle_steps(INTEGRATORS["leapfrog"].order)
             rests_from, rounding = run.rests_from, SPREAD * twins.apart
         else:
             run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, 1)
@@ -182,10 +184,13 @@ class _LookAhead:
             refinement *= 2.0
             fine = self._run(refinement)
             apart.append(self._scale.apart(coarse, fine, 1.0))
-            chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy)
+            given_up = coarse.is_given_up or fine.is_given_up
+            farthest = COARSER if given_up else FARTHEST
+            chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy, farthest)
             idle = idle + 1 if stays(self._times, apart, kept) else 0
             enough = 0 if chosen >= 0 or len(apart) < TRIED else enough + 1
-            if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or fine.work > MOST_WORK:
+            too_much = given_up or fine.work > MOST_WORK
+            if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or too_much:
                 break
             coarse = fine
         run = fine if chosen >= 0 else coarse
@@ -201,7 +206,7 @@ class _LookAhead:
             times = self._times = samples(self._scene, count)
             run = self._run(refinement)
             twins = self._part(run, run.again(self._twin))
-            if self._rounding * twins.apart[-1] <= self._accuracy:
+            if run.is_given_up or self._rounding * twins.apart[-1] <= self._accuracy:
                 break
         self._times = samples(self._scene, SAMPLES)
         return run, twins.at(self._times, times, self._began)

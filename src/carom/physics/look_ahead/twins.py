@@ -15,6 +15,7 @@ FloatArray = NDArray[np.float64]
 
 APART = 1e-2  # of the size; beyond, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
+MOST_GROWTH = 600.0  # of the logarithm of their distance, which stays finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,8 @@ class Twins:
         last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they are taken to diverge at the same rate
         apart[last] = min(apart[last], 1.0)
         exponent = math.log(apart[last] / began) / float(times[last])
-        apart[last + 1 :] = apart[last] * np.exp(max(exponent, 0.0) * (times[last + 1 :] - times[last]))
+        growth = np.minimum(max(exponent, 0.0) * (times[last + 1 :] - times[last]), MOST_GROWTH)
+        apart[last + 1 :] = apart[last] * np.exp(growth)
         return cls(apart, exponent)
 
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
