@@ -52,6 +52,22 @@ def test_a_body_that_touches_nobody_is_grey() -> None:
     assert palette.node_colours(np.array([-1, 0, 1])).tolist() == [palette.GREY, palette.SKY, palette.ORANGE]
 
 
+def test_single_bodies_take_turns_in_the_hues_and_a_group_has_one() -> None:
+    colours = palette.body_colours(np.array([-1] * 9 + [0] * 40))
+    hues = [
+        tuple(round(c / max(rgb), 1) for c in rgb)
+        for rgb in ([(int(colour) >> shift) & 0xFF for shift in (24, 16, 8)] for colour in colours)
+    ]
+    assert len(set(hues[:6])) == 6, "neighbours differ"
+    assert len(set(hues[9:])) == 1 and hues[9] not in hues[:6]
+
+
+def test_many_single_bodies_share_a_hue() -> None:
+    colours = palette.body_colours(np.full(palette.MOST_SINGLE + 1, -1))
+    red, blue = colours >> np.uint32(24), (colours >> np.uint32(8)) & 0xFF
+    assert np.all(red > blue)
+
+
 def test_a_few_bodies_have_a_hue_each_and_many_share_that_of_their_group() -> None:
     few = palette.body_colours(np.zeros(5, dtype=np.int64))
     assert len(set(few.tolist())) == 5

@@ -68,6 +68,8 @@ DT_LIMITS = {
     "end": GREEN,
 }
 
+MOST_SINGLE = 70  # single bodies that take turns in the hues; of more, each hue would have more than ten
+
 _GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) evenly in any prefix
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
 
@@ -79,13 +81,18 @@ def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
 
 
 def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Return the static colours of bodies: a hue per group, a shade per body.
+    """Return the static colours of bodies: a hue per group and per single body, in turns, and a shade per body.
 
-    With a single group of few bodies each body has its own hue.
+    With few bodies each has its own hue. More than `MOST_SINGLE` single bodies share one.
     """
-    count = len(group)
+    count, turn, single = len(group), group, np.flatnonzero(group == -1)
     few = count <= len(BODIES)
-    hue = np.array(BODIES, dtype=np.uint32)[(np.arange(count) if few else group) % len(BODIES)]
+    if few:
+        turn = np.arange(count)
+    elif len(single) <= MOST_SINGLE:
+        turn = group.copy()
+        turn[single] = group.max() + 1 + np.arange(len(single))
+    hue = np.array(BODIES, dtype=np.uint32)[turn % len(BODIES)]
     darker = np.zeros(count) if few else _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
     return _shaded(hue, np.asarray(1.0 - darker))
 

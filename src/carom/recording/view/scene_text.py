@@ -140,4 +140,4 @@ def _body_colours(header: Header) -> str:
             return "one colour for bodies that are connected by contacts, or grey without contacts"
         case "speed":
             return "by speed, from violet to yellow; the colour in the middle is the median speed of the first frame"
-    return "a hue for each group, a shade for each body"
+    return "a hue for each group and each single body, in turns, and a shade for each body"
