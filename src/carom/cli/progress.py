@@ -23,6 +23,8 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
+MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
+
 
 class Progress(LiveLine):
     """Time simulated, pace, and time left of one run; then how it ended."""
@@ -42,6 +44,8 @@ class Progress(LiveLine):
         scene = self._scene
         length = simulated_text(scene.time.duration, scene.unit_system)
         self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
+        if warning := _many_steps(scene):
+            self.say(warning)
         return super().__enter__()
 
     def update(self, status: StepStatus) -> None:
@@ -99,3 +103,16 @@ class Progress(LiveLine):
         terminal.print(table)
         for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
             terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # whole, to be copied
+
+
+def _many_steps(scene: Scene) -> str:
+    """Warn that the longest step allowed makes a run long; empty if it does not, or if another key sets the step."""
+    time = scene.time
+    if time.fixed_dt is not None or time.accuracy is not None or time.duration / time.max_dt < MANY_STEPS:
+        return ""
+    longest = scene.unit_system.text(time.max_dt, TIME, "g")
+    default = "" if "max_dt" in time.model_fields_set else ", its default,"
+    return (
+        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / time.max_dt:.2g} steps; raise it "
+        "for fewer, and `carom explain` says what then limits them"
+    )
