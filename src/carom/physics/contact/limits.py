@@ -38,7 +38,11 @@ def limits_of(
         )
         reached.append(("WARN", text))
     if exhausted:
-        reached.append(("WARN", f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end."))
+        text = (
+            f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end, and bodies may "
+            "overlap meanwhile; a shorter step (time.fixed_dt, time.cfl) leaves less."
+        )
+        reached.append(("WARN", text))
     if crossed:
         longer = "" if at_impacts else ' or contact.timing = "time-of-impact"'
         text = (
