@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from carom.physics.contact.constraint_graph import colour_bodies
 from carom.recording.schema import palette
@@ -42,6 +40,9 @@ def graph_colours(pairs: IntArray, bodies: int) -> Colours:
 
 def island_colours(pairs: IntArray, bodies: int) -> Colours:
     """Return a colour for each island of bodies connected by contacts; bodies without contacts are grey."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - 0.1 s to import, and seldom needed
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
     joined = pairs[pairs[:, 1] < bodies]
     graph = coo_array((np.ones(len(joined), dtype=np.int8), (joined[:, 0], joined[:, 1])), shape=(bodies, bodies))
     _, island = connected_components(graph, directed=False)
