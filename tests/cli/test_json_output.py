@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from carom.cli.json_output import finite
+from carom.experiment.json_numbers import finite
 from command import carom
 
 UNBOUNDED = """

@@ -196,23 +196,18 @@ def _many(
 def _document(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> dict[str, Any]:
     from dataclasses import asdict
 
-    import numpy as np
-
-    def numbers(values: Any) -> list[float | None]:
-        return [float(v) if np.isfinite(v) else None for v in values]
-
     return {
         "units": start.scene.unit_system.recorded,
         "at": start.checkpoint.time,
         "step": start.checkpoint.step,
         "seeds": len(found.rms),
-        "time": numbers(found.time),
-        "low": numbers(found.band[0]),
-        "median": numbers(found.band[1]),
-        "high": numbers(found.band[2]),
+        "time": found.time.tolist(),
+        "low": found.band[0].tolist(),
+        "median": found.band[1].tolist(),
+        "high": found.band[2].tolist(),
         "growth": None if found.growth is None else asdict(found.growth),
         "rates": {"count": len(found.rates), "median": _median(found), "spread": found.rate_error},
-        "spread": numbers(found.spread[-1]) if len(found.spread) else [],
+        "spread": found.spread[-1].tolist() if len(found.spread) else [],
         "outcome": None
         if outcome is None
         else {

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 from carom.cli.text import say
+from carom.experiment.json_numbers import finite
 
 
 def say_json(document: Any) -> None:
@@ -13,12 +13,3 @@ def say_json(document: Any) -> None:
     import json
 
     say(json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False))
-
-
-def finite(value: Any) -> Any:
-    """Return a document with None in place of numbers that are not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {key: finite(inner) for key, inner in value.items()}
-    return [finite(inner) for inner in value] if isinstance(value, (list, tuple)) else value

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 from carom.experiment.engines.watched import Watched
 from carom.experiment.expectation import Verdict, judge
+from carom.experiment.json_numbers import finite
 from carom.experiment.run import Outcome
 from carom.scene.schema import Scene
 
@@ -47,11 +47,10 @@ def examined_other(
 
 
 def _entry(verdict: Verdict) -> dict[str, Any]:
-    measured = verdict.measured if math.isfinite(verdict.measured) else None
     return {
         "name": verdict.name,
         "bound": verdict.bound,
         "limit": verdict.limit,
-        "measured": measured,
+        "measured": finite(verdict.measured),
         "met": verdict.met,
     }

@@ -6,11 +6,11 @@ import socket
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from carom.experiment.environment import versions
+from carom.experiment.json_numbers import finite
 from carom.experiment.run import recording_space, simulate
 from carom.experiment.sweep.folder import Folder, move
 from carom.experiment.sweep.manifest import DONE, FAILED
@@ -138,7 +138,7 @@ def _results(summary: Mapping[str, Any], above: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             found |= {} if key in _NOT_RESULTS else _results(value, f"{above}{key}.")
         elif value is None or isinstance(value, (bool, int, float)):
-            found[f"{above}{key}"] = value if value is None or isfinite(value) else None  # JSON has no infinity
+            found[f"{above}{key}"] = finite(value)
     return found
 
 

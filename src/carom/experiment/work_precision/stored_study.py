@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+from carom.experiment.json_numbers import finite
 from carom.experiment.work_precision.error_measures import NAMES, Errors
 from carom.experiment.work_precision.reference import Reference, scale_of
 from carom.experiment.work_precision.result import Result
@@ -27,9 +28,9 @@ def result_entry(result: Result) -> dict[str, Any]:
         "frames": result.frames,
         "costs": result.costs,
         "spent": result.spent,
-        "cost": _number(result.cost),
+        "cost": finite(result.cost),
         "spread": result.spread,
-        "errors": result.errors and _numbers(result.errors),
+        "errors": result.errors and finite(asdict(result.errors)),
     }
 
 
@@ -47,12 +48,12 @@ def reference_entry(reference: Reference) -> dict[str, Any]:
     return {
         "kind": reference.kind,
         "text": reference.text,
-        "fineness": None if math.isinf(reference.fineness) else reference.fineness,
+        "fineness": finite(reference.fineness),
         "samples": reference.samples,
         "horizon": reference.horizon,
         "duration": float(reference.trajectory.time[-1]),
         "whole": reference.whole,
-        "uncertainty": _numbers(reference.uncertainty),
+        "uncertainty": finite(asdict(reference.uncertainty)),
     }
 
 
@@ -68,12 +69,3 @@ def reference_of(entry: dict[str, Any], scene: Scene, trajectory: Trajectory) ->
         Errors(**{e: math.nan if entry["uncertainty"][e] is None else entry["uncertainty"][e] for e in NAMES}),
         entry["text"],
     )
-
-
-def _numbers(errors: Errors) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in asdict(errors).items()}
-
-
-def _number(value: float) -> float | None:
-    """Return None for NaN, which JSON does not have."""
-    return value if math.isfinite(value) else None
