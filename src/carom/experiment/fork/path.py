@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Start
-from carom.experiment.shrink.expression import Expression, UnknownNameError, explain_unknown
+from carom.experiment.shrink.expression import Expression, UnknownNameError
 from carom.experiment.shrink.observation import Observation, Touches
 from carom.physics.schedule import Every
 from carom.plan.auto import frame_interval
@@ -64,15 +64,16 @@ def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | No
         try:
             came = outcome.holds(summary)
         except UnknownNameError as error:
-            raise ExperimentError(_explained(outcome.text, error.name, summary, len(space.state.position))) from None
+            raise ExperimentError(_explained(outcome, error.name, summary, len(space.state))) from None
     return Path(time, position, came)
 
 
-def _explained(text: str, name: str, summary: Mapping[str, Any], bodies: int) -> str:
+def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:
     """Say that an outcome names no such number, or no such body."""
     if re.fullmatch(r"([xyz]|speed)_\d+", name):
-        return f"{OPTION} {text}: there is no body {name.partition('_')[2]} for {name}; the last is {bodies - 1}"
-    return explain_unknown(text, name, summary).replace("--while", OPTION, 1)
+        body = name.partition("_")[2]
+        return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
+    return outcome.explain_unknown(name, summary)
 
 
 def _times(origin: float, end: float, interval: float) -> FloatArray:

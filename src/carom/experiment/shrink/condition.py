@@ -8,7 +8,7 @@ from typing import Protocol
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.expectation import Verdict
-from carom.experiment.shrink.expression import Expression, UnknownNameError, explain_unknown
+from carom.experiment.shrink.expression import Expression, UnknownNameError
 from carom.experiment.shrink.invariance import Varies
 from carom.experiment.shrink.observation import Observation, Pair, end_name
 from carom.experiment.shrink.whole_run import ReplayDiffers
@@ -182,7 +182,7 @@ class Measured:
         """Check the names, but for those of moments, which a run may not have yet."""
         for name in self.expression.unknown(seen.summary):
             if not name.startswith("moments."):
-                raise ExperimentError(explain_unknown(self.text, name, seen.summary))
+                raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
 
     def pinned(self, seen: Observation) -> Measured:
         """Return the condition that the expression holds of a run that ends likewise."""
@@ -190,7 +190,7 @@ class Measured:
             if not self.expression.holds(seen.summary):
                 raise ExperimentError(f"nothing to shrink: {self.expression.measured(seen.summary)}")
         except UnknownNameError as error:
-            raise ExperimentError(explain_unknown(self.text, error.name, seen.summary)) from None
+            raise ExperimentError(self.expression.explain_unknown(error.name, seen.summary)) from None
         return replace(self, failed=bool(seen.error))
 
     def holds(self, seen: Observation) -> bool:

@@ -94,6 +94,12 @@ class Expression:
         known = set(_leaves(summary))
         return [name for name in self.names if name not in known]
 
+    def explain_unknown(self, name: str, summary: Mapping[str, Any]) -> str:
+        """Say that a summary has no such name, and which one is nearest."""
+        near = nearest(name, list(_leaves(summary)))
+        hint = f'; did you mean "{near}"?' if near else ""
+        return f"{self.option} {self.text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
+
     def measured(self, summary: Mapping[str, Any]) -> str:
         """Say what the summary has under each name, for a message."""
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
@@ -154,14 +160,6 @@ class Expression:
             case ast.Call(func=ast.Name(id=function), args=parts):
                 return _FUNCTIONS[function](*(self._value(part, summary) for part in parts))
         raise AssertionError(f"{ast.dump(node)} was let through")
-
-
-def explain_unknown(text: str, name: str, summary: Mapping[str, Any]) -> str:
-    """Say that a summary has no such name, and which one is nearest."""
-    known = list(_leaves(summary))
-    near = nearest(name, known)
-    hint = f'; did you mean "{near}"?' if near else ""
-    return f"--while {text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
 
 
 def _looked_up(name: str, summary: Mapping[str, Any]) -> Any:
