@@ -30,7 +30,7 @@ from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContact
 from carom.physics.contact.solver.contact_solver import lay
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.contact.union_find import join, root_of
+from carom.physics.contact.union_find import join_islands, root_of
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import SOLO
@@ -302,22 +302,13 @@ def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: Flags, woken: 
     """Mark all bodies of the islands of disturbed ones."""
     n = len(disturbed)
     parent = np.arange(n)
-    _join_islands(pairs, inverse_mass, parent)
+    join_islands(pairs, inverse_mass, parent)
     for i in range(n):
         if disturbed[i]:
             woken[root_of(parent, i)] = True
     for i in range(n):
         if woken[root_of(parent, i)]:
             woken[i] = True
-
-
-@kernel
-def _join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
-    """Join the bodies at the ends of each pair, unless one is fixed."""
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
-            join(parent, i, j)
 
 
 @kernel
@@ -369,7 +360,7 @@ def _fall_asleep(
     """Mark the bodies of islands that fall asleep, also in ``calm``; return their kinetic energy in J."""
     n = len(calm)
     parent, restless, pressed = np.arange(n), np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
-    _join_islands(pairs, inverse_mass, parent)
+    join_islands(pairs, inverse_mass, parent)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         if impulse[c, 0] > 0.0 and (inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0):

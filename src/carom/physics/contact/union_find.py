@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.atomics import atomic_replace
-from carom.physics.parallel.jit import inner, kernel
+from carom.physics.parallel.jit import inline, inner, kernel
 
+FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
@@ -33,6 +34,15 @@ def join_shared(parent: IntArray, i: int, j: int) -> None:
     i, j = root_of(parent, i), root_of(parent, j)
     while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
         i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
+
+
+@inline
+def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
+    """Join the sets of the bodies at the ends of each pair, unless one is fixed."""
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join(parent, i, j)
 
 
 @kernel

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.contact.union_find import join, root_of
+from carom.physics.contact.union_find import join_islands, root_of
 from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island by θ where θ < 1."""
-    _join_islands(system)
+    _begin_islands(system)
     _sum_up_islands(system)
     _find_scales(system)
     _scale_impulses(system)
@@ -30,18 +30,15 @@ def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
 
 
 @inline
-def _join_islands(system: ConstraintSystem) -> None:
+def _begin_islands(system: ConstraintSystem) -> None:
     """Make each body an island, and join those at the ends of each contact."""
-    bodies, active, island = system.bodies, system.active, system.island
+    active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
         whole = system.islands[active[k]]
         whole.slope = whole.curvature = 0.0
         whole.scale = 1.0
-    for c in range(len(system.pairs)):
-        i, j = system.pairs[c, 0], system.pairs[c, 1]
-        if bodies[i].inverse_mass > 0.0 and bodies[j].inverse_mass > 0.0:
-            join(island, i, j)
+    join_islands(system.pairs, system.inverse_mass, island)
 
 
 @inline
