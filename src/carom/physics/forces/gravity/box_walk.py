@@ -26,6 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.forces.gravity.taylor import (
     AXIS,
     LOCAL,
@@ -280,7 +281,7 @@ def _pull(
 ) -> None:
     """Add the pull of the bodies of near boxes on those of box a, and at last that of its local expansion."""
     boxes, x, m, body, G, eps2 = tree.boxes, tree.x, tree.m, tree.body, law.G, law.eps2
-    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε, the potential of a body at its own position
+    own = own_potential(eps2)
     A = boxes[a]
     for i in range(A.first, A.last, LANES):
         width = min(LANES, A.last - i)

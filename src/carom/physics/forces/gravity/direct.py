@@ -105,6 +105,13 @@ def inverse_cube(d2: float) -> float:
     return cube
 
 
+@inline
+def own_potential(eps2: float) -> float:
+    """Return 1/ε, which a softened body of mass 1 adds to the sum at its own position; 0 without softening."""
+    potential: float = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0
+    return potential
+
+
 @kernel
 def pull_few(
     x: FloatArray, m: FloatArray, G: float, eps2: float, acceleration: FloatArray, potential: FloatArray

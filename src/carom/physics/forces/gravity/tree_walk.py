@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import long_kernel, unowned
 from carom.physics.parallel.prefetch import prefetch_to_read
@@ -79,7 +80,7 @@ def pull(
     lanes, far, near = lists.lanes[lo], lists.far[lo], lists.near[lo]
     body, m, G = tree.body, tree.m, law.G
     eps2 = law.eps2
-    own = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0  # 1/ε, the potential of a body at its own position
+    own = own_potential(eps2)
     while True:
         group = atomic_add(turn, 0, 1)
         if group >= len(tree.groups) - 1:
