@@ -43,6 +43,7 @@ Records = NDArray[np.void]
 
 MATERIAL = np.dtype([(name, np.float64) for name in Coefficients._fields], align=True)
 IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
+NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # columns of arrays of them
 
 
 class ContactLaw(Protocol):

@@ -26,6 +26,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import SleepCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.law import NORMAL
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import lay
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
@@ -363,7 +364,7 @@ def _fall_asleep(
     join_islands(pairs, inverse_mass, parent)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
-        if impulse[c, 0] > 0.0 and (inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0):
+        if impulse[c, NORMAL] > 0.0 and (inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0):
             pressed[root_of(parent, i if inverse_mass[i] > 0.0 else j)] = True
     for i in range(n):
         if inverse_mass[i] > 0.0 and calm[i] < after:

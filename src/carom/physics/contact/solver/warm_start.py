@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem
-from carom.physics.contact.law import IMPULSES
+from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_velocities
 from carom.physics.parallel.jit import kernel, long_kernel, unowned
@@ -84,8 +84,9 @@ class ImpulseCache:
 def _gather_impulses(place: IntArray, contacts: Records, found: FloatArray) -> None:
     for c in range(len(place)):
         contact = contacts[place[c]]
-        found[c, 0], found[c, 1] = contact.normal_impulse, contact.friction_x
-        found[c, 2], found[c, 3] = contact.friction_y, contact.friction_z
+        found[c, NORMAL] = contact.normal_impulse
+        found[c, FRICTION_X], found[c, FRICTION_Y] = contact.friction_x, contact.friction_y
+        found[c, FRICTION_Z] = contact.friction_z
 
 
 @long_kernel
