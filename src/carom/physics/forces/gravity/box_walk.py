@@ -28,11 +28,21 @@ from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.forces.gravity.taylor import (
+    AX,
     AXIS,
+    AY,
+    AZ,
+    FROM,
     LOCAL,
     LOWER,
     MOVE_LOCAL,
+    PHI,
+    POWER,
     SHARE,
+    TO,
+    X,
+    Y,
+    Z,
     attract,
     evaluate,
     pull_of_bodies,
@@ -237,8 +247,8 @@ def _inherit(depth: int, boxes: Records, a: int, unit: float, local: FloatArray,
             d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
             powers[c] = powers[LOWER[c]] * (unit * d) * SHARE[c]
         for q in range(len(MOVE_LOCAL)):
-            term = powers[MOVE_LOCAL[q, 1]] * local[parent, MOVE_LOCAL[q, 2]]
-            local[depth, MOVE_LOCAL[q, 0]] += term
+            term = powers[MOVE_LOCAL[q, POWER]] * local[parent, MOVE_LOCAL[q, FROM]]
+            local[depth, MOVE_LOCAL[q, TO]] += term
     local[depth, LOCAL], local[depth, LOCAL + 1], local[depth, LOCAL + 2] = x, y, z
 
 
@@ -288,9 +298,9 @@ def _pull(
         for k in range(LANES):
             s = i + min(k, width - 1)  # spare lanes repeat the last body; their results are discarded
             j = body[s]
-            lanes[0, k], lanes[1, k], lanes[2, k] = x[0, s], x[1, s], x[2, s]
-            lanes[3, k], lanes[4, k], lanes[5, k] = acceleration[j, 0], acceleration[j, 1], acceleration[j, 2]
-            lanes[6, k] = potential[j]
+            lanes[X, k], lanes[Y, k], lanes[Z, k] = x[X, s], x[Y, s], x[Z, s]
+            lanes[AX, k], lanes[AY, k], lanes[AZ, k] = acceleration[j, 0], acceleration[j, 1], acceleration[j, 2]
+            lanes[PHI, k] = potential[j]
         if is_over:
             evaluate(local, depth, A.x, A.y, A.z, law.unit, lanes)
         k = 0
@@ -304,6 +314,6 @@ def _pull(
         factor = G if is_over else 1.0
         for k in range(width):
             j = body[i + k]
-            acceleration[j, 0], acceleration[j, 1] = factor * lanes[3, k], factor * lanes[4, k]
-            acceleration[j, 2] = factor * lanes[5, k]
-            potential[j] = -G * (lanes[6, k] - own * m[i + k]) if is_over else lanes[6, k]
+            acceleration[j, 0], acceleration[j, 1] = factor * lanes[AX, k], factor * lanes[AY, k]
+            acceleration[j, 2] = factor * lanes[AZ, k]
+            potential[j] = -G * (lanes[PHI, k] - own * m[i + k]) if is_over else lanes[PHI, k]

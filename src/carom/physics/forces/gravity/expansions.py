@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.forces.gravity.taylor import AXIS, CENTRE, LOWER, MOVE_POLES, POLES, SHARE
+from carom.physics.forces.gravity.taylor import AXIS, CENTRE, FROM, LOWER, MASS, MOVE_POLES, POLES, POWER, SHARE, TO
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import long_kernel
 
@@ -129,7 +129,8 @@ def expand(
             else:
                 x0, y0, z0 = boxes[b + 1].x, boxes[b + 1].y, boxes[b + 1].z
                 other = boxes[box.half]
-                M, weight = poles[b + 1, 0] + poles[box.half, 0], poles[box.half, 0]
+                weight = poles[box.half, MASS]
+                M = poles[b + 1, MASS] + weight
                 X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
             X, Y, Z = x0 + X / M, y0 + Y / M, z0 + Z / M
             box.x, box.y, box.z = X, Y, Z
@@ -149,7 +150,7 @@ def expand(
             if box.half == 0:
                 for i in range(i0, i1):
                     dx, dy, dz = unit * (X - x[0, i]), unit * (Y - x[1, i]), unit * (Z - x[2, i])
-                    poles[b, 0] += m[i]
+                    poles[b, MASS] += m[i]
                     for c in range(1, POLES):
                         d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
                         powers[c] = powers[LOWER[c]] * d * SHARE[c]
@@ -162,5 +163,6 @@ def expand(
                         d = dx if AXIS[c] == 0 else (dy if AXIS[c] == 1 else dz)
                         powers[c] = powers[LOWER[c]] * d * SHARE[c]
                     for q in range(len(MOVE_POLES)):
-                        poles[b, MOVE_POLES[q, 0]] += powers[MOVE_POLES[q, 1]] * poles[half, MOVE_POLES[q, 2]]
+                        term = powers[MOVE_POLES[q, POWER]] * poles[half, MOVE_POLES[q, FROM]]
+                        poles[b, MOVE_POLES[q, TO]] += term
             poles[b, CENTRE], poles[b, CENTRE + 1], poles[b, CENTRE + 2] = X, Y, Z

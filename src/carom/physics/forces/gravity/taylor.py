@@ -59,6 +59,7 @@ _PLACE = {n: place for place, n in enumerate(_LOCAL)}  # of a multi-index in a r
 
 LOCAL = len(_LOCAL)  # coefficients of a local expansion
 POLES = len(_POLES)  # multipoles of a box
+MASS = 0  # place of the mass in a row of multipoles
 CENTRE = 1  # place of the centre of mass in a row of multipoles, three numbers
 assert POLES % LANES == 0  # a row is loaded as whole vectors
 
@@ -74,7 +75,8 @@ LOWER = np.array([0, *(_PLACE[lower] for lower, _ in _factors())])
 AXIS = np.array([0, *(axis for _, axis in _factors())])
 SHARE = np.array([1.0, *(1.0 / n[axis] for n, (_, axis) in zip(_LOCAL[1:], _factors(), strict=True))])
 
-# rows (to, power, from) of the sums that move multipoles and local expansions by a vector t:
+X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions in m, then the sums Σ m d/R³ and Σ m/R
+TO, POWER, FROM = range(3)  # columns of the sums that move multipoles and local expansions by a vector t:
 # M'_m = Σ_j t^{m-j}/(m-j)! M_j  and  L'_k = Σ_n t^{n-k}/(n-k)! L_n
 MOVE_POLES = np.array(
     [
@@ -174,13 +176,13 @@ def evaluate(typing: Any, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any
     unit
         1/m; lengths were multiplied by it.
     lanes
-        (7, LANES): positions in m, then the sums that are increased: Σ m d/R³ and Σ m/R.
+        (7, LANES): rows `X` to `PHI`; the sums are increased.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vectors = Vectors(builder)
         address = _addresses(context, builder, signature, args)
-        rows = [address(6, _word(row), _word(0)) for row in range(7)]
+        rows = [address(6, _word(row), _word(0)) for row in range(PHI + 1)]
         coefficient, scale = address(0, args[1], _word(0)), vectors.splat(args[5])
         L = {k: vectors.splat(vectors.number(coefficient, _PLACE[k])) for k in _LOCAL}
         u = [
@@ -195,11 +197,11 @@ def evaluate(typing: Any, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any
             slope = vectors.constant(0.0)
             for k in _POLES:
                 slope = vectors.add(slope, vectors.multiply(L[_sum(k, AXES[axis])], powers[k]))
-            _increase(vectors, rows[3 + axis], vectors.multiply(vectors.multiply(slope, scale), scale))
+            _increase(vectors, rows[AX + axis], vectors.multiply(vectors.multiply(slope, scale), scale))
         value = vectors.constant(0.0)
         for k in _LOCAL:
             value = vectors.add(value, vectors.multiply(L[k], powers[k]))
-        _increase(vectors, rows[6], vectors.multiply(value, scale))
+        _increase(vectors, rows[PHI], vectors.multiply(value, scale))
         return context.get_dummy_value()
 
     number = types.float64
@@ -217,15 +219,15 @@ def pull_of_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any,
     eps2
         m², the softening squared.
     lanes
-        (7, LANES): positions in m, then the sums that are increased: Σ m d/R³ and Σ m/R.
+        (7, LANES): rows `X` to `PHI`; the sums are increased.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         vectors = Vectors(builder)
         address = _addresses(context, builder, signature, args)
-        rows = [address(5, _word(row), _word(0)) for row in range(7)]
+        rows = [address(5, _word(row), _word(0)) for row in range(PHI + 1)]
         targets, soft = [vectors.load(rows[axis]) for axis in range(3)], vectors.splat(args[4])
-        sums = [vectors.variable(vectors.load(row)) for row in rows[3:]]
+        sums = [vectors.variable(vectors.load(row)) for row in rows[AX:]]
         sources = [address(0, _word(axis), _word(0)) for axis in range(3)]
         masses = address(1, _word(0))
         loop: Any = cgutils.for_range_slice
@@ -240,7 +242,7 @@ def pull_of_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any,
             for axis in range(3):
                 vectors.increase(sums[axis], vectors.multiply(s, d[axis]))
             vectors.increase(sums[3], vectors.multiply(s, square))
-        for row, total in zip(rows[3:], sums, strict=True):
+        for row, total in zip(rows[AX:], sums, strict=True):
             vectors.store(vectors.value(total), row)
         return context.get_dummy_value()
 
