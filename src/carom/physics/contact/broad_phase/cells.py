@@ -249,6 +249,25 @@ def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
 
 
 @inline
+def cell_of(ox: float, oy: float, oz: float, grid: Any, periodic: bool) -> tuple[int, int, int]:
+    """Return the cell of a point, given in m from the corner where cells begin."""
+    ix, iy, iz = math.floor(ox * grid.kx), math.floor(oy * grid.ky), math.floor(oz * grid.kz)
+    if periodic:
+        ix, iy, iz = ix % grid.nx, iy % grid.ny, iz % grid.nz
+    return ix, iy, iz
+
+
+@inline
+def bucket_of(ix: int, iy: int, iz: int, grid: Any) -> int:
+    """Return the bucket of a cell; those of the next cells of its strip follow."""
+    if grid.hashed:
+        hashed: int = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
+        return hashed
+    numbered: int = grid.first_bucket + (iz * grid.ny + iy) * grid.nx + ix
+    return numbered
+
+
+@inline
 def strip_of(ix: int, iy: int, iz: int) -> int:
     """Hash the strips of rows: the upper half of Knuth's multiplicative hash."""
     return (((iz * (2 * MOST_CELLS) + iy) * 0x1E3779B97F4A7C15 + ix // STRIP) * 0x1E3779B97F4A7C15) >> 32
@@ -277,15 +296,8 @@ def _assign(
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         sphere = before.sphere[k]
         sphere.x, sphere.y, sphere.z = x, y, z
-        ix = math.floor((x - origin[0]) * grid.kx)
-        iy = math.floor((y - origin[1]) * grid.ky)
-        iz = math.floor((z - origin[2]) * grid.kz)
-        if periodic:
-            ix, iy, iz = ix % grid.nx, iy % grid.ny, iz % grid.nz
-        if grid.hashed:
-            b = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
-        else:
-            b = grid.first_bucket + (iz * grid.ny + iy) * grid.nx + ix
+        ix, iy, iz = cell_of(x - origin[0], y - origin[1], z - origin[2], grid, periodic)
+        b = bucket_of(ix, iy, iz, grid)
         bucket[k] = b
         rank[k] = atomic_add(ends, b, np.int32(1))
 

@@ -12,14 +12,15 @@ Rejected: searching from the smaller bodies always, with each octave in a hashed
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, strip_of
+from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.periodic_box import minimum_image, nearest_image
 
@@ -123,29 +124,18 @@ def search(
                 continue
             grid = layout.grid[L]
             reach = WIDER * ((r + 0.5 * grid.diameter) * scale + skin)
-            kx, ky, kz = grid.kx, grid.ky, grid.kz
             nx, ny, nz = grid.nx, grid.ny, grid.nz
-            fx, lx = math.floor((ox - reach) * kx), math.floor((ox + reach) * kx) + 1
-            fy, ly = math.floor((oy - reach) * ky), math.floor((oy + reach) * ky) + 1
-            fz, lz = math.floor((oz - reach) * kz), math.floor((oz + reach) * kz) + 1
-            whole = True
-            if periodic:  # visits no cell twice
-                whole = lx - fx <= nx and ly - fy <= ny and lz - fz <= nz
-                lx, ly, lz = min(lx, fx + nx), min(ly, fy + ny), min(lz, fz + nz)
-            else:
-                fx, fy, fz = max(fx, 0), max(fy, 0), max(fz, 0)
-                lx, ly, lz = min(lx, nx), min(ly, ny), min(lz, nz)
+            fx, lx, once_x = _cells_along(ox, reach, grid.kx, nx, periodic)
+            fy, ly, once_y = _cells_along(oy, reach, grid.ky, ny, periodic)
+            fz, lz, once_z = _cells_along(oz, reach, grid.kz, nz, periodic)
             # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
-            half = K == L
-            if half and periodic:
-                most = WIDER * (grid.diameter * scale + skin)
-                half = 2.0 * (most * kx + 1.0) < nx and 2.0 * (most * ky + 1.0) < ny and 2.0 * (most * kz + 1.0) < nz
+            half = K == L and not (periodic and _meets_itself(grid, scale, skin))
             later = K == L and not half
             cx, cy, cz = 0, 0, 0
             if half:
-                cx, cy, cz = math.floor(ox * kx), math.floor(oy * ky), math.floor(oz * kz)
+                cx, cy, cz = cell_of(ox, oy, oz, grid, False)
                 fz = cz
-            wide = lz - fz > NARROW and whole
+            wide = lz - fz > NARROW and once_x and once_y and once_z
             for iz in range(fz, lz):
                 wz = iz % nz if periodic else iz
                 for iy in range(cy if half and iz == cz else fy, ly):
@@ -155,21 +145,19 @@ def search(
                     if half and iz == cz and iy == cy:
                         ix, after = cx, a + 1
                     elif wide:
-                        gy = max(0.0, iy / ky - oy, oy - (iy + 1) / ky)
-                        gz = max(0.0, iz / kz - oz, oz - (iz + 1) / kz)
+                        gy, gz = _gap_to_cell(oy, iy, grid.ky), _gap_to_cell(oz, iz, grid.kz)
                         h2 = reach * reach - gy * gy - gz * gz
                         if h2 < 0.0:
                             continue
-                        h = np.sqrt(h2)
-                        ix, over = max(fx, math.floor((ox - h) * kx)), min(lx, math.floor((ox + h) * kx) + 1)
+                        h = np.sqrt(h2)  # half the chord of the reach in this row
+                        ix = max(fx, math.floor((ox - h) * grid.kx))
+                        over = min(lx, math.floor((ox + h) * grid.kx) + 1)
                     while ix < over:
                         wx = ix % nx if periodic else ix
                         cells = min(over - ix, nx - wx)
                         if grid.hashed:
                             cells = min(cells, STRIP - wx % STRIP)
-                            bucket = grid.first_bucket + (strip_of(wx, wy, wz) & grid.mask) + wx % STRIP
-                        else:
-                            bucket = grid.first_bucket + (wz * ny + wy) * nx + wx
+                        bucket = bucket_of(wx, wy, wz, grid)
                         for b in range(max(after, ends[bucket]), ends[bucket + cells]):
                             other = sphere[b]
                             dx, dy, dz = other.x - x, other.y - y, other.z - z
@@ -178,11 +166,8 @@ def search(
                             touch = (r + other.radius) * scale + skin
                             if dx * dx + dy * dy + dz * dz <= touch * touch:
                                 if grid.hashed:  # another cell may have the same hash
-                                    bx = math.floor((other.x - origin[0]) * kx)
-                                    by = math.floor((other.y - origin[1]) * ky)
-                                    bz = math.floor((other.z - origin[2]) * kz)
-                                    if periodic:
-                                        bx, by, bz = bx % nx, by % ny, bz % nz
+                                    px, py, pz = other.x - origin[0], other.y - origin[1], other.z - origin[2]
+                                    bx, by, bz = cell_of(px, py, pz, grid, periodic)
                                     if bz != wz or by != wy or bx < wx or bx >= wx + cells:
                                         continue
                                 if m == end:
@@ -196,6 +181,29 @@ def search(
                         if half:
                             after = 0
     _leave(found, m, end)
+
+
+@inline
+def _cells_along(o: float, reach: float, density: float, cells: int, periodic: bool) -> tuple[int, int, bool]:
+    """Return the first cell within reach along an axis, the one after the last, and whether no cell comes twice."""
+    first, end = math.floor((o - reach) * density), math.floor((o + reach) * density) + 1
+    if periodic:
+        return first, min(end, first + cells), end - first <= cells
+    return max(first, 0), min(end, cells), True
+
+
+@inline
+def _meets_itself(grid: Any, scale: float, skin: float) -> bool:
+    """Tell whether a cell of a periodic grid may be a neighbour on both sides of another."""
+    most = WIDER * (grid.diameter * scale + skin)
+    apart_x, apart_y = 2.0 * (most * grid.kx + 1.0) < grid.nx, 2.0 * (most * grid.ky + 1.0) < grid.ny
+    return not (apart_x and apart_y and 2.0 * (most * grid.kz + 1.0) < grid.nz)
+
+
+@inline
+def _gap_to_cell(o: float, cell: int, density: float) -> float:
+    """Return the distance of a point from a cell along an axis, in m; 0 within it."""
+    return max(0.0, cell / density - o, o - (cell + 1) / density)
 
 
 @kernel
