@@ -25,11 +25,12 @@ from carom.physics.diagnostics.activity import remembered
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
-from carom.physics.parallel.jit import borrowing, entry_of, unowned
+from carom.physics.parallel.jit import borrowing, entry_of, inline, unowned
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, settle, target
 from carom.physics.time_step import Timestep
+from carom.physics.vector import square, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
@@ -190,22 +191,13 @@ def _fly(
 ) -> tuple[int, float, float, float, int, float, float]:
     """Take steps; return their number, the time before and after the last one, its length and limit, the averages."""
     time, end, until, most, average, struck = clock
-    plan, substeps, uniform, rule = laws
+    substeps, box, saved = laws.substeps, kept.box, room.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
-    radius, mass, inverse_mass, borne, field, box, normal, offset = kept
-    found, potential, saved = room
-    P, n, last = plan[0], len(mass), len(substeps) - 1
+    P, n, last = laws.plan[0], len(position), len(substeps) - 1
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
-        if P.fixed_dt > 0.0:
-            length, why, _ = settle(P.fixed_dt, FIXED, 1.0, 0.0, end - time)
-            following = average
-        else:
-            length, why = target(
-                *(rule, position, velocity, acceleration, radius, mass, inverse_mass, borne, field, found, False)
-            )
-            length, why, following = settle(length, why, rule[0].smoothing, average, end - time)
+        length, why, following = _choose(laws, moved, kept, room, average, end - time)
         after = end if why == END else time + length
         if not after > time:
             break
@@ -220,9 +212,7 @@ def _fly(
                 fastest, pull = _fastest(velocity, acceleration)
                 skin = (pull + P.field) * length * length
                 if not 2.0 * (gone + fastest * abs(drift) + grain) + skin < slack:
-                    slack, grain = _smallest_gap(
-                        position, velocity, radius, inverse_mass, box, normal, offset, abs(drift), skin
-                    )
+                    slack, grain = _smallest_gap(position, velocity, kept, abs(drift), skin)
                     gone = 0.0
                     is_free = slack > 0.0
                     if not is_free:
@@ -232,18 +222,7 @@ def _fly(
             if box[0] > 0.0:
                 wrap_rows(0, n, position, box)
             if P.pulls and (s < last or P.ends_with_forces):
-                if P.attracts:
-                    pull_few(position, mass, P.constant, P.softening_squared, acceleration, potential)
-                else:
-                    for i in range(n):
-                        for k in range(3):
-                            acceleration[i, k] = 0.0
-                if P.is_uniform:
-                    add(0, n, acceleration, uniform)
-                for i in range(n):
-                    if inverse_mass[i] == 0.0:
-                        for k in range(3):
-                            acceleration[i, k] = 0.0
+                _accelerate(laws, moved, kept, room)
             if P.pulls and last_kick != 0.0:
                 advance(0, n, velocity, acceleration, last_kick)
         if not is_free:
@@ -256,6 +235,36 @@ def _fly(
         before, time, dt, limit, average = time, after, length, why, following
         steps += 1
     return steps, before, time, dt, limit, average, struck
+
+
+@inline
+def _choose(
+    laws: _Laws, moved: _Moved, kept: _Kept, room: _Room, average: float, remaining: float
+) -> tuple[float, int, float]:
+    """Choose a step; return it in s, its limit, and the new average in s. ``remaining`` is the time left, in s."""
+    P, R = laws.plan[0], laws.rule[0]
+    if P.fixed_dt > 0.0:
+        length, limit, _ = settle(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
+        return length, limit, average
+    bodies = (moved.position, moved.velocity, moved.acceleration, kept.radius, kept.mass, kept.inverse_mass)
+    length, limit = target(laws.rule, *bodies, kept.borne, kept.field, room.found, False)
+    return settle(length, limit, R.smoothing, average, remaining)
+
+
+@inline
+def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, room: _Room) -> None:
+    """Write the accelerations at the present positions."""
+    P, acceleration, n = laws.plan[0], moved.acceleration, len(moved.position)
+    if P.attracts:
+        pull_few(moved.position, kept.mass, P.constant, P.softening_squared, acceleration, room.potential)
+    else:
+        for i in range(n):
+            write(acceleration, i, 0.0, 0.0, 0.0)
+    if P.is_uniform:
+        add(0, n, acceleration, laws.uniform)
+    for i in range(n):
+        if kept.inverse_mass[i] == 0.0:
+            write(acceleration, i, 0.0, 0.0, 0.0)
 
 
 @unowned
@@ -271,33 +280,19 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
     """Return the largest speed, m/s, and acceleration, m/s²; not a number if one is not finite."""
     v2_max, a2_max, rest = 0.0, 0.0, 0.0
     for i in range(len(velocity)):
-        v2 = velocity[i, 0] * velocity[i, 0] + velocity[i, 1] * velocity[i, 1] + velocity[i, 2] * velocity[i, 2]
-        a2 = (
-            acceleration[i, 0] * acceleration[i, 0]
-            + acceleration[i, 1] * acceleration[i, 1]
-            + acceleration[i, 2] * acceleration[i, 2]
-        )
+        v2, a2 = square(velocity, i), square(acceleration, i)
         v2_max, a2_max = max(v2_max, v2), max(a2_max, a2)
         rest += (v2 - v2) + (a2 - a2)  # 0, or not a number
     return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
 
 
 @unowned
-def _smallest_gap(
-    x: FloatArray,
-    v: FloatArray,
-    radius: FloatArray,
-    inverse_mass: FloatArray,
-    box: FloatArray,
-    normal: FloatArray,
-    offset: FloatArray,
-    dt: float,
-    skin: float,
-) -> tuple[float, float]:
+def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: float) -> tuple[float, float]:
     """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and by how much a drift rounds.
 
     All are in m.
     """
+    radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
     size = 0.0  # m, of the coordinates
     for i in range(len(x)):
         size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
