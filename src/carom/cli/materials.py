@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.table import Table
 
+COLOUR = "colour by material"  # bodies have it where `colour_by` is "material"; often they show groups
+
 
 def materials_table(materials: list[dict[str, Any]]) -> Table:
     """Show the coefficients of each kind of contact, given `ShownMaterials.described`."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for header in ("material", "bodies", "colour", "on", "e", "μs", "μk"):
-        table.add_column(header, justify="left" if header in ("material", "colour", "on") else "right")
+    for header in ("material", "bodies", COLOUR, "on", "e", "μs", "μk"):
+        table.add_column(header, justify="left" if header in ("material", COLOUR, "on") else "right")
     listed: set[str] = set()
     for material in materials:
         first = (material["name"], str(material["bodies"]), material["colour"])
