@@ -55,7 +55,7 @@ def new(
     ] = "",
     force: ForceOption = False,
 ) -> None:
-    """Write a scene file with comments on every key, to start from."""
+    """Write a scene file to start from, with comments on the most important keys."""
     from carom.scene.bundled import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
     from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
