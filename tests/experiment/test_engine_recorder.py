@@ -295,6 +295,7 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
         ({"judged": [1, 0, 2]}, r"judged\[2\] is 2; it must be True or False"),
         ({"fixed": [True]}, r"fixed has the shape \(1,\) in place of \(3,\)"),
         ({"constant": -1.0}, "constant is -1; it must be a number that is not negative"),
+        ({"constant": [1.0, 2.0]}, r"constant is \[1.0, 2.0\]; it must be a number that is not negative"),
         ({"softening": -0.5}, "softening is -0.5; it must be a number that is not negative"),
         ({"softening": float("nan")}, "softening is nan; it must be a number that is not negative"),
         ({"constant": "x"}, "constant is no array of numbers"),

@@ -263,9 +263,10 @@ def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> NDArra
 
 def _not_negative(engine: str, name: str, value: float) -> float:
     number = _numbers(engine, name, value)
-    if number.shape or not 0.0 <= (value := float(number)) < np.inf:
-        raise RecordingError(f"{engine}: {name} is {value:g}; it must be a number that is not negative")
-    return value
+    if number.shape or not 0.0 <= number < np.inf:
+        shown = value if number.shape else f"{float(number):g}"
+        raise RecordingError(f"{engine}: {name} is {shown}; it must be a number that is not negative")
+    return float(number)
 
 
 def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
