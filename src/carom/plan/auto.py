@@ -73,7 +73,7 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contacts.contact(scene).modelled:
         return "no contact is possible"
-    if scene.time.accuracy is not None or (chosen.controls_error and chosen.locates_impacts):
+    if scene.time.accuracy is not None or chosen.ends_steps_at_impacts:
         return ""
     if (force := contacts.load(scene)) and not contacts.field_presses(scene):
         whose = "the bodies' own gravity" if force == GRAVITY.short_name else f"the {force}"

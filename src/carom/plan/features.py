@@ -197,7 +197,7 @@ def _energy(scene: Scene) -> Part:
 
 def _impact_time(scene: Scene, contact: Part) -> Part:
     name, late, chosen = "time-of-impact", why_late(scene), integrator(scene)
-    if chosen.controls_error and chosen.locates_impacts:
+    if chosen.ends_steps_at_impacts:
         return contacts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")

@@ -98,7 +98,7 @@ def _refuse_damping(scene: Scene) -> None:
 def _refuse_what_no_error_controls(scene: Scene) -> None:
     """Refuse what would make errors that the integrator's own estimate does not see, where it sets the step."""
     chosen, contact = integrator(scene), scene.contact
-    if not chosen.controls_error or chosen.hierarchical:
+    if not chosen.ends_steps_at_impacts:
         return
     name = f'time.integrator = "{chosen.name}"'
     if require(scene).contact.modelled and contact.timing == "end-of-step":

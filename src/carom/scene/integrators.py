@@ -65,9 +65,14 @@ class Integrator:
         return len(self.substeps) == 1
 
     @property
+    def ends_steps_at_impacts(self) -> bool:
+        """Whether a step ends where bodies meet."""
+        return self.controls_error and not self.hierarchical
+
+    @property
     def locates_impacts(self) -> bool:
         """Whether impacts can be resolved at their own times: within the one drift, or where a step is made to end."""
-        return self.drifts_once or (self.controls_error and not self.hierarchical)
+        return self.drifts_once or self.ends_steps_at_impacts
 
     @property
     def damps(self) -> bool:
