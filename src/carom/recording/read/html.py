@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
 from carom.recording.errors import RecordingError
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
@@ -34,7 +35,7 @@ def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
         "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
         "energy error": f"{_number(energy['max_error'])} of the energy scale",
     }
-    if overlap != 0.0:
+    if overlap is None or overlap > ROUNDED_OVERLAP:
         rows["deepest overlap"] = f"{_number(overlap)} of a radius"
     return rows
 
