@@ -10,6 +10,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.text import say
+from carom.scene.counted import counted
 
 
 def publish(
@@ -39,8 +40,7 @@ def publish(
     if as_json:
         say_json({**asdict(made), "path": str(folder)})
         return
-    moments = "1 moment" if made.moments == 1 else f"{made.moments} moments"
-    say(f"{folder} written, {bytes_text(made.size)}: {moments}.")
+    say(f"{folder} written, {bytes_text(made.size)}: {counted(made.moments, 'moment')}.")
     if made.picture:
         say(f"Without pictures: {made.picture}", err=True)
     say("Upload it to any web host. To look at it here, run this and open http://127.0.0.1:8000:")

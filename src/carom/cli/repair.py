@@ -10,6 +10,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
 from carom.cli.text import say
+from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
 
 
@@ -43,15 +44,16 @@ def repair(
             file.replace(torn)
             path.replace(file)
             path = file
-    units = units_of(Recording.open(file if done.path is None else path))
     if as_json:
+        units = units_of(Recording.open(file if done.path is None else path))
         say_json({"units": units.recorded, **asdict(done), "path": None if done.path is None else str(path)})
     elif done.path is None:
         say(f"{file}: nothing to repair.")
     else:
         reach = "no frame"
         if done.end is not None:
-            reach = f"{done.frames} frames, to t = {units.text(done.end, TIME)}"
+            units = units_of(Recording.open(path))
+            reach = f"{counted(done.frames, 'frame')}, to t = {units.text(done.end, TIME)}"
         say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
         for piece in done.lost:
             say(f"lost: {piece}")

@@ -10,6 +10,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
 from carom.cli.text import say
+from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
 
 
@@ -45,7 +46,7 @@ def report(
         say_json({"units": recording.units.recorded, **asdict(made), "path": str(path)})
         return
     when = recording.units.text(made.time, TIME, ".9g")
-    say(f"{path} written, {bytes_text(made.size)}: {made.frames} frames around t = {when},")
+    say(f"{path} written, {bytes_text(made.size)}: {counted(made.frames, 'frame')} around t = {when},")
     say(f"{made.why.splitlines()[0]}.")
     say(made.replayed.replace("**", ""))
     if made.picture:
