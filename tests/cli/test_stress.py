@@ -58,7 +58,7 @@ def test_a_refused_extreme_is_a_row_with_the_reason(tmp_path: Path) -> None:
     backwards = ("--set", "contact.timing=time-of-impact", "--set", "time.integrator=yoshida4")
     done = carom("stress", "hub-25", *backwards, cwd=tmp_path)
     assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert "hub-25: refused: contact.timing" in done.stdout
+    assert "hub-25: refused: the override contact.timing=time-of-impact: contact.timing" in done.stdout
 
 
 @pytest.mark.parametrize(
