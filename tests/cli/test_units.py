@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from carom.cli.units import count_text
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import PLOTS
 from carom.scene.load import scene_from_text
@@ -234,3 +235,10 @@ def test_plots_have_the_unit_of_the_recorded_numbers() -> None:
     assert energy.name_in(SI) == energy.name_in(UnitSystem.of_table({"length": "au"})) == "Energy (J)"
     assert energy.name_in(own) == "Energy (solar mass au²/day²)"
     assert energy.name_in(UnitSystem.of_text("dimensionless")) == "Energy"
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "0"), (999, "999"), (5334, "5330"), (999_999, "1 million"), (1_893_428, "1.89 million")]
+)
+def test_an_estimated_number_has_three_digits(count: int, text: str) -> None:
+    assert count_text(count) == text

@@ -72,15 +72,16 @@ def explain(
 
 def _steps(cost: Cost, scene: Scene) -> str:
     """Say how many steps there will be, what sets them, and what would make them longer."""
-    from carom.cli.units import duration_text
+    from carom.cli.units import count_text, duration_text
     from carom.physics.diagnostics.pace import remedies_of
 
     seconds = cost.seconds / cost.steps
     if cost.looked_until >= scene.time.duration:
-        count = f"  about {cost.steps} steps in {duration_text(cost.seconds)}"
+        count = f"  about {count_text(cost.steps)} steps in {duration_text(cost.seconds)}"
     else:
+        fewest, most, steps = (count_text(n) for n in (cost.fewest_steps, cost.most_steps, cost.steps))
         count = (
-            f"  {cost.fewest_steps} to {cost.most_steps} steps, by the latest pace {cost.steps}, in "
+            f"  {fewest} to {most} steps, by the latest pace {steps}, in "
             f"{duration_text(cost.fewest_steps * seconds)} to {duration_text(cost.most_steps * seconds)} "
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )

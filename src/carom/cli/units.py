@@ -21,6 +21,12 @@ def simulated_text(seconds: float, units: UnitSystem) -> str:
     return duration_text(seconds) if units.is_si else units.text(seconds, TIME, ".3g")
 
 
+def count_text(count: int) -> str:
+    """Write an estimated number in three digits."""
+    about = float(f"{count:.3g}")
+    return f"{about / 1e6:.3g} million" if about >= 1e6 else f"{about:.0f}"
+
+
 def bytes_text(count: float) -> str:
     """Write a number of bytes in decimal units."""
     for unit, name in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
