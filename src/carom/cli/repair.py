@@ -44,15 +44,14 @@ def repair(
             file.replace(torn)
             path.replace(file)
             path = file
+    units = units_of(Recording.open(file if done.path is None else path))
     if as_json:
-        units = units_of(Recording.open(file if done.path is None else path))
         say_json({"units": units.recorded, **asdict(done), "path": None if done.path is None else str(path)})
     elif done.path is None:
         say(f"{file}: nothing to repair.")
     else:
         reach = "no frame"
         if done.end is not None:
-            units = units_of(Recording.open(path))
             reach = f"{counted(done.frames, 'frame')}, to t = {units.text(done.end, TIME)}"
         say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
         for piece in done.lost:
