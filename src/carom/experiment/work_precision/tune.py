@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.error import ExperimentError
+from carom.experiment.json_numbers import finite
 from carom.experiment.work_precision.coordinate_descent import Search, excess, loses_frames, unsure
 from carom.experiment.work_precision.error_measures import NAMES
 from carom.experiment.work_precision.result import Result
@@ -101,7 +102,7 @@ class Tuning:
             "tried": len(self.tried),
             "best": best and result_entry(best),
             "as_written": result_entry(self.written),
-            "speed": None if math.isnan(speed) else speed,
+            "speed": finite(speed),
             "worse": {name: list(values) for name, values in self.worse().items()},
             "why_none": None if best else self.why_none(),
         }
