@@ -38,7 +38,7 @@ class TrialRun:
         self._simulation.count_no_impacts()
         self._start = self._simulation.frame().checkpoint
         self._chooses_steps = integrator(scene).controls_error
-        self._ended = False
+        self._ended = False  # it failed or was given up
         self._held = 0.0  # steps with held contacts
         self._most_held = MOST_HELD * max(1.0, refinement)
         self.times = times
@@ -60,7 +60,8 @@ class TrialRun:
                 self._ended = True
             else:
                 self._ended = self.is_given_up
-                self._positions += [] if self._ended else [found]
+                if not self._ended:
+                    self._positions.append(found)
         return self._positions[sample] if sample < len(self._positions) else None
 
     @property
