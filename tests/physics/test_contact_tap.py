@@ -266,3 +266,16 @@ def test_of_too_many_impacts_the_largest_are_kept_in_order_of_time_and_the_other
     kept = store.rows()
     best = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:50])
     assert np.array_equal(kept, rows[best]) and store.left_out == 950
+
+
+def test_the_room_of_a_new_slot_holds_the_most_contacts_so_far() -> None:
+    """Rows that do not fit are written twice, so a room is enlarged before a frame is written into it."""
+    space = Space(collapse("end-of-step"), 1, record_contacts=True)
+    store = FrameStore(40, space.state)
+    most = 0
+    for frame in space.run(store=store, schedule=every(0.0)):
+        assert frame.slot is not None
+        room = store.contact_rows[frame.slot]
+        assert len(room.whole) > most
+        most = max(most, len(rows_of(frame)))
+    assert most > 10

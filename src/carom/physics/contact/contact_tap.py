@@ -64,6 +64,7 @@ class ContactTap:
     def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
         self._ends = Ends(bodies.position, box, materials, friction)
         self._room = Room(CONTACT_ROW)
+        self._most = 0  # rows of a step so far; a room with fewer is enlarged before it is filled
         self.forget()
         self._compile()
 
@@ -123,11 +124,12 @@ class ContactTap:
             struck = picked(struck, np.lexsort((-struck["approach_speed"], struck["j"], struck["i"])))
         merged = self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended
         room = Room(CONTACT_ROW) if room is None else room
-        rows = room.whole if len(room.whole) else room.take(len(pairs) + 1)
+        rows = room.whole if len(room.whole) > self._most else room.take(self._most + 1)
         count = merge(*merged, rows)
-        if count >= len(rows):  # more contacts than ever before in this room
+        if count >= len(rows):  # a quarter more than ever before
             rows = room.take(count + 1)
             merge(*merged, rows)
+        self._most = max(self._most, count)
         return self._with_sleepers(rows[:count], slept) if len(slept.pairs) else rows[:count]
 
     def _with_sleepers(self, rows: Records, slept: SleepingContacts) -> Records:
