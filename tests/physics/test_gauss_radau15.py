@@ -271,3 +271,49 @@ def test_points_that_fall_straight_into_each_other_end_the_run_with_the_remedy()
     bodies = [{"mass": 1.0, "radius": 1e-9, "position": [x, 0, 0]} for x in (-1.0, 1.0)]
     with pytest.raises(PhysicsError, match=r"no longer moves the clock|not finite|centres"):
         final(points(bodies, 10.0))
+
+
+def earth(duration: str, **time: Any) -> Scene:
+    """The Earth around the Sun, in SI units; steps of a second would be 31 million a year."""
+    return Scene.from_dict(
+        {
+            "time": {"duration": duration, "integrator": RADAU} | time,
+            "gravity": {"constant": 6.6743e-11},
+            "body": [
+                {"name": "Sun", "radius": "695700 km", "mass": 1.98847e30},
+                {
+                    "name": "Earth",
+                    "radius": "6371 km",
+                    "mass": 5.9722e24,
+                    "position": [1.495978707e11, 0.0, 0.0],
+                    "velocity": [0.0, 29784.7, 0.0],
+                },
+            ],
+        }
+    )
+
+
+def test_two_years_of_the_earth_take_some_eighty_steps() -> None:
+    space = final(earth("2 yr"))
+    assert space.step < 200
+    assert space.energy().relative_error < 1e-14  # rounding of 79 steps
+
+
+def test_a_largest_step_that_the_scene_gives_still_holds() -> None:
+    space = final(earth("1 d", max_dt="1 h"))
+    assert 24 <= space.step < 30  # the first steps grow by a factor of four
+
+
+def test_steps_without_a_limit_do_not_depend_on_the_duration_of_the_run() -> None:
+    one, two = Space(earth("1 yr")), Space(earth("2 yr"))
+    for step in range(1, 21):
+        one.compute_dynamics(step)
+        two.compute_dynamics(step)
+    assert one.fingerprint() == two.fingerprint()
+
+
+def test_a_body_that_nothing_pulls_crosses_a_long_run_in_few_steps() -> None:
+    body = {"radius": 1.0, "mass": 1.0, "velocity": [1.0, 0.0, 0.0]}
+    space = final(Scene.from_dict({"time": {"duration": 1e6, "integrator": RADAU}, "body": [body]}))
+    assert space.step < 20  # each step may be four times as long as the one before
+    assert space.state.position[0, 0] == 1e6

@@ -114,5 +114,5 @@ def test_the_description_of_a_quantity_begins_with_the_unit_of_its_dimension(key
 
 def test_the_schema_says_what_each_key_is() -> None:
     described = json.loads(schema_text())["$defs"]["Time"]["properties"]
-    assert described["max_dt"]["description"] == "s, largest step; more than 0"
-    assert described["max_dt"]["anyOf"][1]["examples"] == ["12 h"]
+    assert described["duration"]["description"] == "s, simulated time; more than 0"
+    assert described["duration"]["anyOf"][1]["examples"] == ["12 h"]

@@ -17,6 +17,7 @@ from carom.experiment.contact_counts import counts_text, overlap_text
 from carom.experiment.ending import accuracy_text, error_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
+from carom.plan.auto import largest_step
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.schema import Scene
@@ -107,12 +108,12 @@ class Progress(LiveLine):
 
 def _many_steps(scene: Scene) -> str:
     """Warn that the longest step allowed makes a run long; empty if it does not, or if another key sets the step."""
-    time = scene.time
-    if time.fixed_dt is not None or time.accuracy is not None or time.duration / time.max_dt < MANY_STEPS:
+    time, largest = scene.time, largest_step(scene)
+    if time.fixed_dt is not None or time.accuracy is not None or time.duration / largest < MANY_STEPS:
         return ""
-    longest = scene.unit_system.text(time.max_dt, TIME, "g")
-    default = "" if "max_dt" in time.model_fields_set else ", its default,"
+    longest = scene.unit_system.text(largest, TIME, "g")
+    default = ", its default," if time.max_dt == "auto" else ""
     return (
-        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / time.max_dt:.2g} steps; raise it "
+        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / largest:.2g} steps; raise it "
         "for fewer, and `carom explain` says what then limits them"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,7 @@ from carom.physics.world import World
 
 FloatArray = NDArray[np.float64]
 
+FREE_DT = 1.0  # s, the first step where no limit applies; the next ones are longer
 FORESEEN = 2.0  # times the last step of the holder: the next one is not longer
 MOST_STRIKES = 100  # at one moment; bodies that still meet there are at rest on each other
 
@@ -72,8 +74,9 @@ class BatchStepper:
 
     @property
     def first_dt(self) -> float:
-        """The step in s that the limits of the scene allow in the present state."""
-        return self.timestep.first(self._world.bodies)
+        """The step in s that the limits of the scene allow in the present state; `FREE_DT` if there is no limit."""
+        dt = self.timestep.first(self._world.bodies)
+        return dt if math.isfinite(dt) else FREE_DT
 
     def warm_up(self, dt: float) -> None:
         """Take a step of about dt seconds."""

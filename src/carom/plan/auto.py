@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from carom.plan import contacts, pulls
@@ -15,6 +16,8 @@ FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few en
 FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
 BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
+
+MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
 
 STEP_GROWS_UP_TO = 100  # bodies; "auto" steps of more are a tenth of the time of a fall through the smallest radius
 STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they get shorter ones for accurate flights;
@@ -130,6 +133,16 @@ def _is_smooth(scene: Scene) -> bool:
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
+
+
+def largest_step(scene: Scene) -> float:
+    """Return the largest step in s; infinite where the integrator chooses its steps by their error or by the orbits.
+
+    With a limit of 1 s, two years of the Earth in steps of Gauss–Radau would be 63 million steps in place of 79.
+    """
+    if scene.time.max_dt != "auto":
+        return scene.time.max_dt
+    return math.inf if integrator(scene).controls_error else MAX_DT
 
 
 def target_dx(scene: Scene) -> float | None:

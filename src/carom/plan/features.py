@@ -6,6 +6,7 @@ result.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,6 +20,7 @@ from carom.plan.auto import (
     cfl,
     gravity_method,
     integrator,
+    largest_step,
     pull_fraction,
     target_dx,
     timing,
@@ -299,12 +301,18 @@ def _adaptive_step(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.unit_system.text(scene.time.fixed_dt, TIME, 'g')}")
     if integrator(scene).hierarchical:
-        return Part(name, True, "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies, and max_dt")
+        parts = "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies"
+        return Part(name, True, parts + _capped(scene))
     if scene.time.accuracy is not None and not integrator(scene).controls_error:
         return Part(name, True, f"as fine as the accuracy takes, by {', '.join(_limits(scene)) or 'max_dt'}")
     if integrator(scene).controls_error:
-        return Part(name, True, "the integrator's own estimate of its error, and max_dt")
+        return Part(name, True, "the integrator's own estimate of its error" + _capped(scene))
     return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")
+
+
+def _capped(scene: Scene) -> str:
+    """Name the largest step of an integrator that chooses its steps, if there is one."""
+    return "" if math.isinf(largest_step(scene)) else ", and max_dt"
 
 
 def _limits(scene: Scene) -> list[str]:

@@ -12,6 +12,7 @@ from carom.plan.auto import (
     auto_interval,
     cfl,
     held_dx,
+    largest_step,
     pull_fraction,
     smallest_radius,
     smoothing,
@@ -30,7 +31,7 @@ WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
 class StepLimits:
     """The limits by their keys; None if one does not apply."""
 
-    max_dt: float  # s
+    max_dt: float  # s, infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
     held_dx: float | None  # m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not
@@ -44,7 +45,7 @@ def step_limits(scene: Scene) -> StepLimits:
     if scene.promise is not None:
         return accurate_limits(scene, scene.promise.refinement, scene.promise.until)
     return StepLimits(
-        max_dt=scene.time.max_dt,
+        max_dt=largest_step(scene),
         cfl=cfl(scene),
         target_dx=target_dx(scene),
         held_dx=held_dx(scene),
@@ -63,7 +64,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
     """
     touches = cfl(scene) is not None
     return StepLimits(
-        max_dt=min(scene.time.max_dt, auto_interval(scene, until)) / refinement,
+        max_dt=min(largest_step(scene), auto_interval(scene, until)) / refinement,
         cfl=FREE_CFL / refinement if touches else None,
         target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
         held_dx=None,
@@ -85,7 +86,7 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
     rest = held_dx(scene)
     root = wider(None if reach is None else math.sqrt(reach), fall)
     return StepLimits(
-        max_dt=stride * scene.time.max_dt,
+        max_dt=stride * largest_step(scene),
         cfl=wider(cfl(scene), FREE_CFL),
         target_dx=None if root is None else root * root,
         held_dx=None if rest is None else min(stride, WIDEST_HELD) ** 2 * rest,

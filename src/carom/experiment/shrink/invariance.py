@@ -8,6 +8,7 @@ be as far off as runs from starts that differ by roundings, times a factor for t
 from __future__ import annotations
 
 import copy
+import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,6 +25,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.plan.auto import largest_step
 from carom.plan.features import require
 from carom.scene.conversion import converted, rescaled
 from carom.scene.error import SceneError
@@ -302,7 +304,9 @@ def _explicit(scene: Scene) -> Document:
     document: Document = {key: value for key, value in quantities.items() if key != "expect"}
     if units.converts:
         del document["units"]
-    defaults = {("time", "duration"): scene.time.duration, ("time", "max_dt"): scene.time.max_dt}
+    defaults = {("time", "duration"): scene.time.duration}
+    if math.isfinite(largest := largest_step(scene)):
+        defaults["time", "max_dt"] = largest
     for (section, key), value in (defaults | {("gravity", "constant"): scene.gravity.constant}).items():
         if key not in document.get(section, {}):
             document = with_value(document, (section, key), value)

@@ -24,7 +24,7 @@ from carom.experiment.work_precision.error_measures import NAMES, Errors, Scale,
 from carom.experiment.work_precision.event_driven_reference import TIGHTEST, solve, why_not
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
-from carom.plan.auto import cfl, integrator, pull_fraction, target_dx, uses_tree
+from carom.plan.auto import auto_interval, cfl, integrator, largest_step, pull_fraction, target_dx, uses_tree
 from carom.plan.features import require
 from carom.scene.counted import counted
 from carom.scene.schema import Scene
@@ -104,7 +104,7 @@ def refined(scene: Scene, factor: float) -> list[str]:
     rule, units = scene.time, scene.unit_system
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
-    shortest = f"time.max_dt={units.literal(rule.max_dt / factor, TIME)}"
+    shortest = f"time.max_dt={units.literal(_largest_step(scene) / factor, TIME)}"
     if integrator(scene).controls_error:
         return [shortest]
     finer = [shortest]
@@ -117,12 +117,18 @@ def refined(scene: Scene, factor: float) -> list[str]:
     return finer
 
 
+def _largest_step(scene: Scene) -> float:
+    """Return the largest step in s: where there is no limit, the time between automatic frames."""
+    largest = largest_step(scene)
+    return largest if math.isfinite(largest) else auto_interval(scene, scene.time.duration)
+
+
 def fineness(scene: Scene, setting: Scene) -> float:
     """Return the steps of the scene over those of a setting, by the limit that shrank most."""
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
-        return (base.fixed_dt or base.max_dt) / (rule.fixed_dt or rule.max_dt)
-    finer = [base.max_dt / rule.max_dt]
+        return (base.fixed_dt or _largest_step(scene)) / (rule.fixed_dt or _largest_step(setting))
+    finer = [_largest_step(scene) / _largest_step(setting)]
     for limit, power in ((cfl, 1.0), (target_dx, 0.5), (pull_fraction, 1.0)):
         coarse, fine = limit(scene), limit(setting)
         if coarse is not None and fine is not None:

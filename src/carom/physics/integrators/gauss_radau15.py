@@ -43,6 +43,7 @@ from carom.physics.integrators.radau_step import Motion, accelerate, attempt, mo
 from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
 from carom.physics.parallel.jit import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
+from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.half_space import half_spaces
 from carom.scene.schema import Scene
@@ -207,11 +208,11 @@ class GaussRadau15:
 
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> GaussRadau15:
     """Make the integrator of a scene's bodies in a uniform field, (3,) m/s²."""
-    rule, gravity = scene.time, scene.gravity
+    gravity = scene.gravity
     pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
     refinement = min(scene.refinement, 1.0)
-    steps = (rule.max_dt, rule.fixed_dt, STEP_FRACTION / refinement)
+    steps = (largest_step(scene), scene.time.fixed_dt, STEP_FRACTION / refinement)
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
     return GaussRadau15(

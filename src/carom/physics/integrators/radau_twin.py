@@ -31,6 +31,7 @@ from carom.physics.integrators.radau_step import (
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
+from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import Start
 
@@ -95,7 +96,7 @@ def _follow(
     progress["next_dt"], progress["fraction"] = FIRST_PART * times[-1], STEP_FRACTION / refinement
     progress["tolerance"] = tolerance(refinement)
     motion, eps2 = _motion(scene, start, start.position), scene.gravity.softening**2
-    follow(motion, twin, eps2, progress, times, scene.time.max_dt, enough, iterations, path, apart)
+    follow(motion, twin, eps2, progress, times, largest_step(scene), enough, iterations, path, apart)
     return Orbits(times, path, int(progress["steps"][0])), apart
 
 

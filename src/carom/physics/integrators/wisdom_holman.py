@@ -36,6 +36,7 @@ from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.kepler import LANE_ROWS, LANES
 from carom.physics.integrators.orbit_arrays import RUN, Orbits
 from carom.physics.integrators.orbit_steps import advance, begin, leap, meets_soon
+from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene
@@ -224,5 +225,5 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     """Make the integrator of a scene's bodies; a scene with a uniform field is refused before."""
     pull = scene.gravity.constant * bodies.mass
     rule = scene.time
-    steps, resolves = (rule.max_dt, rule.fixed_dt), rule.encounters == "resolve"
+    steps, resolves = (largest_step(scene), rule.fixed_dt), rule.encounters == "resolve"
     return WisdomHolman(bodies.position, bodies.velocity, pull, *steps, resolves, scene.refinement)

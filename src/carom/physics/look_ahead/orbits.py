@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.integrators.wisdom_holman import WisdomHolman
+from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import Start
 
@@ -72,7 +73,7 @@ def _follow(scene: Scene, start: Start, refinement: float, times: FloatArray) ->
     """Return the positions at all times, (K, n, 3) m."""
     rule, pull = scene.time, scene.gravity.constant * start.mass
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"
-    runner = WisdomHolman(*state, pull, rule.max_dt, None, resolves, refinement)
+    runner = WisdomHolman(*state, pull, largest_step(scene), None, resolves, refinement)
     runner.begin(0.0)
     now, found = 0.0, np.full((len(times), *start.position.shape), np.nan)
     for k, time in enumerate(times.tolist()):

@@ -32,7 +32,11 @@ class Time(Section):
     """[time]: the duration, and how the step is chosen."""
 
     duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
-    max_dt: Annotated[Positive, TIME] = Field(1.0, description="s, largest step; more than 0")
+    max_dt: Annotated[Positive, TIME] | Literal["auto"] = Field(
+        "auto",
+        description='s, largest step; more than 0; "auto" is 1 s, and no limit where the integrator chooses its steps '
+        "by their error or by the orbits",
+    )
     target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
         "auto",
         description="m, largest distance that an acceleration may move a body from rest in a step; "
