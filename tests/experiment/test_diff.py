@@ -249,7 +249,7 @@ def test_a_gas_of_spheres_is_chaotic(gas: Diff) -> None:
 def test_a_key_that_one_scene_does_not_write_differs_from_what_holds_there(tmp_path: Path) -> None:
     body = '[[body]]\nname = "x"\n'
     plain = record(tmp_path / "a.rrd", scene_toml=body, frames=2)
-    written = "seed = 3\n[time]\nmax_dt = 1.0\n[expect]\nmax_overlap = 0.1\n"
+    written = "seed = 3\n[time]\nduration = 10.0\n[expect]\nmax_overlap = 0.1\n"
     other = record(tmp_path / "b.rrd", scene_toml=f"{written}{body}radius = 2.0\n[[body]]\nradius = 3.0\n", frames=2)
     found = diff(plain, other)
     assert found.scene == {
@@ -257,6 +257,6 @@ def test_a_key_that_one_scene_does_not_write_differs_from_what_holds_there(tmp_p
         "expect.max_overlap": (None, 0.1),
         "body.0.radius": (None, 2.0),
         "body.1.radius": (None, 3.0),
-    }, "max_dt is what holds in the other scene, too"
-    assert found.defaults == {"seed": 0, "time.max_dt": 1.0, "body.0.radius": 1.0}
+    }, "the duration is what holds in the other scene, too"
+    assert found.defaults == {"seed": 0, "time.duration": 10.0, "body.0.radius": 1.0}
     assert _short(None, found.defaults["seed"]) == "0 by default" and _short(None) == "nothing"

@@ -133,7 +133,7 @@ def test_growth_is_smoothed_and_a_shrink_is_taken_at_once() -> None:
 
 
 def test_the_last_step_ends_the_run_exactly_and_is_never_a_sliver() -> None:
-    timestep = Timestep(Time(fixed_dt=0.1), 0.5, 0.01, NO_FIELD)
+    timestep = Timestep(Time(fixed_dt=0.1, max_dt=1.0), 0.5, 0.01, NO_FIELD)
     assert timestep.choose(still(), 0.25) == (0.1, "fixed")
     assert timestep.choose(still(), 0.05) == (0.05, "end")
     assert timestep.choose(still(), 0.1 + 1e-13) == (0.1 + 1e-13, "end")
