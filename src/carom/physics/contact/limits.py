@@ -6,9 +6,18 @@ from carom.physics.contact.constraint_graph import OVERFLOW
 from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.scene.schema import Contact
 
+DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
+
 
 def limits_of(
-    contact: Contact, *, serial_stage: bool, too_few_sweeps: bool, exhausted: bool, crossed: bool, at_impacts: bool
+    contact: Contact,
+    *,
+    serial_stage: bool,
+    too_few_sweeps: bool,
+    exhausted: bool,
+    crossed: bool,
+    deepest: float,
+    at_impacts: bool,
 ) -> list[tuple[str, str]]:
     """Return the limits that a step met: level, `WARN` or `INFO`, and text.
 
@@ -24,6 +33,8 @@ def limits_of(
         Whether a body had as many impacts as a step resolves.
     crossed
         Whether a body would have passed through a plane.
+    deepest
+        The deepest overlap over the smaller radius.
     at_impacts
         Whether impacts are resolved at their own times.
     """
@@ -48,6 +59,13 @@ def limits_of(
         text = (
             "A body would have passed through a plane within one step and was stopped where it touched the plane; "
             f"try a shorter step (time.fixed_dt, time.cfl){longer}."
+        )
+        reached.append(("WARN", text))
+    if deepest > DEEP_OVERLAP and not contact.allow_overlap:
+        more = " or more sweeps (contact.sweeps)" if contact.sweeps != "auto" else ""
+        text = (
+            f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius; "
+            f"try a shorter step (time.fixed_dt, time.cfl){more}."
         )
         reached.append(("WARN", text))
     return reached

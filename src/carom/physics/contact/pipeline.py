@@ -365,6 +365,7 @@ class ContactPipeline:
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self._event_drift is not None and self._event_drift.is_exhausted,
             crossed=self._was_crossed,
+            deepest=self.statistics.deepest,
             at_impacts=self._event_drift is not None,
         )
         if not reached:
