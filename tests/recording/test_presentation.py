@@ -17,8 +17,9 @@ from carom.recording.view import close_up, shown_step
 from carom.recording.view.camera import View
 from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
+from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.request import Request
-from carom.recording.view.trails import Trails
+from carom.recording.view.trails import TRAILS, Trails
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from examples import pair, scene_of
@@ -197,3 +198,28 @@ def test_a_scene_without_contacts_has_no_close_up_and_no_graph(tmp_path: Path) -
     for view, said in (("close-up", "name two bodies"), ("graph", "no collision graph")):
         with pytest.raises(RecordingError, match=said):
             presentation(recording, 0.0, only=view)
+
+
+def strips_of(recording: Recording) -> list[Any]:
+    """Return the pieces of all trails, frame by frame, in each frame body by body."""
+    rows = list(Trails(recording, header_of_recording(recording)).rows())
+    return [strip for frame in values_of(TRAILS, "strips", rows) for strip in frame]
+
+
+def test_an_orbit_of_few_frames_has_a_round_trail(tmp_path: Path) -> None:
+    sun = {"radius": 0.01, "mass": 1.0, "fixed": True}
+    planet = {"radius": 0.01, "mass": 1e-9, "position": [1.0, 0.0, 0.0], "velocity": [0.0, 1.0, 0.0]}
+    time = {"duration": 12.0, "integrator": "gauss-radau15"}
+    scene = scene_of([sun, planet], time=time, gravity={"constant": 1.0})
+    recording = carom.run(scene, tmp_path / "orbit.rrd")
+    assert recording.frames < 100
+    pieces = strips_of(recording)
+    around = np.concatenate(pieces[1::2]) - pieces[0][0]
+    distances = np.sqrt((around**2).sum(axis=1))
+    assert len(around) >= 1000
+    # a cubic spline errs by 5/384 (h ω)⁴ between its knots, here h < 0.5, and by more in the first and the last piece
+    assert np.abs(distances - 1.0).max() < 5e-3
+
+
+def test_the_trail_of_a_body_that_bounced_is_straight_from_frame_to_frame(bounce: Recording) -> None:
+    assert {len(piece) for piece in strips_of(bounce)} == {2}
