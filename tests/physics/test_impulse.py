@@ -219,3 +219,18 @@ def test_the_hardest_impact_may_be_one_that_a_neighbour_passed_on() -> None:
         assert space.extremes.impacts == 2, "the third blow is of the first pair again, in the same step"
         assert space.extremes.impact is not None and space.extremes.impact.value == 0.5625
         assert set(space.extremes.impact.bodies) == {order.index(1), order.index(2)}
+
+
+def test_a_heavy_ball_at_rest_is_no_harder_an_impact_than_a_light_one_that_falls() -> None:
+    """In a step the field moves 1000 t at rest towards the floor with more energy than 1 kg has after its fall."""
+    heavy = {"position": [0.0, 0.0, 1.0], "radius": 1.0, "mass": 1e6}
+    light = {"position": [5.0, 0.0, 1.5], "radius": 1.0, "mass": 1.0}
+    field = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}
+    late = {"timing": "end-of-step", "restitution": 0.0}
+    time = {"duration": 1.0, "fixed_dt": 0.02}
+    space = Space(scene_of([heavy, light], plane=[{}], gravity=field, time=time, contact=late))
+    for _ in space.run():
+        pass
+    hardest = space.extremes.impact
+    assert hardest is not None and hardest.bodies == (1, 2)
+    assert hardest.value == pytest.approx(1.0 * 9.81 * 0.5, rel=0.1)  # m g h; a step late at most

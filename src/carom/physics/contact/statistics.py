@@ -41,7 +41,7 @@ class ContactStatistics(NamedTuple):
     contacts: int
     impacts: int  # each impact during the drift; of those found at the end, contacts faster than the rest speed
     struck: float  # J, Σ ½ μ v_n² of these
-    hardest: float  # J, the largest ½ μ v_n²
+    hardest: float  # J, the largest of them; 0 without impacts
     hardest_pair: tuple[int, int]  # the first of equally hard ones
     deepest: float  # overlap / smaller radius
     deepest_pair: tuple[int, int]
@@ -65,7 +65,7 @@ class ContactStatistics(NamedTuple):
             impacts=int(total["impacts"]),
             struck=total["struck"],
             hardest=total["hardest"],
-            hardest_pair=(int(total["hardest_i"]), int(total["hardest_j"])),
+            hardest_pair=(int(total["hardest_i"]), int(total["hardest_j"])) if total["impacts"] else (0, 0),
             deepest=total["deepest"],
             deepest_pair=(int(total["deepest_i"]), int(total["deepest_j"])),
         )
@@ -123,11 +123,11 @@ def _count(
                 continue
             i, j, approach = pairs[c, 0], pairs[c, 1], state.approach_speed
             contacts_seen += 1
-            energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])
             if approach > state.rest_speed:
+                energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])
                 impacts += 1
                 struck += energy
-            _keep_hardest(block, energy, i, j)
+                _keep_hardest(block, energy, i, j)
             _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
         block.restitution_loss, block.friction_loss, block.stabilisation_gain = restitution, friction, stabilisation
         block.contacts, block.impacts, block.struck = contacts_seen, impacts, struck

@@ -45,7 +45,7 @@ class Extremes:
     energy_gain: Extreme = NOTHING  # rise of the total energy from its lowest so far / scale
     contact_gain: Extreme = NOTHING  # energy that impulses of contacts put in or gave back / scale
     kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last step, not the largest
-    impact: Extreme | None = None  # J, largest ½ μ v_n² of a contact that was closing
+    impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
     overlap: Extreme | None = None  # deepest overlap / smaller radius
     contacts: Extreme | None = None  # most contacts in a step
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
@@ -67,7 +67,8 @@ class Extremes:
 
     def see_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
         """Update with the contacts of a step."""
-        self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
+        if tally.impacts:
+            self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
         self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)
         if self.contacts is None or tally.contacts > self.contacts.value:
             self.contacts = Extreme(float(tally.contacts), step, time)
@@ -89,11 +90,10 @@ class Extremes:
     def highlights(self, names: Names, units: UnitSystem) -> tuple[Event, ...]:
         """Return the extremes of contacts and energy as events, in order of time."""
         known = self.named(names)
-        impact = known.impact if self.impacts else None  # resting contacts close, too
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
-        approach = "" if impact is None else units.text(impact.value, ENERGY, ".4g")
+        approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
         wordings = (
-            (impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
+            (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
             (overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
             (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),

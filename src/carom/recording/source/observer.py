@@ -127,8 +127,6 @@ class Observer:
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
             self.extremes.see_contacts(step, time, statistics)
-            if self.extremes.impact and self.extremes.impact.value == 0.0:
-                self.extremes.impact = None
         self._see_energy(step, time, energy)
         self.extremes.see_momentum(step, time, momentum)
         return events
