@@ -114,6 +114,6 @@ def _many_steps(scene: Scene) -> str:
     longest = scene.unit_system.text(largest, TIME, "g")
     default = ", its default," if time.max_dt == "auto" else ""
     return (
-        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / largest:.2g} steps; raise it "
-        "for fewer, and `carom explain` says what then limits them"
+        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / largest:.2g} steps; "
+        "for fewer, raise it or give time.accuracy (`carom explain` says what then limits them)"
     )
