@@ -15,7 +15,9 @@ class Record(Section):
     """[record]: how often frames are recorded and the energy is checked. It never changes the physics."""
 
     every: Literal["auto", "step"] | Annotated[Positive, TIME] = Field(
-        "auto", description='"auto", "step", or seconds of simulated time between frames'
+        "auto",
+        description='"auto", "step", or seconds of simulated time between frames; a frame is the end of a step, so '
+        "longer steps leave fewer frames (time.max_dt limits them)",
     )
     colour_by: Literal["auto", "group", "material", "speed", "graph", "island"] = Field(
         "auto",
