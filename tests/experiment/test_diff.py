@@ -260,3 +260,26 @@ def test_a_key_that_one_scene_does_not_write_differs_from_what_holds_there(tmp_p
     }, "the duration is what holds in the other scene, too"
     assert found.defaults == {"seed": 0, "time.duration": 10.0, "body.0.radius": 1.0}
     assert _short(None, found.defaults["seed"]) == "0 by default" and _short(None) == "nothing"
+
+
+def falling(path: Path, dt: float, pull: float) -> Recording:
+    """A ball that falls for 0.6 s, recorded each tenth of a second."""
+    time = {"duration": 0.6, "fixed_dt": dt}
+    field = {"constant": 0.0, "uniform": [0.0, 0.0, -pull]}
+    return run(scene_of([{"radius": 1.0}], time=time, gravity=field, record={"every": 0.1}), path)
+
+
+def test_runs_whose_steps_share_only_the_start_are_compared_by_time(tmp_path: Path) -> None:
+    # Frames are at steps 10, 20 … of one, and at 15, 29, 43, 58, 72 and 86 of the other.
+    found = diff(falling(tmp_path / "a.rrd", 0.01, 9.81), falling(tmp_path / "b.rrd", 0.007, 5.0))
+    assert found.matched_by == "sim_time" and not found.same
+    assert len(found.curve.step) == 7
+    assert found.curve.rms[-1] == pytest.approx(0.5 * (9.81 - 5.0) * 0.6**2, rel=0.01)
+
+
+def test_one_run_recorded_at_two_intervals_is_compared_by_step(tmp_path: Path) -> None:
+    time, field = {"duration": 1.0, "fixed_dt": 0.01}, {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}
+    scenes = (scene_of([{"radius": 1.0}], time=time, gravity=field, record={"every": every}) for every in (0.3, 0.2))
+    a, b = (run(scene, tmp_path / f"{k}.rrd") for k, scene in enumerate(scenes))
+    found = diff(a, b)
+    assert found.matched_by == "step" and found.same

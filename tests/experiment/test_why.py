@@ -217,3 +217,20 @@ def test_three_contacts_have_a_colour_each_not_one_together() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Rerun warns of three numbers that may be one colour
         causes._edges(cast(Any, Sink()), [], [edge], np.arange(3.0), np.zeros((3, 2, 3), np.float32))
+
+
+def test_each_of_several_impacts_of_a_pair_at_one_moment_has_its_own_loss(tmp_path: Path) -> None:
+    """The balls come closer by 1 m each second, so all touch at once, and a blow runs through them several times."""
+    balls = [{"position": [3.0 * k, 0, 0], "velocity": [-k, 0, 0], "mass": k + 1.0, "radius": 1.0} for k in range(5)]
+    scene = scene_of(
+        cast("list[dict[str, Any]]", balls),
+        gravity={"constant": 0.0},
+        contact={"restitution": 0.9, "static_friction": 0.0, "kinetic_friction": 0.0},
+        time={"duration": 3.0},
+    )
+    recording = recorded(scene, tmp_path)
+    answer = why(recording, Question((0,), None, 3.0, ""))
+    lost = sorted(cause.energy_lost for cause in answer.accounts[0].causes if cause.energy_lost)
+    impacts = recording.impacts(body=0).to_pandas()
+    assert len(lost) == len(impacts) > 1 and impacts["time"].nunique() < len(impacts)
+    assert lost == pytest.approx(sorted(impacts["energy_lost"]), rel=1e-6)  # recorded in single precision

@@ -11,6 +11,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, not_a_folder
 from carom.scene.command import command
+from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
 
 if TYPE_CHECKING:
@@ -138,8 +139,8 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2))
-    table.add_row("A", f"{found.paths[0]}, {found.frames[0]} frames")
-    table.add_row("B", f"{found.paths[1]}, {found.frames[1]} frames")
+    table.add_row("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}")
+    table.add_row("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}")
     for name, differing in (("scene", found.scene), ("environment", found.environment)):
         if not differing:
             table.add_row(name, "the same")
@@ -149,7 +150,7 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
             table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
         if len(differing) > KEYS:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
-    table.add_row("in common", f"{len(found.curve.step)} frames, matched by {found.matched_by}")
+    table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
     for k, line in enumerate(_impact_lines(found.impacts, names, units)):
         table.add_row("" if k else "impacts", line)
     return table

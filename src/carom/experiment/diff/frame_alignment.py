@@ -15,12 +15,13 @@ from carom.recording.read.recording import Recording
 FloatArray = NDArray[np.float64]
 
 _SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
+_GAPS_AT_THE_END = 2.0  # times the largest gap between common frames: one run may be recorded at two intervals
 _UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 class FrameAlignment:
-    """Frames matched by step if both recordings have the same times, otherwise by time.
+    """Frames matched by step if steps of the same number are at the same times up to the end, otherwise by time.
 
     By time, the second one is interpolated linearly between its frames where it has none at the same time.
 
@@ -40,13 +41,24 @@ class FrameAlignment:
         self._box = None if box is None else np.asarray(box, dtype=np.float64)
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
-        if len(first) == 0 or not np.allclose(self._a.time[first], self._b.time[second], rtol=_SAME_TIME, atol=0.0):
+        same = np.allclose(self._a.time[first], self._b.time[second], rtol=_SAME_TIME, atol=0.0)
+        if not (same and self._reaches_the_end(first)):
             self.by = "sim_time"
             first = np.flatnonzero((self._a.time >= self._b.time[0]) & (self._a.time <= self._b.time[-1]))
             second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - _SAME_TIME))
         if len(first) == 0:
             raise RecordingError(f"{a.path} and {b.path} have no frame in common")
         self._first, self._second = first, second
+
+    def _reaches_the_end(self, common: NDArray[np.int64]) -> bool:
+        """Tell whether frames of the first recording go on to the last time that both have.
+
+        Runs with other steps may have the same number at the start only, or by chance.
+        """
+        if len(common) == 0:
+            return False
+        times, end = self._a.time[common], min(self._a.time[-1], self._b.time[-1])
+        return bool(end - times[-1] <= _GAPS_AT_THE_END * np.diff(times).max(initial=0.0))
 
     def __len__(self) -> int:
         return len(self._first)

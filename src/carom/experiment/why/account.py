@@ -154,10 +154,17 @@ class Account:
         else:
             low, high = min(self.body, partner), max(self.body, partner)
             own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
-            if len(own):
-                cause.approach_speed = float(own["approach_speed"].max())
-                cause.energy_lost = float((own["restitution_loss"] + own["friction_loss"]).sum())
+            if len(own):  # a pair may meet several times at one moment
+                met = own[int(np.argmin(np.abs(_sizes(own) - size)))]
+                cause.approach_speed = float(met["approach_speed"])
+                cause.energy_lost = float(met["restitution_loss"] + met["friction_loss"])
         self.causes.append(cause)
+
+
+def _sizes(impacts: Rows) -> FloatArray:
+    """Return the magnitudes of the impulses of impacts, (k,) N s."""
+    squares = (impacts[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
+    return np.asarray(np.sqrt(sum(squares)))
 
 
 def impulses_on(body: int, rows: Rows) -> Rows:
