@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,6 @@ MOVING: list[tuple[str, Change, str]] = [
     ("energy/total", retyped("Scalars:scalars", several(["x"])), "of type list"),
     ("energy/total", mapped("Scalars:scalars", lambda row: [1.0, 2.0]), "1 values"),
     ("energy/total", lambda batch: without_column(batch, "Scalars:scalars"), "has no /energy/total: a piece"),
-    ("step/relative_overlap", lambda batch: batch.slice(0, 0), "has no /step/relative_overlap: a piece"),
     ("state/momentum", mapped("momentum_error", lambda row: []), "1 values"),
     ("step/contacts", mapped("Scalars:scalars", lambda row: [None]), "1 values"),
     ("events", retyped("TextLog:level", several([1])), "of type list"),
@@ -73,6 +73,17 @@ def test_a_row_that_has_not_what_it_should_is_named(entity: str, change: Change,
     recording = Recording.open(changed(run_file, run_file, entity, change))
     with pytest.raises(RecordingError, match=said):
         recording.summary()
+
+
+def test_what_is_lost_of_overlaps_and_momenta_is_neither_zero_nor_in_the_way_of_the_rest(run_file: Path) -> None:
+    changed(run_file, run_file, "step/relative_overlap", lambda batch: batch.slice(0, 0), footer=False)
+    changed(run_file, run_file, "state/momentum", lambda batch: batch.slice(0, 0), footer=False)
+    for key in ("contacts.total", "contacts.max_overlap", "momentum.max_error"):
+        changed(run_file, run_file, OUTCOME, partial(without_column, name=key), static=True, footer=False)
+    recording = Recording.open(run_file)
+    summary = recording.summary()
+    assert summary["contacts"]["max_overlap"] is None and np.isnan(summary["momentum"]["max_error"])
+    assert summary["contacts"]["summed_over"] == "frames" and summary["frames"] > 0
 
 
 def test_rows_that_lost_their_time_are_refused(run_file: Path) -> None:

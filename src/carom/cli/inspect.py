@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
     from carom.scene.units.system import UnitSystem
 
+NOT_RECORDED = "not recorded, or lost"
 AROUND = 20  # frames, of a clip of a moment
 
 Row = tuple[str, str]  # name and text
@@ -95,11 +98,17 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     from carom.experiment.ending import error_text
 
     energy = summary["energy"]
+    if math.isnan(energy["initial"]):
+        yield "energy", NOT_RECORDED
+        return
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     yield "energy", f"{first} at first, {last} at last"
     yield "", f"integration error at most {error_text(energy['max_error'])} of the energy scale"
     taken_up = "not conserved: something fixed takes it"
+    if linear is not None and math.isnan(linear):
+        yield "momentum", NOT_RECORDED
+        return
     yield "momentum", taken_up if linear is None else f"error at most {error_text(linear)}"
     unknown = "not conserved in a periodic box" if linear is not None else "likewise"
     yield "angular momentum", unknown if angular is None else f"error at most {error_text(angular)}"
@@ -110,13 +119,17 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     from carom.experiment.contact_counts import counts_text, overlap_text
     from carom.recording.schema.impacts import RecordedImpacts
 
-    contacts = summary["contacts"]
+    contacts, texts = summary["contacts"], []
     if contacts["total"] or contacts.get("impacts") or "contacts" in summary["moments"] or summary.get("clip"):
-        yield "contacts", counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+        impacts = contacts.get("impacts"), contacts.get("impacts_counted")
+        texts.append(counts_text(contacts["total"], *impacts, contacts["summed_over"]))
     if summary["impacts"]:
-        yield "", f"impacts: {RecordedImpacts(**summary['impacts'])}"
-    if deepest := overlap_text(contacts["max_overlap"]):
-        yield "", deepest
+        texts.append(f"impacts: {RecordedImpacts(**summary['impacts'])}")
+    if contacts["max_overlap"] is None:
+        texts.append("deepest overlap: lost, a piece of the file is missing")
+    elif deepest := overlap_text(contacts["max_overlap"]):
+        texts.append(deepest + (" in these frames" if contacts["summed_over"] == "frames" else ""))
+    yield from zip_longest(("contacts",) if texts else (), texts, fillvalue="")
 
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:

@@ -9,18 +9,24 @@ EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts found at its end
 
 
-def counts_text(contact_steps: int, impacts: int | None, each: str | None) -> str:
+def counts_text(contact_steps: int, impacts: int | None, each: str | None, summed_over: str = "steps") -> str:
     """Describe the two numbers.
 
     Parameters
     ----------
     contact_steps
-        Pairs that touched, summed over the steps.
+        Pairs that touched, summed over the steps, or over the recorded frames.
     impacts
         Contacts that closed faster than the rest speed; None if they were not counted.
     each
         How impacts were counted: `EACH`, `ONCE_A_STEP`, or None if unknown.
+    summed_over
+        "steps", or "frames" where nothing but the frames is known, as in a clip.
     """
+    if summed_over == "frames":
+        return (
+            f"{counted(contact_steps, 'contact')} in the recorded frames (pairs that touch, summed over these frames)"
+        )
     steps = f"{counted(contact_steps, 'contact-step')} (pairs that touch, summed over steps)"
     if impacts is None:
         return steps

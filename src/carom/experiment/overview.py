@@ -64,7 +64,8 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
     """Return names and texts: command, outcome, length, energy, contacts, promises, versions, machine."""
     whole, units = recording.summary(), recording.units
     energy, contacts = whole["energy"], whole["contacts"]
-    counts = counts_text(contacts["total"], contacts.get("impacts"), contacts.get("impacts_counted"))
+    impacts = contacts.get("impacts"), contacts.get("impacts_counted")
+    counts = counts_text(contacts["total"], *impacts, contacts["summed_over"])
     return [
         ("command", str(recording.properties.get("command", ""))),
         ("outcome", in_words(whole["outcome"])),
@@ -78,7 +79,7 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
             f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last; "
             f"integration error at most {energy['max_error']:.3g} of the scale",
         ),
-        ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"]))))),
+        ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"] or 0.0))))),
         *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
         ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),
         ("machine", f"{recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')}"),

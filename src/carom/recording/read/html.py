@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -32,9 +33,11 @@ def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
         "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
         "outcome": str(summary["outcome"]),
         "length": ", ".join((*counts, units.text(summary["sim_time"], TIME))),
-        "energy": f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last",
-        "energy error": f"{_number(energy['max_error'])} of the energy scale",
     }
+    if not math.isnan(energy["initial"]):
+        first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
+        rows["energy"] = f"{first} at first, {last} at last"
+        rows["energy error"] = f"{_number(energy['max_error'])} of the energy scale"
     if overlap is None or overlap > ROUNDED_OVERLAP:
         rows["deepest overlap"] = f"{_number(overlap)} of a radius"
     return rows

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from carom.recording.errors import DamageError
+from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.impacts import impacts_until
 from carom.recording.read.materials import materials_of
 from carom.scene.names import body_called
@@ -39,7 +39,7 @@ def summary(recording: Recording) -> dict[str, Any]:
         "energy": _energy(recording.energy("total", "relative_error")),
         "momentum": {"max_error": _largest(momenta, "momentum_error")},
         "angular_momentum": {"max_error": _largest(momenta, "angular_momentum_error")},
-        "contacts": _contacts(recording.steps("contacts", "relative_overlap")),
+        "contacts": _contacts(recording),
         "impacts": _impacts(recording),
         "warnings": [asdict(event) for event in recording.warnings()],
         "moments": _moments(recording),
@@ -57,6 +57,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         return found | {"clip": clip, "moments": inside}
     for section in ("energy", "momentum", "angular_momentum", "contacts"):
         found[section] |= _below(recording.closing, section)
+    if "contacts.total" in recording.closing:
+        found["contacts"]["summed_over"] = "steps"
     return found
 
 
@@ -90,27 +92,34 @@ def _impacts(recording: Recording) -> dict[str, int]:
 
 
 def _energy(energy: pa.Table) -> dict[str, float]:
+    """Return the first and the last energy and the largest error; NaN where no frame has them."""
     if energy.num_rows == 0:
-        return {"initial": 0.0, "final": 0.0, "max_error": 0.0}
+        return dict.fromkeys(("initial", "final", "max_error"), float("nan"))
     total = energy["total"].to_numpy()
     worst = float(np.max(np.abs(energy["relative_error"].to_numpy())))
     return {"initial": float(total[0]), "final": float(total[-1]), "max_error": worst}
 
 
 def _largest(momenta: pa.Table, name: str) -> float | None:
-    """Return the largest error of the recorded frames; None if it is not defined, as in a periodic box."""
+    """Return the largest error of the recorded frames; None if it is not defined, NaN where no frame has it."""
+    if momenta.num_rows == 0:
+        return float("nan")
     errors = np.concatenate([np.zeros(1), *(np.ravel(value) for value in momenta[name].to_numpy())])
     worst = float(np.max(errors))
     return None if np.isnan(worst) else worst
 
 
-def _contacts(steps: pa.Table) -> dict[str, float]:
+def _contacts(recording: Recording) -> dict[str, Any]:
+    """Sum the contacts of the recorded frames, and find their deepest overlap; None where that is lost."""
+    steps = recording.steps("contacts")
     if "contacts" not in steps.column_names or steps.num_rows == 0:
-        return {"total": 0, "max_overlap": 0.0}
-    return {
-        "total": int(np.sum(steps["contacts"].to_numpy())),
-        "max_overlap": float(np.max(steps["relative_overlap"].to_numpy())),
-    }
+        return {"total": 0, "max_overlap": 0.0, "summed_over": "frames"}
+    try:
+        deepest = float(np.max(recording.steps("relative_overlap")["relative_overlap"].to_numpy()))
+    except RecordingError:
+        deepest = None
+    total = int(np.sum(steps["contacts"].to_numpy()))
+    return {"total": total, "max_overlap": deepest, "summed_over": "frames"}
 
 
 def _moments(recording: Recording) -> dict[str, Any]:
