@@ -83,7 +83,7 @@ def test_a_recording_of_schema_2_is_stored(name: str) -> None:
 def test_a_recording_of_schema_2_inspects_as_on_the_day_it_was_made(name: str, folder: Path) -> None:
     inspected = told(folder, "inspect", f"{name}.rrd")
     assert inspected.items() >= INSPECTED[name].items()
-    assert inspected["contacts"] == CONTACTS[name]
+    assert inspected["contacts"] == {**CONTACTS[name], "summed_over": "steps"}
     assert inspected["warnings"] == []
     assert inspected["moments"].keys() == {"contacts", "energy_error", "impact", "overlap"}
 

@@ -131,7 +131,7 @@ def test_a_ball_bounces_within_the_accuracy(accuracy: float) -> None:
     ("changes", "expected"),
     [
         ([], "gauss-radau15: its steps end at impacts"),
-        (["gravity.uniform=[0, 0, 0]"], "leapfrog: exact without a pull"),
+        (["gravity.uniform=[0, 0, 0]"], "leapfrog: exact between impacts"),
         (["time.integrator=leapfrog"], 'time.integrator = "leapfrog"'),
         (["drag.relaxation_time=1"], "leapfrog: the only integrator that supports drag"),
     ],

@@ -565,3 +565,10 @@ def test_a_status_read_during_a_step_is_that_of_the_step_before() -> None:
     assert (space.status.step, space.status.time, space.status.dt) == (space.step, 0.5, space.dt)
     assert space.status.contacts == len(space.contacts)
     assert space.status.energy_error == space.frame().energy.relative_error
+
+
+@pytest.mark.parametrize("iteration", ["x", None, 1.5])
+def test_a_step_without_a_whole_number_is_refused_by_name(iteration: Any) -> None:
+    space = Space(scene_of([{"radius": 1.0}]))
+    with pytest.raises(TypeError, match=r"iteration: expected the number of the step, got "):
+        space.compute_dynamics(iteration)

@@ -154,7 +154,7 @@ def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> 
         time, pair = event(bounce, f"impact:{row + 1}")
         assert time == impacts["time"][row].as_py()
         assert pair == Pair(impacts["i"][row].as_py(), impacts["j"][row].as_py())
-    with pytest.raises(RecordingError, match=f"no impact 99 on record; its impacts have numbers from 1 to {row + 1}"):
+    with pytest.raises(RecordingError, match="no impact 99 on record; its only one is 1"):
         event(bounce, "impact:99")
     with pytest.raises(RecordingError, match=r"^event impact:last: expected the number of an impact"):
         event(bounce, "impact:last")

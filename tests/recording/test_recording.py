@@ -150,3 +150,14 @@ def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(tmp
         recorder.finish("completed", impact | {"moments.impact.bodies": f"3,{n + 1}"})
     found = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
     assert found == {**HIT, "bodies": [3], "planes": [1], "between": 'body 3 "body-3" and plane 1'}
+
+
+def test_a_series_that_no_recording_has_is_refused_with_those_there_are(tmp_path: Path, merry: Merry) -> None:
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        for frame in merry.frames(3):
+            recorder.put(frame)
+        recorder.finish("completed")
+    recording = Recording.open(tmp_path / "run.rrd")
+    with pytest.raises(RecordingError, match=r"there is no series energy/totl; there are .*total"):
+        recording.energy("totl")
+    assert "total" in recording.energy("total").column_names

@@ -485,3 +485,10 @@ def test_a_box_that_an_override_opens_keeps_its_size(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_text('[domain]\nboundary = "walls"\nsize = [9, 9, 9]\n' + ONE_BODY, encoding="utf-8")
     assert Scene.load(path, ["domain.boundary=open"]).domain.boundary == "open"
+
+
+@pytest.mark.parametrize("overrides", ["time.duration=5", {"time.duration": 5}])
+def test_overrides_that_are_no_list_are_refused_as_such(overrides: Any) -> None:
+    scene = Scene.from_dict({"body": [{"radius": 1.0}]})
+    with pytest.raises(TypeError, match="overrides: expected a list of texts such as"):
+        scene.changed(overrides)

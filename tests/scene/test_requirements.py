@@ -129,7 +129,7 @@ POINTS = {"enabled": False}
         (cloud(9, contact=POINTS, time={"fixed_dt": 0.1}), "leapfrog", "9 bodies, whose encounters"),
         (cloud(9, contact=POINTS, time={"target_dx": 0.1}), "leapfrog", "9 bodies, whose encounters"),
         (cloud(8), "leapfrog", "contacts are found at the end of a step"),
-        (cloud(8, contact=POINTS, gravity={"constant": 0.0}), "leapfrog", "exact without a pull between bodies"),
+        (cloud(8, contact=POINTS, gravity={"constant": 0.0}), "leapfrog", "exact between impacts"),
         (cloud(8, contact=POINTS, time={"integrator": "euler"}), "euler", 'time.integrator = "euler"'),
         (cloud(8, time={"integrator": "yoshida4"}), "yoshida4", 'time.integrator = "yoshida4"'),
         (cloud(3, contact=POINTS, time={"fixed_dt": 0.1}), "yoshida4", "3 bodies"),

@@ -86,9 +86,9 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
 
 
 def _print(tally: Tally) -> None:
-    ran = tally.scenes - tally.refused
+    whole = tally.scenes - tally.refused - tally.stated - tally.given_up
     ends = f"{tally.refused} refused, {tally.stated} ended with a stated reason, {tally.given_up} given up as too long"
-    say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s, {ran} ran: {ends}.")
+    say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s: {whole} ran to the end, {ends}.")
     if not tally.misses:
         say("No law was broken.")
     for miss in tally.misses:

@@ -186,7 +186,7 @@ def picture(
     with opened(file) as path:
         request = Request(_simulated(path, at), event, bodies, plot, colour_by)
         announce_compilation()
-        _announce_replay(path, plot)
+        _announce_replay(path, plot, alone=view is PictureView.PLOT)
         made = render(path, request, out, pixels, view=view.value, theme=theme.value)
         when = Recording.open(path).units.text(made.time, TIME, ".9g")
     typer.echo(f"{out} written, t = {when}.")
@@ -200,7 +200,7 @@ def _simulated(file: Path, at: float | None) -> float | None:
     return None if at is None else simulated(at, Recording.open(file).units)
 
 
-def _announce_replay(file: Path, plot: str | None) -> None:
+def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Say that a plot of velocities takes as long as the run did."""
     from carom.cli.units import duration_text
     from carom.recording.read.body_series import asked_quantities, needs_replay
@@ -210,7 +210,7 @@ def _announce_replay(file: Path, plot: str | None) -> None:
         return
     recording = Recording.open(file)
     recording.refuse_overlay()
-    if needs_replay(asked_quantities(recording, plot)):
+    if needs_replay(asked_quantities(recording, plot, one_unit=alone)):
         took = recording.closing.get("wall_time")
         known = f", which took {duration_text(float(took))}" if took else ""
         typer.echo(f"Velocities and spins are not recorded at every frame: running the scene again{known} …", err=True)

@@ -304,8 +304,8 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         yield f"  {names.of(first)} {given}: it is the first cause."
     forces = float(cone.from_forces.sum())
     left = float(cone.shares.sum())
-    bodies = f"{others} other {'body' if others == 1 else 'bodies'}" if others else "no other body"
-    yield f"In all, {bodies} of {cone.count - 1} could have had an effect by contacts."
+    bodies = f"{others} other {'body' if others == 1 else 'bodies'} of {cone.count - 1}" if others else "no other body"
+    yield f"In all, {bodies} could have had an effect by contacts."
     since = units.text(answer.begin, TIME, ".9g")
     yield f"Behind it all: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
 

@@ -126,7 +126,11 @@ class Space(Simulation):
         ------
         PhysicsError
             If the state is no longer finite.
+        TypeError
+            If the number is no whole number.
         """
+        if not isinstance(iteration, int | np.integer):
+            raise TypeError(f"iteration: expected the number of the step, got {iteration!r}")
         self._advance(ONE_STEP, checked=iteration % self.scene.record.check_every == 0)
 
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

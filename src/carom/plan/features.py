@@ -250,7 +250,7 @@ def _integrator(scene: Scene) -> Part:
     if force := pulls.damping(scene):
         why = f"the only integrator that supports {force.name}"
     elif not pulls.differing(scene):
-        why = "exact without a pull between bodies"
+        why = "exact between impacts, for bodies do not pull each other"
     elif contacts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
         why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step with any integrator"

@@ -59,7 +59,7 @@ class BodySeries:
     value: FloatArray  # (k,) in the unit of the quantity
 
 
-def asked_quantities(recording: Recording, text: str) -> list[tuple[int, Quantity]]:
+def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
     """Read which quantities of which bodies are asked for.
 
     Parameters
@@ -68,11 +68,13 @@ def asked_quantities(recording: Recording, text: str) -> list[tuple[int, Quantit
         Whose bodies they are.
     text
         ``BODY.QUANTITY`` with commas between them; a body is given by its number or its name.
+    one_unit
+        Whether all must have the same unit.
 
     Raises
     ------
     RecordingError
-        If there is no such body or quantity.
+        If there is no such body or quantity, or the units differ.
     """
     asked: dict[tuple[int, Quantity], None] = {}
     with_commas = [body for body in recording.bodies.name if "," in body]
@@ -87,6 +89,12 @@ def asked_quantities(recording: Recording, text: str) -> list[tuple[int, Quantit
         raise RecordingError(f"plot {text}: the bodies of {recording.path} do not spin")
     if len(asked) > MOST:
         raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; ask for fewer")
+    units = dict.fromkeys(quantity.unit for _, quantity in asked)
+    if one_unit and len(units) > 1:
+        raise RecordingError(
+            f"a view of plots shows one unit, and plot asks for {' and '.join(units)}; ask for those of one, or take "
+            "the view of all, which has a plot for each"
+        )
     return list(asked)
 
 

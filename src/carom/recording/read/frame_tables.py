@@ -15,7 +15,7 @@ from carom.recording.read.events import event_table, warnings_of
 from carom.recording.read.series import scalar_series
 from carom.recording.read.statics import Statics, named
 from carom.recording.schema import paths
-from carom.recording.schema.series import is_recorded
+from carom.recording.schema.series import is_recorded, names_below
 from carom.recording.schema.timelines import STEP
 
 
@@ -114,6 +114,8 @@ class FrameTables(Statics):
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         found = scalar_series(self._entities, root, names, self._fingerprints)
         for name in names:
+            if name not in (known := names_below(root)) and name not in found.column_names:
+                raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
                 raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
         return found

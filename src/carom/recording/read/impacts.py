@@ -61,9 +61,10 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int]
     numbers, table = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
     if not len(found):
-        has = (
-            f"its impacts have numbers from {numbers[0]} to {numbers[-1]}" if len(numbers) else "it records no impacts"
-        )
+        has = "it records no impacts"
+        if len(numbers):
+            first, last = numbers[0], numbers[-1]
+            has = f"its impacts have numbers from {first} to {last}" if first < last else f"its only one is {first}"
         raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
     with reading(recording.path):
         chunk = Chunk(paths.IMPACTS, table.slice(int(found[0]), 1).to_batches()[0])

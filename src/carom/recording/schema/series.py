@@ -172,6 +172,11 @@ def recorded(header: Header) -> Iterator[Series]:
     return (series for series in seen if series.part is None or header.models(series.part))
 
 
+def names_below(root: str) -> list[str]:
+    """Return the last parts of the paths of all series below a root, in order."""
+    return [series.path.rpartition("/")[2] for series in SERIES if series.path.startswith(f"{root}/")]
+
+
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
     """Tell whether a recording with these properties has a series, given by the first and the last part of its path."""
     rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.rpartition("/")[2] == name]

@@ -76,10 +76,7 @@ def _body_plots(recording: Recording, text: str | None, only: str, watch: Watche
         if only == PLOT:
             raise RecordingError("a view of plots shows the curves that plot names, such as 0.speed; none is named")
         return None
-    quantities = asked_quantities(recording, text)
-    units = dict.fromkeys(quantity.unit for _, quantity in quantities)
-    if only == PLOT and len(units) > 1:
-        raise RecordingError(f"a view of plots shows one unit, and plot asks for {' and '.join(units)}")
+    quantities = asked_quantities(recording, text, one_unit=only == PLOT)
     return BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
 
 

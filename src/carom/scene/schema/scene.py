@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -207,6 +208,8 @@ class Scene(Forces, Heading):
         """Return this scene with keys changed, as ``--set`` changes them; raises `SceneError` like `load`."""
         from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
 
+        if isinstance(overrides, str | Mapping):  # it would be taken letter by letter, or key by key
+            raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
     def promising(self, promise: Promise) -> Scene:
