@@ -76,7 +76,10 @@ def _refuse_unbegun(recording: Recording) -> None:
     except RecordingError:
         known = False
     if not known:
-        raise RecordingError(f"{recording.path} has nothing to save: its run ended before its first frame was written")
+        raise RecordingError(
+            f"{recording.path} has nothing to save: its run ended before its first frame was written, or what "
+            "frames are read by is lost"
+        )
 
 
 def _layouts(found: Salvage, store: Store) -> list[Store]:
@@ -167,4 +170,6 @@ def _lost(recording: Recording, found: Salvage) -> list[str]:
 def _named(entry: Entry) -> str:
     if entry.first_step is None:
         return f"/{entry.entity_path}"
+    if entry.first_step == entry.last_step:
+        return f"/{entry.entity_path} of step {entry.first_step}"
     return f"/{entry.entity_path} of steps {entry.first_step} to {entry.last_step}"
