@@ -18,7 +18,7 @@ def duration_text(seconds: float) -> str:
 
 def simulated_text(seconds: float, units: UnitSystem) -> str:
     """Write a length of simulated time: in the unit of the scene or, in SI, with one that fits it."""
-    return duration_text(seconds) if units.is_si else units.text(seconds, TIME, ".3g")
+    return duration_text(seconds) if units.is_si else units.text(seconds, TIME, ".4g")
 
 
 def count_text(count: int) -> str:
