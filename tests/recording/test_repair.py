@@ -17,6 +17,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.stream import Stream
+from crafted import changed, mapped
 from merry import Merry
 
 
@@ -130,6 +131,13 @@ def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_mispl
     for step, total, other in zip(energy["step"], energy["total"], energy["translational"], strict=True):
         assert total.as_py() == frames[step.as_py()].energy.total
         assert other.as_py() == frames[step.as_py()].energy.translational
+
+
+def test_frames_whose_times_are_damaged_are_refused_and_leave_no_file(run_file: Path, tmp_path: Path) -> None:
+    changed(run_file, run_file, paths.FINGERPRINT, mapped("time", lambda row: [np.nan]), footer=False)
+    with pytest.raises(RecordingError, match=r"nothing of .*run\.rrd can be saved: its frames have times that do not"):
+        repair(run_file, tmp_path / "fixed.rrd")
+    assert not (tmp_path / "fixed.rrd").exists()
 
 
 def test_a_repaired_file_needs_no_repair(run_file: Path, tmp_path: Path) -> None:

@@ -120,7 +120,18 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                 writer.send_layout(new_layout(recording))
                 added.append("layout")
         writer.flush()
+    _refuse_unreadable(out, recording.path)
     return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
+
+
+def _refuse_unreadable(out: Path, source: Path) -> None:
+    """Delete a repaired file whose frames cannot be read, since nothing could be done with it."""
+    try:
+        Recording.open(out).fingerprints()
+    except RecordingError as error:
+        out.unlink()
+        reason = error.__cause__ if isinstance(error.__cause__, DamageError) else error
+        raise RecordingError(f"nothing of {source} can be saved: its frames have {reason}") from error
 
 
 def units_of(recording: Recording) -> UnitSystem:
