@@ -164,10 +164,10 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
     """Name each extreme, and the commands that look closer."""
     from carom.experiment.overview import moments
 
-    length = summary["sim_time"] - summary.get("clip", {}).get("from", 0.0)
-    window = AROUND * length / max(1, summary["frames"] - 1)
+    first, last = summary.get("clip", {}).get("from", 0.0), summary["sim_time"]
+    window = min(AROUND / max(1, summary["frames"] - 1), 1.0) * (last - first)
     for moment in moments(summary, units):
-        span = (max(0.0, moment.time - window / 2), moment.time + window / 2)
+        span = (max(first, moment.time - window / 2), min(last, moment.time + window / 2))
         at, begin, end, length = (units.shown(time, TIME) for time in (moment.time, *span, window))
         yield f"{moment.text}, at step {moment.step}, t = {units.text(moment.time, TIME)}"
         yield "    " + command("view", file, "--at", f"{at:.9g}")
