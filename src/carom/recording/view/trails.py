@@ -10,7 +10,6 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rerun.blueprint.api import VisualizerLike
 from rerun.encodings import EntityPathLike
-from scipy.interpolate import CubicSpline
 
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
@@ -74,6 +73,8 @@ class Trails:
             end = np.where(np.abs(end - begin) > self._box / 2, begin, end)
         if parts == 1:
             return np.stack([begin, end], axis=1)
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, and most commands draw no trails
+
         times = self._times[:-1, np.newaxis] + np.diff(self._times)[:, np.newaxis] * np.linspace(0.0, 1.0, parts + 1)
         curve: NDArray[np.float32] = CubicSpline(self._times, self._position)(times).astype(np.float32)
         return curve
