@@ -108,7 +108,7 @@ def test_contacts_that_stick_and_slide_in_turns_are_settled(kinetic: float) -> N
     # step of ten, and leave contacts closing by up to 4 thousandths of a radius a step.
     friction = {"restitution": 0.0, "static_friction": 1.0, "kinetic_friction": kinetic}
     warnings = warnings_of(cloud(40, contact=friction))
-    assert [text for text in warnings if "closing" in text] == []
+    assert [text for text in warnings if not text.startswith("Bodies overlap")] == []
 
 
 def test_a_gap_that_an_impact_is_yet_to_close_is_no_contact_that_sweeps_left() -> None:

@@ -113,8 +113,9 @@ class FrameTables(Statics):
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         found = scalar_series(self._entities, root, names, self._fingerprints)
+        known = names_below(root)
         for name in names:
-            if name not in (known := names_below(root)) and name not in found.column_names:
+            if name not in known and name not in found.column_names:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
                 raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")

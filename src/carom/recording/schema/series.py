@@ -174,11 +174,19 @@ def recorded(header: Header) -> Iterator[Series]:
 
 def names_below(root: str) -> list[str]:
     """Return the last parts of the paths of all series below a root, in order."""
-    return [series.path.rpartition("/")[2] for series in SERIES if series.path.startswith(f"{root}/")]
+    return [_last_part(series) for series in _below(root)]
 
 
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
     """Tell whether a recording with these properties has a series, given by the first and the last part of its path."""
-    rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.rpartition("/")[2] == name]
+    rows = [row for row in _below(root) if _last_part(row) == name]
     rows = [row for row in rows if not (row.inside and properties.get("engine"))]
     return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)
+
+
+def _below(root: str) -> list[Series]:
+    return [series for series in SERIES if series.path.startswith(f"{root}/")]
+
+
+def _last_part(series: Series) -> str:
+    return series.path.rpartition("/")[2]
