@@ -14,6 +14,8 @@ def main() -> None:
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL")
     fit_into_address_space()
+    # Arrow's own allocator keeps what is freed: a clip took 30 MB more with it, in the same time
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
         from carom.cli.process import main as run  # noqa: PLC0415 - takes half a second
     except KeyboardInterrupt:
