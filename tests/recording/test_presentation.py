@@ -15,7 +15,8 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.view import close_up, shown_step
 from carom.recording.view.camera import View
-from carom.recording.view.pair import Pair, event, hardest_pair, named_pair, pair_of_step
+from carom.recording.view.named_event import NamedEvent, named_event
+from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
 from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.request import Request
@@ -49,6 +50,19 @@ def test_a_moment_between_two_frames_shows_the_step_itself(bounce: Recording) ->
     assert step.step not in bounce.fingerprints()["step"].to_pylist()
     assert step.frame is not None and len(step.frame.contacts) == 1
     np.testing.assert_array_equal(step.position, step.frame.position - bounce.origin)
+
+
+@pytest.mark.parametrize("every", ["step", 0.25])
+def test_an_impact_at_the_end_of_a_step_is_shown_in_the_step_that_it_belongs_to(tmp_path: Path, every: Any) -> None:
+    bodies = [{"position": [0, 0, 0], "velocity": [1, 0, 0]}, {"position": [2, 0, 0]}]
+    scene = scene_of(
+        bodies, time={"duration": 1.0, "fixed_dt": 0.1}, record={"every": every}, contact={"timing": "time-of-impact"}
+    )
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    assert recording.impacts()["time"].to_pylist() == [0.0], "they touch from the start"
+    shown = asked(recording, Request(event="impact:1"))
+    assert shown.time == pytest.approx(0.1, abs=1e-12) and not shown.missing
+    assert values_of(close_up.NORMAL, "vectors", list(shown.supplement.rows)), "of the contact"
 
 
 def test_a_window_onto_a_moment_has_every_step_up_to_the_next_frame(bounce: Recording) -> None:
@@ -135,8 +149,8 @@ def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
     assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
     for name in ("impact", "overlap"):
-        assert event(bounce, name) == (bounce.closing[f"moments.{name}.time"], Pair(0, 1))
-    assert event(bounce, "first-contact")[0] == pytest.approx(bounce.moment(), abs=1e-8)
+        assert named_event(bounce, name) == NamedEvent(bounce.closing[f"moments.{name}.time"], Pair(0, 1))
+    assert named_event(bounce, "first-contact").time == pytest.approx(bounce.moment(), abs=1e-8)
 
 
 def test_a_pair_is_found_by_names_with_commas(tmp_path: Path) -> None:
@@ -151,13 +165,13 @@ def test_a_pair_is_found_by_names_with_commas(tmp_path: Path) -> None:
 def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> None:
     impacts = bounce.impacts()
     for row in (0, len(impacts) - 1):
-        time, pair = event(bounce, f"impact:{row + 1}")
-        assert time == impacts["time"][row].as_py()
-        assert pair == Pair(impacts["i"][row].as_py(), impacts["j"][row].as_py())
+        found = named_event(bounce, f"impact:{row + 1}")
+        assert (found.time, found.step) == (impacts["time"][row].as_py(), impacts["step"][row].as_py())
+        assert found.pair == Pair(impacts["i"][row].as_py(), impacts["j"][row].as_py())
     with pytest.raises(RecordingError, match="no impact 99 on record; its only one is 1"):
-        event(bounce, "impact:99")
+        named_event(bounce, "impact:99")
     with pytest.raises(RecordingError, match=r"^event impact:last: expected the number of an impact"):
-        event(bounce, "impact:last")
+        named_event(bounce, "impact:last")
 
 
 def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) -> None:

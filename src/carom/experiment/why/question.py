@@ -8,7 +8,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.body_names import body_number
 from carom.recording.read.names import names_of
 from carom.recording.read.recording import Recording
-from carom.recording.view.pair import event as event_of
+from carom.recording.view.named_event import named_event
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
@@ -60,7 +60,8 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
 
 
 def _of_event(recording: Recording, event: str) -> Question:
-    time, pair = event_of(recording, event)
+    found = named_event(recording, event)
+    time, pair = found.time, found.pair
     when = recording.units.text(time, TIME, ".9g")
     if pair is None or (pair.j is None and pair.plane is None):
         raise RecordingError(

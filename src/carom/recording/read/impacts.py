@@ -50,8 +50,8 @@ def impacts(
     return of_body(_replayed(recording, first, last, watch), number)
 
 
-def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int]:
-    """Return the time (s) and the ends of the impact of a number, from 1 on, on the timeline ``impact``.
+def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
+    """Return the time (s), the step and the ends of the impact of a number, from 1 on, on the timeline ``impact``.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int]
     with reading(recording.path):
         chunk = Chunk(paths.IMPACTS, table.slice(int(found[0]), 1).to_batches()[0])
         row = _table(recording, chunk, _times(recording, chunk)).to_pylist()[0]
-    return row["time"], row["i"], row["j"]
+    return row["time"], row["step"], row["i"], row["j"]
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:

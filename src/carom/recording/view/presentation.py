@@ -20,8 +20,8 @@ from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
+from carom.recording.view.named_event import NamedEvent, named_event
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
-from carom.recording.view.pair import event as event_of
 from carom.recording.view.recoloured import colour_rows
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
@@ -61,12 +61,18 @@ def asked(
         If there is no such moment, event or body.
     """
     event = request.event
-    moment, pair = (recording.moment(request.at), None) if event is None else event_of(recording, event)
-    if request.bodies is not None:
-        pair = named_pair(recording, request.bodies)
-    plots = _body_plots(recording, request.plot, only, watch)
+    shown = NamedEvent(recording.moment(request.at)) if event is None else named_event(recording, event)
     return presentation(
-        recording, moment, canvas, only, pair=pair, plots=plots, colour_by=request.colour_by, dense=dense, watch=watch
+        recording,
+        shown.time,
+        canvas,
+        only,
+        within=shown.step,
+        pair=shown.pair if request.bodies is None else named_pair(recording, request.bodies),
+        plots=_body_plots(recording, request.plot, only, watch),
+        colour_by=request.colour_by,
+        dense=dense,
+        watch=watch,
     )
 
 
@@ -86,6 +92,7 @@ def presentation(
     canvas: Canvas = WINDOW,
     only: str = ALL,
     *,
+    within: int | None = None,
     pair: Pair | None = None,
     plots: BodyPlots | None = None,
     colour_by: str | None = None,
@@ -104,6 +111,8 @@ def presentation(
         The window.
     only
         A single view, or all.
+    within
+        The step that the moment belongs to, where one step ends and the next begins.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     plots
@@ -121,7 +130,7 @@ def presentation(
         If there is no frame, or nothing to show in the view.
     """
     header = header_of_recording(recording)
-    step = shown_step(recording, moment, dense=dense, watch=watch)
+    step = shown_step(recording, moment, within, dense=dense, watch=watch)
     camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect

@@ -20,6 +20,7 @@ from carom.recording.read.window import Window
 from carom.recording.schema.timelines import STEP
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Watcher = Callable[[StepStatus], None]
 
 PATIENCE = 60.0  # s of repeated steps, for a step without a frame
@@ -41,7 +42,14 @@ class ShownStep:
     missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
 
 
-def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: Watcher = lambda _: None) -> ShownStep:
+def shown_step(
+    recording: Recording,
+    at: float,
+    within: int | None = None,
+    *,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> ShownStep:
     """Find the step that a time (s) is in, and repeat it if that takes no more than a minute.
 
     Parameters
@@ -50,6 +58,8 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
         The recording to show.
     at
         s.
+    within
+        The step to show where one step ends at this time and the next begins; by default the one that ends.
     dense
         Whether to add all steps up to the next recorded frame.
     watch
@@ -63,13 +73,15 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
     recording.require_frames()
-    row = frame_of(recording, at)
-    last = row if row is not None else max(0, int(np.searchsorted(times, at - tolerance(at))) - 1)
+    row, goal = frame_of(recording, at), at - tolerance(at)
+    if row is not None and within is not None and steps[row] < within:
+        row, goal = _row_of(within, steps), float(np.nextafter(times[row], np.inf))
+    last = row if row is not None else max(0, int(np.searchsorted(times, goal)) - 1)
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
     if len(recording.shown) != int(recording.info["bodies"]):
         return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
-    goal = float(times[row]) if row is not None else at - tolerance(at)
+    goal = float(times[row]) if row is not None else goal
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
     except (RecordingError, PhysicsError) as error:
@@ -79,6 +91,12 @@ def shown_step(recording: Recording, at: float, *, dense: bool = False, watch: W
             return found
         missing = f"running it again takes more than {PATIENCE:.0f} s"
     return drawn if row is not None else replace(drawn, missing=missing)
+
+
+def _row_of(step: int, steps: IntArray) -> int | None:
+    """Return the row of a step's frame; None if it has none."""
+    row = int(np.searchsorted(steps, step))
+    return row if row < len(steps) and steps[row] == step else None
 
 
 def _run(
