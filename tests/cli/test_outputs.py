@@ -63,6 +63,16 @@ def test_a_pipe_as_output_is_refused_at_once(tmp_path: Path) -> None:
         assert done.returncode == 2 and "pipe.rrd: a device or a pipe" in done.stderr
 
 
+@pytest.mark.parametrize("name", ["run.txt", "run", "run.rrd.part"])
+@pytest.mark.parametrize("command", [QUICK, ("clip", "x.rrd"), ("repair", "x.rrd"), ("why", "x.rrd", "--body", "0")])
+def test_a_name_that_the_viewer_would_not_take_for_a_recording_is_refused(
+    command: tuple[str, ...], name: str, tmp_path: Path
+) -> None:
+    done = carom(*command, "-o", name, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, f"carom: cannot write {name}: a recording is an .rrd\n")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("command", [["run"], ["run", "two-spheres", "-o"], ["inspect"], ["replay"], ["repair"]])
 def test_a_name_of_300_characters_is_one_sentence(command: list[str], tmp_path: Path) -> None:
     done = carom(*command, f"{300 * 'n'}.rrd", cwd=tmp_path)

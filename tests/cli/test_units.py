@@ -94,7 +94,7 @@ def test_a_scene_in_si_prints_si(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["cm", "own"])
 def test_a_plain_time_is_in_the_units_of_the_scene_and_a_text_in_its_own(folder: Path, name: str, time: str) -> None:
     shown = printed(folder, "contacts", f"{name}.rrd", "--at", time)
-    assert "1 contact at t = 160 ms" in shown and "approach (cm/ms)" in shown and " 0.5 " in shown
+    assert "1 contact in step" in shown and " 160 " in shown and "approach (cm/ms)" in shown and " 0.5 " in shown
 
 
 def test_json_is_in_the_units_of_the_recording(folder: Path) -> None:

@@ -133,10 +133,29 @@ def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_mispl
         assert other.as_py() == frames[step.as_py()].energy.translational
 
 
-def test_frames_whose_times_are_damaged_are_refused_and_leave_no_file(run_file: Path, tmp_path: Path) -> None:
-    changed(run_file, run_file, paths.FINGERPRINT, mapped("time", lambda row: [np.nan]), footer=False)
+@pytest.fixture
+def batches(tmp_path: Path) -> Path:
+    """A run of 5 bodies and 9 frames, 3 frames a batch."""
+    merry, path = Merry(5), tmp_path / "run.rrd"
+    with Recorder(path, merry.header, queue_size=6) as recorder:
+        for frame in merry.frames(9):
+            recorder.put(frame)
+        recorder.finish("completed")
+    return path
+
+
+@pytest.mark.parametrize("footer", [False, True])
+def test_wrong_times_of_a_few_frames_cost_no_others(batches: Path, tmp_path: Path, footer: bool) -> None:
+    changed(batches, batches, paths.FINGERPRINT, mapped("time", lambda row: [np.nan]), every=False, footer=footer)
+    done = repair(batches, tmp_path / "fixed.rrd")
+    assert done.lost == ["/state/fingerprint of steps 6 to 8 (times that do not rise)"]
+    assert Recording.open(tmp_path / "fixed.rrd").fingerprints()["step"].to_pylist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_frames_whose_times_contradict_each_other_are_refused_and_leave_no_file(batches: Path, tmp_path: Path) -> None:
+    changed(batches, batches, paths.FINGERPRINT, mapped("time", lambda row: [0.0]), every=False)
     with pytest.raises(RecordingError, match=r"nothing of .*run\.rrd can be saved: its frames have times that do not"):
-        repair(run_file, tmp_path / "fixed.rrd")
+        repair(batches, tmp_path / "fixed.rrd")
     assert not (tmp_path / "fixed.rrd").exists()
 
 

@@ -214,8 +214,8 @@ def _print(recording: Recording, table: pa.Table, at: Seconds) -> None:
 
     names = _names(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
-    if at is not None:
-        moment = f" at t = {units.text(table['time'][0].as_py() if table.num_rows else at, TIME, '.9g')}"
+    if at is not None:  # impacts have moments of their own within the step
+        moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
     later = "" if at is None or table.num_rows else _in_next_step(recording, at)
     say(f"{count}{moment}, {_source(table)}{later}")
     if table.num_rows == 0:

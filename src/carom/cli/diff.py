@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, not_a_folder
+from carom.cli.options import ForceOption, JsonOption, not_a_folder, recording_option
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
@@ -32,9 +32,7 @@ SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another recor
 def diff(
     a: FirstArgument,
     b: SecondArgument,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="BOTH", help="Write both into one .rrd for the viewer.")
-    ] = None,
+    output: Annotated[Path | None, recording_option("Write both into one .rrd for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:

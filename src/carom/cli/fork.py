@@ -10,7 +10,15 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.live_line import LiveLine, bar
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, SetOption, seconds, simulated
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    RecordingArgument,
+    SetOption,
+    recording_option,
+    seconds,
+    simulated,
+)
 from carom.cli.text import say
 from carom.scene.command import command
 
@@ -62,10 +70,7 @@ def fork(
     when: Annotated[
         bool, typer.Option("--inevitable", help="Find the moment from which the --outcome was inevitable.")
     ] = False,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="BOTH.rrd", help="File for the viewer. Default: FILE-fork.rrd."),
-    ] = None,
+    output: Annotated[Path | None, recording_option("File for the viewer. Default: FILE-fork.rrd.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -160,11 +165,14 @@ def _many(
         from carom.experiment.fork.ensemble import ensemble
         from carom.experiment.fork.fork import write_ensemble
         from carom.experiment.fork.inevitable import inevitable
+        from carom.experiment.fork.path import outcome_of
         from carom.experiment.fork.workers import Task, Workers, by_seed
         from carom.experiment.sweep.cluster import connected
     from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
+    if outcome is not None:
+        outcome_of(start, outcome)  # a mistake is found before the workers start
 
     class Line(LiveLine):
         def update(self, done: int, at: float = start.checkpoint.time) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from math import isnan
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -68,6 +68,23 @@ def not_a_folder(path: Path) -> Path:
     return path
 
 
+def recording_to_write(path: Path | None) -> Path | None:
+    """Return the path of a recording to write; refuse a name that the viewer would not take for a recording."""
+    from carom.recording.errors import RecordingError
+
+    if path is not None and path.suffix != ".rrd":
+        with suppress(OSError):  # folders and devices are refused where they are opened
+            if path.exists() and not path.is_file():
+                return path
+        raise RecordingError(f"cannot write {path}: a recording is an .rrd")
+    return path
+
+
+def recording_option(help: str) -> Any:
+    """Return the option ``-o`` of a command that writes a recording."""
+    return typer.Option("-o", "--output", metavar="FILE.rrd", help=help, callback=recording_to_write)
+
+
 SceneArgument = Annotated[
     str,
     typer.Argument(
@@ -85,10 +102,7 @@ SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override one key of the scene. Repeatable."),
 ]
-OutputOption = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="FILE", help="File to write. Default: beside FILE, named after it."),
-]
+OutputOption = Annotated[Path | None, recording_option("File to write. Default: beside FILE, named after it.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 StepTimeOption = Annotated[

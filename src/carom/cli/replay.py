@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, ThreadsOption, seconds, simulated
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    RecordingArgument,
+    ThreadsOption,
+    recording_option,
+    seconds,
+    simulated,
+)
 from carom.cli.text import say
 from carom.cli.units import duration_text
 from carom.scene.units.dimension import TIME
@@ -43,10 +51,7 @@ def replay(
         str | None,
         typer.Option("--every", metavar="step", help="Record every step between --from and --to in a new file."),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="File for --every step. Default: FILE-dense.rrd."),
-    ] = None,
+    output: Annotated[Path | None, recording_option("File for --every step. Default: FILE-dense.rrd.")] = None,
     threads: ThreadsOption = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask before replays that take more than a minute.")] = False,
     force: ForceOption = False,

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, LiveOption, SceneArgument, SetOption, ThreadsOption
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    LiveOption,
+    SceneArgument,
+    SetOption,
+    ThreadsOption,
+    recording_option,
+)
 from carom.cli.text import say
 from carom.scene.command import command
 
@@ -24,10 +32,7 @@ if TYPE_CHECKING:
 
 def run(
     scene: SceneArgument,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="FILE", help="Recording to write. Default: recordings/SCENE.rrd."),
-    ] = None,
+    output: Annotated[Path | None, recording_option("Recording to write. Default: recordings/SCENE.rrd.")] = None,
     overrides: SetOption = None,
     check_every: Annotated[
         int | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, seconds, simulated_or_none
+from carom.cli.options import ForceOption, JsonOption, RecordingArgument, recording_option, seconds, simulated_or_none
 from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.counted import counted
@@ -51,10 +51,7 @@ def why(
             "--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as a few seconds allow."
         ),
     ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", metavar="WHY.rrd", help="Write a recording of the causes for the viewer."),
-    ] = None,
+    output: Annotated[Path | None, recording_option("Write a recording of the causes for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -245,7 +242,7 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     table.add_column("with", no_wrap=True)
     table.add_column("kind", no_wrap=True)
     measured = (("impulse", IMPULSE), ("work", ENERGY), ("lost", ENERGY))
-    for column in (*(units.labelled(*each) for each in measured), "share"):
+    for column in (*(units.labelled(*each) for each in measured), "of the speed"):
         table.add_column(column, justify="right", no_wrap=True)
     for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_CAUSES]:
         lost = "" if cause.energy_lost is None else f"{units.shown(cause.energy_lost, ENERGY):.4g}"
@@ -294,10 +291,11 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
             yield f"  {edge.share:6.1%}  {between}: {impulse} in {counted(edge.count, 'impulse')}"
     elif answer.chain:
         yield "The chain of causes, backwards:"
+        what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
         for link in answer.chain:
             yield (
                 f"  t = {units.text(link.time, TIME, '.9g')}: {names.of(link.by)} hits {names.of(link.body)}, "
-                f"{units.text(link.impulse, IMPULSE, '.4g')}, share {link.share:.1%}"
+                f"{units.text(link.impulse, IMPULSE, '.4g')}; {link.share:.1%} of {what} came this way"
             )
         first = answer.first_cause
         given = "had its velocity before, or forces gave it"

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from carom.experiment.diff.divergence import Curve, Divergence, divergence_of
 from carom.experiment.fork.branch import Branch, Start
 from carom.experiment.fork.chance import Chance
-from carom.experiment.fork.path import OPTION, Path, path_of
+from carom.experiment.fork.path import Path, outcome_of, path_of
 from carom.experiment.fork.workers import Task, Workers
-from carom.experiment.shrink.expression import Expression
 
 FloatArray = NDArray[np.float64]
 
@@ -72,8 +71,8 @@ def ensemble(
     watch
         Called with the number of branches that are done.
     """
-    expression = None if outcome is None else Expression(outcome, OPTION)
-    reference = path_of(start, None, 0, expression, None)  # also tells whether the expression fits
+    expression = None if outcome is None else outcome_of(start, outcome)
+    reference = path_of(start, None, 0, expression, None)
     rms = np.empty((seeds, len(reference.time)))
     squares = np.zeros(reference.position.shape[:2])
     outcomes: dict[int, bool] = {}

@@ -15,6 +15,7 @@ from carom.experiment.fork.branch import Start
 from carom.experiment.shrink.expression import Expression, UnknownNameError
 from carom.experiment.shrink.observation import Observation, Touches
 from carom.physics.schedule import Every
+from carom.physics.space import Space
 from carom.plan.auto import frame_interval
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +23,7 @@ FloatArray = NDArray[np.float64]
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
+_LATER = "moments."  # the summary has these once something has happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +61,32 @@ def path_of(start: Start, shift: int | None, ulps: int, outcome: Expression | No
         filled = max(filled, reached)
     came = None
     if outcome is not None:
-        summary = Observation(space, initial, count, [], seen).summary
-        summary |= _of_bodies(outcome, space.state.position, space.state.velocity)
+        summary = _summary(outcome, space, Observation(space, initial, count, [], seen))
         try:
             came = outcome.holds(summary)
         except UnknownNameError as error:
             raise ExperimentError(_explained(outcome, error.name, summary, len(space.state))) from None
     return Path(time, position, came)
+
+
+def outcome_of(start: Start, text: str) -> Expression:
+    """Read an outcome, before branches are run for it.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be read, or names what no branch will have.
+    """
+    outcome, space = Expression(text, OPTION), start.space()
+    summary = _summary(outcome, space, Observation(space, space.status.energy.total, 0, [], Touches(space)))
+    for name in outcome.unknown(summary):
+        if not name.startswith(_LATER):
+            raise ExperimentError(_explained(outcome, name, summary, len(space.state)))
+    return outcome
+
+
+def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, Any]:
+    return seen.summary | _of_bodies(outcome, space.state.position, space.state.velocity)
 
 
 def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:

@@ -9,11 +9,14 @@ from pathlib import Path
 from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
+from carom.recording.read.frame_tables import rising
 from carom.recording.read.recording import Recording
 from carom.recording.read.statics import UNFINISHED
+from carom.recording.read.tables import FINGERPRINTS, table
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Entry, Store
 from carom.recording.rrd.salvage import Salvage, salvage
+from carom.recording.schema import paths
 from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.timelines import STEP
 from carom.recording.write.chunk_writer import Writer
@@ -51,9 +54,9 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
             raise RecordingError(f"there is no recording at {source}")
         found = salvage(source)
         store = _recording(source, found)
-        if found.finished:
-            return Repaired(None)
         recording = Recording(Container(source, [store, *_layouts(found, store)], finished=False), store)
+        if found.finished and _has_frames(recording):
+            return Repaired(None)
         _refuse_unbegun(recording)
         return _rewrite(recording, out, found)
 
@@ -105,8 +108,10 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         for entry in recording.store.entries:
             try:
                 for chunk in recording.chunks([entry]):
+                    if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would have all frames refused
+                        rising(table(paths.FINGERPRINT, [chunk], FINGERPRINTS))
                     writer.send(chunk)
-            except DamageError as error:  # Rerun would not have written it
+            except DamageError as error:  # carom or Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
         frames, step, end = _reach(recording)
         until = "without a frame" if end is None else f"to t = {units_of(recording).text(end, TIME)} (step {step})"
@@ -122,6 +127,15 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         writer.flush()
     _refuse_unreadable(out, recording.path)
     return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
+
+
+def _has_frames(recording: Recording) -> bool:
+    """Tell whether the table of frames, without which nothing is shown, can be read."""
+    try:
+        recording.fingerprints()
+    except RecordingError:
+        return False
+    return True
 
 
 def _refuse_unreadable(out: Path, source: Path) -> None:

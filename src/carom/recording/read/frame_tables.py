@@ -101,11 +101,7 @@ class FrameTables(Statics):
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        found = self._entities.table(paths.FINGERPRINT, tables.FINGERPRINTS)
-        times = found["time"].to_numpy()
-        if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
-            raise DamageError("times that do not rise")
-        return found
+        return rising(self._entities.table(paths.FINGERPRINT, tables.FINGERPRINTS))
 
     def _states(self, path: str) -> pa.Table:
         table = self._entities.table(path, tables.STATES)
@@ -120,3 +116,11 @@ class FrameTables(Statics):
             if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
                 raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
         return found
+
+
+def rising(fingerprints: pa.Table) -> pa.Table:
+    """Return the rows of frames. DamageError if their times do not rise."""
+    times = fingerprints["time"].to_numpy()
+    if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
+        raise DamageError("times that do not rise")
+    return fingerprints
