@@ -166,7 +166,7 @@ def test_the_growth_of_forks_is_the_growth_that_diff_finds(gas: Path, tmp_path: 
 def test_an_unknown_name_in_an_outcome_is_refused_before_a_branch_is_run(
     gas: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.physics.space.Space.run", None)
+    monkeypatch.setattr("carom.experiment.fork.ensemble.path_of", None)
     with pytest.raises(ExperimentError, match=r'--outcome contacts\.impact > 1: .* did you mean "contacts\.impacts"'):
         many(gas, 7.8, 1, "contacts.impact > 1")
 

@@ -36,6 +36,8 @@ from examples import cloud
 SHORT = {
     "asteroid-belt": 0.05,
     "cloud-collapse": 0.55,
+    "elastic-gas": 0.15,
+    "five-materials": 0.35,
     "kepler-orbits": 0.1,
     "marbles-in-a-box": 0.1,
     "planet-with-gravel": 0.1,
