@@ -181,7 +181,7 @@ def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path
     [
         ("ascii", ["explain", "two-spheres"]),
         pytest.param("ascii", ["scenes"], marks=pytest.mark.slow),
-        ("ascii", ["sweep", "--help"]),
+        pytest.param("ascii", ["sweep", "--help"], marks=pytest.mark.slow),
         pytest.param("latin-1", ["explain", "two-spheres"], marks=pytest.mark.slow),
     ],
 )

@@ -94,6 +94,7 @@ def test_an_interrupted_search_tells_a_script_what_is_left_of_it(
     assert told["limits"] == {"energy": 1e-8} and told["study"] == "recordings/tradeoff/figure-eight"
 
 
+@pytest.mark.slow
 def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Path) -> None:
     done = carom("tune", "figure-eight", "--error", "position=1e-12", *QUICK, *SHORT, cwd=tmp_path)
     assert done.returncode == 1

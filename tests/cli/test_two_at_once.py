@@ -62,6 +62,7 @@ def test_of_two_runs_started_together_one_records_and_one_is_refused(tmp_path: P
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
+@pytest.mark.slow
 def test_a_resumed_recording_survives_a_second_resume_and_a_killed_one(tmp_path: Path) -> None:
     run = tmp_path / "x.rrd"
     assert carom("run", "elastic-gas", "--set", "time.duration=1", "-o", "x.rrd", cwd=tmp_path).returncode == 0

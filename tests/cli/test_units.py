@@ -140,6 +140,7 @@ def test_json_about_a_scene_names_the_units_of_its_numbers(folder: Path, command
         assert json.loads(printed(folder, command[0], f"{name}.toml", *command[1:], "--json"))["units"] == units
 
 
+@pytest.mark.slow
 def test_json_of_a_sweep_and_of_its_table_names_the_units_of_its_numbers(folder: Path) -> None:
     swept = json.loads(printed(folder, "sweep", "own.toml", "--seeds", "1", "-o", "sweep", "--workers", "1", "--json"))
     assert swept["units"] == "cm, ms, g" == json.loads(printed(folder, "sweep", "--table", "sweep", "--json"))["units"]

@@ -25,7 +25,7 @@ from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from examples import cloud, two_planets
 
-LONG = ("marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # a tenth of these has impacts, too
+LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # a tenth says as much
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")
 
 

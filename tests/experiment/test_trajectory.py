@@ -92,7 +92,10 @@ def test_a_trajectory_is_read_as_it_was_written(tmp_path: Path) -> None:
         Trajectory.load(tmp_path / "other.npz")
 
 
-@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("leapfrog", 2), ("leapfrog-dkd", 2), ("yoshida4", 4)])
+@pytest.mark.parametrize(
+    ("integrator", "order"),
+    [("euler", 1), ("leapfrog", 2), ("leapfrog-dkd", 2), pytest.param("yoshida4", 4, marks=pytest.mark.slow)],
+)
 def test_errors_against_the_reference_fall_with_the_order_of_the_integrator(integrator: str, order: int) -> None:
     scene = Scene.load("figure-eight")
     reference = make_reference(scene)

@@ -190,9 +190,13 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
     ("without contacts", {"contact": {"enabled": False}}, TURNING | MEETING | RESTING | PUSHING),
     ("at a fixed step", {"time": {"fixed_dt": 0.02}}, STEP),
 ]
+SLOW = ("without gravity and field", "without pushes", "at a fixed step")  # each starts a process
 
 
-@pytest.mark.parametrize(("sections", "absent"), [case[1:] for case in CHOICES], ids=[case[0] for case in CHOICES])
+@pytest.mark.parametrize(
+    ("sections", "absent"),
+    [pytest.param(*case, id=name, marks=pytest.mark.slow if name in SLOW else ()) for name, *case in CHOICES],
+)
 def test_a_part_that_is_not_required_is_neither_compiled_nor_loaded(sections: Sections, absent: set[str]) -> None:
     contact = LATE | sections.get("contact", {})  # impacts on the way have kernels of their own
     loaded = kernels_of(WHOLE | sections | {"contact": contact})

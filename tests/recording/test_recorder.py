@@ -279,6 +279,7 @@ def test_a_limit_on_the_size_of_files_leaves_a_readable_file(tmp_path: Path) -> 
     assert_ended_by_a_full_disk(child(path, before=limit), path)
 
 
+@pytest.mark.slow
 def test_a_disk_that_fails_in_the_middle_of_a_message_leaves_whole_messages(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     fail = """
