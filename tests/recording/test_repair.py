@@ -149,6 +149,7 @@ def test_wrong_times_of_a_few_frames_cost_no_others(batches: Path, tmp_path: Pat
     changed(batches, batches, paths.FINGERPRINT, mapped("time", lambda row: [np.nan]), every=False, footer=footer)
     done = repair(batches, tmp_path / "fixed.rrd")
     assert done.lost == ["/state/fingerprint of steps 6 to 8 (times that do not rise)"]
+    assert (done.frames, done.last_step) == (6, 5)
     assert Recording.open(tmp_path / "fixed.rrd").fingerprints()["step"].to_pylist() == [0, 1, 2, 3, 4, 5]
 
 

@@ -6,6 +6,8 @@ import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import pyarrow as pa
+
 from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
@@ -103,17 +105,17 @@ def _is_whole(layout: Store, found: Salvage) -> bool:
 
 
 def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
-    lost, added = _lost(recording, found), ["footer"]
+    lost, added, kept = _lost(recording, found), ["footer"], list[pa.Table]()
     with Writer(out, recording.store.application_id, recording.store.store_id) as writer:
         for entry in recording.store.entries:
             try:
                 for chunk in recording.chunks([entry]):
                     if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would have all frames refused
-                        rising(table(paths.FINGERPRINT, [chunk], FINGERPRINTS))
+                        kept.append(rising(table(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
                     writer.send(chunk)
             except DamageError as error:  # carom or Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
-        frames, step, end = _reach(recording)
+        frames, step, end = _reach(kept)
         until = "without a frame" if end is None else f"to t = {units_of(recording).text(end, TIME)} (step {step})"
         outcome = f"{_ending(recording)}; repaired, {until}"
         writer.send_property("outcome", {"outcome": outcome + _told(lost), "frames": frames})
@@ -156,14 +158,10 @@ def units_of(recording: Recording) -> UnitSystem:
         return SI
 
 
-def _reach(recording: Recording) -> tuple[int, int | None, float | None]:
+def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]:
     """Return the number of frames, and step and time (s) of the last one."""
-    try:
-        prints = recording.fingerprints()
-        steps, times = prints[STEP].to_pylist(), prints["time"].to_pylist()
-    except RecordingError:
-        return 0, None, None
-    return (len(steps), int(steps[-1]), float(times[-1])) if steps else (0, None, None)
+    steps, times = ([row for table in fingerprints for row in table[name].to_pylist()] for name in (STEP, "time"))
+    return len(steps), max(steps, default=None), max(times, default=None)
 
 
 def _ending(recording: Recording) -> str:
