@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.experiment.replay import replay
 from carom.recording.edit.repair import repair
 from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import RecordingError
@@ -180,6 +181,8 @@ def test_a_run_killed_before_its_first_frame_is_refused_or_repaired_into_what_ca
     if begun:
         assert repair(torn, fixed).frames == 0
         assert Recording.open(fixed).summary()["outcome"].endswith("repaired, without a frame")
+        with pytest.raises(RecordingError, match=r"fixed\.rrd holds no frame"):
+            replay(Recording.open(fixed))
     else:
         with pytest.raises(RecordingError, match=r"torn\.rrd has nothing to save: its run ended before"):
             repair(torn, fixed)

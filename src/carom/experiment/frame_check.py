@@ -102,7 +102,7 @@ class FrameCheck:
                 inside = steps[(steps >= self._begin) & (steps <= last)]
                 stray = inside[~np.isin(inside, self._steps)]
                 if len(stray):
-                    return Mismatch(int(stray[0]), f"rows of /{path}, where there is no frame,", len(stray), 0)
+                    return Mismatch(int(stray[0]), f"rows of /{path} where there is no frame", len(stray), 0)
         return None
 
     def gather(self, frame: Frame) -> None:

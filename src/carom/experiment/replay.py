@@ -128,12 +128,13 @@ def replay(
     Raises
     ------
     SceneError, RecordingError, PhysicsError
-        If the recording cannot be run, or the state is no longer finite.
+        If the recording cannot be run or holds no frame, or the state is no longer finite.
     """
     if dense is not None:
         refuse_output(dense, force)
         if dense.resolve() == recording.path.resolve():
             raise RecordingError(f"{dense}: is the recording itself; name another file with -o")
+    recording.require_frames()
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
     records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")
