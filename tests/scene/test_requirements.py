@@ -140,6 +140,39 @@ def test_the_integrator_is_of_a_high_order_where_nothing_is_sudden(scene: Scene,
     assert why in require(scene).integrator.why
 
 
+def earth_and_moon(distance: float = 384_400e3, speed: float = 1022.0, **sections: Any) -> Scene:
+    """Two bodies that pull each other and can touch; the sum of their radii is 8108 km."""
+    earth = {"mass": 6.0e24, "radius": 6371e3}
+    moon = {"mass": 7.3e22, "radius": 1737e3, "position": [distance, 0, 0], "velocity": [0, speed, 0]}
+    return Scene.from_dict({"body": [earth, moon], **sections})
+
+
+@pytest.mark.parametrize(
+    ("scene", "chosen"),
+    [
+        (earth_and_moon(), "gauss-radau15"),
+        (earth_and_moon(64_900e3), "gauss-radau15"),
+        (earth_and_moon(64_800e3), "leapfrog"),  # less than eight sums of radii
+        (earth_and_moon(speed=0.0), "leapfrog"),  # they fall together
+        (earth_and_moon(time={"target_dx": 1e3}), "leapfrog"),
+        (earth_and_moon(contact={"timing": "end-of-step"}), "leapfrog"),
+        (earth_and_moon(gravity={"constant": 0.0}), "leapfrog"),
+        (earth_and_moon(gravity={"uniform": [0, 0, -1.0]}), "leapfrog"),
+        (earth_and_moon(gravity={"method": "tree"}), "leapfrog"),
+        (earth_and_moon(drag={"relaxation_time": 1e9}), "leapfrog"),
+        (earth_and_moon(plane=[{"normal": [0, 0, 1], "point": [0, 0, -1e9]}]), "leapfrog"),
+        (earth_and_moon(domain={"boundary": "walls", "size": [1e10] * 3}), "leapfrog"),
+        (earth_and_moon(group=[{"count": 1, "region": {"radius": 1e3}}]), "leapfrog"),  # its place is not known yet
+    ],
+)
+def test_few_bodies_that_begin_far_apart_are_integrated_to_rounding_up_to_their_impacts(
+    scene: Scene, chosen: str
+) -> None:
+    assert integrator(scene).name == chosen
+    seldom = "begin far apart and seldom meet" in require(scene).integrator.why
+    assert seldom == (chosen == "gauss-radau15")
+
+
 def test_radii_limit_the_step_only_where_bodies_can_touch() -> None:
     touching, points = cloud(8, time={"cfl": "auto"}), cloud(8, time={"cfl": "auto"}, contact=POINTS)
     assert (cfl(touching), pull_fraction(touching)) == (0.5, None)

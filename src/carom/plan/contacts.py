@@ -17,14 +17,14 @@ def contact(scene: Scene) -> Part:
     solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
     if scene.count == 1 and solids == 0:
         return Part(name, False, "one body has nothing to touch")
-    if not differing(scene) and not _moves_relatively(scene):
+    if not differing(scene) and not moves_relatively(scene):
         return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
     if solids:
         return Part(name, True, f"{counted(scene.count, 'body')} and {counted(solids, 'plane')} may meet")
     return Part(name, True, f"{scene.count} bodies may meet")
 
 
-def _moves_relatively(scene: Scene) -> bool:
+def moves_relatively(scene: Scene) -> bool:
     """Tell whether two bodies start with different velocities, or may overlap and so be pushed apart.
 
     Planes, walls and fixed bodies do not move; a uniform field or a moving medium moves bodies relative to them.

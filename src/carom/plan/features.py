@@ -242,6 +242,9 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
     if scene.time.accuracy is not None and (chosen != "leapfrog" or contacts.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
+    if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
+        why = f"{scene.count} bodies that begin far apart and seldom meet; impacts end its steps"
+        return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
         why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
         return Part(name, True, f"{chosen}: {why}")

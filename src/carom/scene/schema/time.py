@@ -74,8 +74,8 @@ class Time(Section):
     integrator: IntegratorName = Field(
         AUTO,
         description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
-        "Wisdom–Holman where they go around a dominant one 1000 times or more on orbits apart, Yoshida's where such a "
-        "scene also sets its step, otherwise leapfrog",
+        "or up to 32 begin far apart, Wisdom–Holman where bodies that cannot touch go around a dominant one 1000 times "
+        "or more on orbits apart, Yoshida's where they cannot touch and the scene sets its step, otherwise leapfrog",
     )
     encounters: Literal["resolve", "ignore"] = Field(
         "resolve",
