@@ -204,7 +204,8 @@ def test_the_bodies_of_an_overlay_are_refused_because_it_shows_several_runs(tmp_
     a, b = record(tmp_path / "a.rrd"), record(tmp_path / "b.rrd", chaos)
     overlay(a, b, diff(a, b), tmp_path / "both.rrd")
     both = Recording.open(tmp_path / "both.rrd")
-    for read in (lambda: both.bodies, lambda: both.bodies(0.1), lambda: both.trajectory(0)):
+    reads = (lambda: both.bodies, lambda: both.bodies(0.1), lambda: both.trajectory(0), lambda: diff(a, both))
+    for read in reads:
         with pytest.raises(RecordingError, match=r"both\.rrd shows several runs; it can only be looked at"):
             read()
     with pytest.raises(RecordingError, match="shows several runs"):

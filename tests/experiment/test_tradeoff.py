@@ -279,3 +279,8 @@ def test_the_default_settings_are_about_a_dozen_and_all_different(name: str) -> 
     settings = default_settings(scene)
     assert 10 <= len(settings) <= 17, "two of them are accuracies"
     assert len({setting.overrides for setting in settings}) == len(settings)
+
+
+def test_a_scene_whose_accuracy_chooses_the_step_has_no_default_settings() -> None:
+    with pytest.raises(SceneError, match=r"time\.accuracy = 1e-08 chooses the step.*--set time\.accuracy="):
+        default_settings(Scene.load("kepler-orbits", ["time.accuracy=1e-8", "time.fixed_dt="]))

@@ -7,6 +7,10 @@ from typing import Any
 
 import pytest
 
+from carom.experiment.engines.rebound import _refuse as refuse_for_rebound
+from carom.experiment.engines.translation import problem_of
+from carom.experiment.error import ExperimentError
+from carom.experiment.work_precision.event_driven_reference import why_not
 from carom.physics.space import Space
 from carom.plan import pulls
 from carom.plan.auto import (
@@ -21,6 +25,7 @@ from carom.plan.auto import (
     timing,
 )
 from carom.plan.features import require
+from carom.plan.limits import refuse_impossible
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
@@ -321,6 +326,27 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
     assert needs.contact.modelled and needs.resting.modelled
     assert needs.resting.why.startswith("well presses")
     assert needs.impact_time.why.startswith("the well presses contacts together")
+
+
+def test_an_added_force_is_never_left_out_silently(monkeypatch: pytest.MonkeyPatch) -> None:
+    def few(**time: Any) -> Scene:
+        return cloud(3, contact=POINTS, time={"max_dt": "auto", "cfl": "auto", **time})
+
+    assert integrator(few()).name == integrator(few(accuracy=1e-6)).name == "gauss-radau15"
+    assert integrator(earth_and_moon()).name == "gauss-radau15"
+    trap = ForceKind("trap", lambda scene: (True, "of this test"), differs=True)
+    monkeypatch.setattr(pulls, "FORCES", (*FORCES, trap))
+    assert integrator(few()).name == integrator(few(accuracy=1e-6)).name == "yoshida4"
+    assert integrator(earth_and_moon()).name == integrator(earth_and_moon(time={"accuracy": 1e-6})).name == "leapfrog"
+    for name in ("gauss-radau15", "wisdom-holman"):
+        with pytest.raises(SceneError, match=f'"{name}" with the force trap: it knows gravity and uniform fields only'):
+            refuse_impossible(few(integrator=name))
+    with pytest.raises(SceneError, match="the force trap in a periodic box"):
+        refuse_impossible(pair(domain={"boundary": "periodic", "size": [9, 9, 9]}))
+    assert why_not(pair()) == "no exact solution with the force trap"
+    for engine in ("rebound", "mujoco"):
+        with pytest.raises(ExperimentError, match=f"{engine} cannot represent this scene: .*the force trap"):
+            problem_of(engine, pair()) if engine == "mujoco" else refuse_for_rebound(pair())
 
 
 @pytest.mark.parametrize(

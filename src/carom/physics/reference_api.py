@@ -134,7 +134,9 @@ class CollisionContext:
         v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
         return cls(b1, b2, n_vec, r1_vec, r2_vec, v2 - v1, reach - distance)
 
-    def resolve(self, restitution: float, static_friction: float, kinetic_friction: float, bias: float = 0.0) -> None:
+    def resolve(
+        self, restitution: float, static_friction: float, kinetic_friction: float, *, bias: float = 0.0
+    ) -> None:
         """Apply the normal and the friction impulse to both bodies.
 
         Parameters

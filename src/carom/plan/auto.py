@@ -118,12 +118,13 @@ def _accurate(scene: Scene) -> str:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.gravity(scene).modelled:
         return "leapfrog"
-    return "yoshida4" if scene.gravity.method in TREES or scene.count >= TREE_FROM else "gauss-radau15"
+    by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM and not pulls.further(scene)
+    return "gauss-radau15" if by_pairs else "yoshida4"
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Tell whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
-    bent = contacts.load(scene) != "" and not pulls.damping(scene)
+    bent = contacts.load(scene) != "" and not (pulls.damping(scene) or pulls.further(scene))
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
@@ -136,8 +137,10 @@ def holding(scene: Scene) -> Scene:
 
 
 def _leaves_step_free(scene: Scene) -> bool:
-    """Tell whether a scene gives no key that sets its steps, so that an integrator may choose them by their error."""
+    """Tell whether an integrator may choose the steps by their error: it knows the forces, and no key sets a step."""
     rule = scene.time
+    if pulls.further(scene):
+        return False
     keys = (rule.target_dx, rule.cfl, rule.pull_fraction, rule.smoothing)
     return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method not in TREES
 

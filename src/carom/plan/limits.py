@@ -8,7 +8,7 @@ from carom.plan.accuracy import refuse_coarse_tree
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.pulls import damping
+from carom.plan.pulls import damping, further
 from carom.scene.error import SceneError
 from carom.scene.key_places import naming_places
 from carom.scene.lines import KeyPath
@@ -47,6 +47,7 @@ def _refuse_impossible(scene: Scene) -> None:
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
     _refuse_damping(scene)
+    _refuse_further_forces(scene)
     _refuse_what_no_error_controls(scene)
     _refuse_what_is_no_hierarchy(scene)
     needed, there = memory_estimate(scene), _memory()
@@ -93,6 +94,19 @@ def _refuse_damping(scene: Scene) -> None:
             'equal kicks; use "leapfrog" or "auto"',
             INTEGRATOR,
         )
+
+
+def _refuse_further_forces(scene: Scene) -> None:
+    """Refuse a force that was added to carom's own where it would be left out, or would take no nearest images."""
+    chosen, force = integrator(scene), further(scene)
+    if force and chosen.controls_error:
+        raise SceneError(
+            f'time.integrator = "{chosen.name}" with the force {force}: it knows gravity and uniform fields only; '
+            'take "leapfrog", "yoshida4" or "auto"',
+            INTEGRATOR,
+        )
+    if force and scene.domain.boundary == "periodic":
+        raise SceneError(f"the force {force} in a periodic box, where bodies would need their nearest images", BOUNDARY)
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.scene.forces import FORCES, GRAVITY, ForceKind
+from carom.scene.forces import DRAG, FORCES, GRAVITY, UNIFORM_FIELD, ForceKind
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -32,3 +32,12 @@ def damping(scene: Scene) -> Part | None:
     """Return the force that depends on velocities; None if there is none."""
     found = (part(kind, scene) for kind in FORCES if kind.damps)
     return next((force for force in found if force.modelled), None)
+
+
+def further(scene: Scene) -> str:
+    """Name the first modelled force that was added to gravity, uniform fields and drag; empty if there is none.
+
+    What knows these three only (Gauss–Radau, Wisdom–Holman, exact solutions, other engines, periodic boxes) asks this.
+    """
+    known = (GRAVITY, UNIFORM_FIELD, DRAG)
+    return next((kind.name for kind in FORCES if kind not in known and part(kind, scene).modelled), "")

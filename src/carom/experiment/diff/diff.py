@@ -54,8 +54,10 @@ def diff(a: Recording, b: Recording) -> Diff:
     Raises
     ------
     RecordingError
-        If they have no frame in common, do not show the same bodies, or cannot be read.
+        If they have no frame in common, do not show the same bodies, show several runs, or cannot be read.
     """
+    for recording in (a, b):
+        recording.refuse_overlay()
     refuse_other_units(a, b)
     matched = FrameAlignment(a, b)
     curve = matched.curve()

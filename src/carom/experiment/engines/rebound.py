@@ -25,6 +25,7 @@ from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.plan.hierarchy import DOMINANT
+from carom.plan.pulls import further
 from carom.recording.source.adapters.rebound import rebound as record
 from carom.recording.source.source import Source, State
 from carom.scene.half_space import half_spaces
@@ -179,6 +180,7 @@ def _refuse(scene: Scene) -> None:
         "a periodic box": scene.domain.boundary == "periodic",
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
+        f"the force {further(scene)}": further(scene) != "",
         "fixed bodies": bool(np.any(start.fixed)),
         "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
     }

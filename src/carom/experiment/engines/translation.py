@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from carom.experiment.error import ExperimentError
 from carom.physics.placement import place
 from carom.plan.features import require
+from carom.plan.pulls import further
 from carom.recording.source.source import SPHERE, Model
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import pair_coefficients
@@ -64,6 +65,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "the bodies' own gravity": parts.gravity.modelled,
         "a periodic box": scene.domain.boundary == "periodic",
         "drag": scene.drag is not None,
+        f"the force {further(scene)}": further(scene) != "",
         "bodies of several materials": len(coefficients.places) > 0,
     }
     refuse(engine, lacks)

@@ -27,6 +27,7 @@ from carom.experiment.work_precision.trajectory import Trajectory
 from carom.physics.bodies import Bodies
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from carom.plan.pulls import further
 from carom.scene.materials import pair_coefficients
 from carom.scene.names import bodies_called
 from carom.scene.schema import Scene
@@ -65,6 +66,8 @@ def why_not(scene: Scene) -> str:
         return "no exact solution with fixed bodies"
     if scene.contact.allow_overlap:
         return "bodies may overlap at the start"
+    if force := further(scene):
+        return f"no exact solution with the force {force}"
     return ""
 
 

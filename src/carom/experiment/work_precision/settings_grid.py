@@ -130,7 +130,19 @@ def _in_effect(scene: Scene) -> dict[str, str]:
 
 
 def default_points(scene: Scene) -> list[Point]:
-    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene."""
+    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene.
+
+    Raises
+    ------
+    SceneError
+        If the scene has an accuracy, which chooses the step: its settings are steps and what sets them.
+    """
+    if scene.time.accuracy is not None:
+        raise SceneError(
+            f"time.accuracy = {scene.time.accuracy:g} chooses the step, so that none can be compared; remove it with "
+            "--set time.accuracy= or name the settings, as with --vary time.accuracy=1e-4,1e-6",
+            ("time", "accuracy"),
+        )
     parts, other = require(scene), knobs(scene)
     forces, located = parts.pulls, parts.impact_time.modelled
     if not parts.contact.modelled:
