@@ -234,3 +234,18 @@ def test_each_of_several_impacts_of_a_pair_at_one_moment_has_its_own_loss(tmp_pa
     impacts = recording.impacts(body=0)
     assert len(lost) == len(impacts) > 1 and len(impacts["time"].unique()) < len(impacts)
     assert lost == pytest.approx(sorted(impacts["energy_lost"].to_pylist()), rel=1e-6)  # recorded in single precision
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_work_of_a_floor_is_what_friction_does(friction: float, tmp_path: Path) -> None:
+    scene = scene_of(
+        [{"position": [0, 0, 0.1], "velocity": [7, 0, 0], "radius": 0.1, "mass": 2.0}],
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0, 0, -9.81]},
+        contact={"restitution": 0.0, "static_friction": friction, "kinetic_friction": friction},
+        time={"duration": 0.3, "fixed_dt": 0.01},
+    )
+    recording = recorded(scene, tmp_path)
+    (cause,) = why(recording, Question((0,), None, 0.3, "")).accounts[0].causes
+    speed = 7.0 - friction * 9.81 * 0.3
+    assert cause.work == pytest.approx(0.5 * 2.0 * (speed**2 - 7.0**2), rel=1e-12, abs=1e-12)  # rounding of 49 J

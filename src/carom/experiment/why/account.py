@@ -98,12 +98,15 @@ class Account:
         """
         now = self._velocity_after(step, rows, kicks)
         keys = list(zip(rows["instant"].tolist(), rows["holds"].tolist(), strict=True))
-        end = len(rows)
+        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))
+        end, late = len(rows), len(rows) > 0 and rows[-1]["time"] >= step.time
         while end > 0:
+            if late and rows[end - 1]["time"] < step.time:  # before the last kick
+                now, late = now - last, False
             begin = end - 1
             while begin > 0 and keys[begin - 1] == keys[end - 1]:
                 begin -= 1
-            now = self._undo(rows[begin:end], now, impacts)
+            now = self._undo(rows[begin:end], now, last if late else first, impacts)
             end = begin
         kicked = sum(kicks, np.zeros(3))
         self.by_forces = self.by_forces + kicked
@@ -113,8 +116,12 @@ class Account:
             self.forces_share += self.start_share * change / (change + had)
             self.start_share *= had / (change + had)
 
-    def _undo(self, rows: Rows, after: FloatArray, impacts: Rows) -> FloatArray:
-        """Undo impulses that act together; return the velocity before them."""
+    def _undo(self, rows: Rows, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
+        """Undo impulses that act together; return the velocity before them.
+
+        Contacts at rest act while a force does. Their work is along the mean velocity without its ``kick``, (3,) m/s,
+        which they take back where it presses: a ball that slides on a floor gets none from the floor's normal force.
+        """
         impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
         impulses[rows["i"] == self.body] *= -1.0
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
@@ -126,7 +133,8 @@ class Account:
         for row, impulse, size in zip(rows, impulses, sizes.tolist(), strict=True):
             if size > 0.0:
                 share = self.start_share * size / self.mass / (given + had)
-                self._add(row, impulse, size, 0.5 * float(impulse @ (after + before)), share, impacts)
+                mean = 0.5 * (after + before - (kick if row["holds"] else 0.0))
+                self._add(row, impulse, size, float(impulse @ mean), share, impacts)
         if given > 0.0:
             self.start_share *= had / (given + had)
         return before
