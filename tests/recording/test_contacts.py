@@ -140,6 +140,21 @@ def test_the_contacts_of_a_frame_are_those_of_its_step(recording: Recording, sil
     assert b"replayed" in exact.schema.metadata[b"source"]
 
 
+def test_an_impact_of_a_long_step_is_where_the_bodies_met(tmp_path: Path) -> None:
+    bodies: list[dict[str, Any]] = [
+        {"position": [-2, 0, 0], "velocity": [3, 0, 0]},
+        {"position": [2, 1.2, 0], "velocity": [-3, 0, 0]},
+    ]
+    time = {"duration": 1.0, "fixed_dt": 1.0}
+    contact = {"timing": "time-of-impact", "static_friction": 0.0, "kinetic_friction": 0.0}
+    recorded = carom.run(scene_of(bodies, gravity={"constant": 0.0}, contact=contact, time=time), tmp_path / "run.rrd")
+    assert recorded.steps()["step"].to_pylist() == [0, 1], "they are far apart again at the end of the step"
+    table, exact = recorded.contacts(1.0), recorded.contacts(1.0, replay=True)
+    assert table["ny"].to_pylist() == pytest.approx([0.6], abs=SINGLE), "of 2 m between the centres"
+    for name in ("time", "x", "y", "z", "nx", "ny", "nz"):
+        np.testing.assert_allclose(table[name].to_numpy(), exact[name].to_numpy(), atol=5.0 * SINGLE)
+
+
 def _pairs(table: pa.Table) -> np.ndarray:
     return np.asarray(table["j"].to_numpy() * 10 + table["i"].to_numpy())
 

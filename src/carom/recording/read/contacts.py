@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-_SAME = 1e-5  # relative, of sums of float32 impulses
+_SAME = 1e-5  # relative, of sums of float32 impulses, and of the length of a float32 line
+_MOMENT = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 
 def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Watcher | None = None) -> pa.Table:
@@ -87,28 +89,40 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
         **{name: values.astype(np.float64) for name, values in impulses.items()},
         "mode": modes(mode, paths.CONTACTS),
     }
-    columns |= _of_impacts(recording, pairs, impulses["normal_impulse"].astype(np.float64), mode == IMPACT_MODE, time)
+    apart = length > (radii[0] + np.where(meets, radii[1], 0.0)) * (1.0 + _SAME)
+    columns |= _of_impacts(recording, columns, mode == IMPACT_MODE, apart)
     return table_of(columns, "recorded")
 
 
 def _of_impacts(
-    recording: Recording, pairs: NDArray[np.int64], impulse: FloatArray, struck: NDArray[np.bool_], time: float
-) -> dict[str, pa.Array]:
-    """Take approach speeds and energies from the step's impacts, where these are all that the contact did."""
-    speed, lost = np.zeros(len(pairs)), np.zeros(len(pairs))
-    given, known = np.zeros(len(pairs)), np.zeros(len(pairs), dtype=bool)
+    recording: Recording, columns: dict[str, Any], struck: NDArray[np.bool_], apart: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Take approach speeds and energies from the step's impacts, where these are all that the contact did.
+
+    Bodies that are apart again at the end of the step were somewhere else when they met: time, point and normal are
+    then those of the hardest impact.
+    """
+    count, impulse = len(struck), columns["normal_impulse"]
+    speed, lost, given, known = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)
+    hardest = [dict[str, Any]() for _ in range(count)]
     if struck.any():
+        time = float(columns["time"][0])
         dt = recording.steps("dt")
         began = time - float(dt["dt"].to_numpy()[np.argmin(np.abs(dt["time"].to_numpy() - time))])
-        place = {pair: row for row, pair in enumerate(map(tuple, pairs.tolist()))}
+        place = {pair: row for row, pair in enumerate(zip(columns["i"].tolist(), columns["j"].tolist(), strict=True))}
         for impact in recording.impacts(began, time).to_pylist():
             row = place.get((impact["i"], impact["j"]))
-            if row is not None and struck[row]:
+            if row is not None and struck[row] and impact[STEP] == columns[STEP][0]:
                 speed[row] = max(speed[row], impact["approach_speed"])
                 lost[row] += impact["energy_lost"]
                 given[row] += impact["normal_impulse"]
+                hardest[row] = max(hardest[row] or impact, impact, key=itemgetter("normal_impulse"))
         known = struck & (np.abs(given - impulse) <= _SAME * impulse)
-    return {name: pa.array(v, mask=~known) for name, v in (("approach_speed", speed), ("energy_lost", lost))}
+    met: dict[str, Any] = {name: columns[name].copy() for name in _MOMENT}
+    for k in np.flatnonzero(known & apart).tolist():
+        for name in _MOMENT:
+            met[name][k] = hardest[k][name]
+    return met | {name: pa.array(v, mask=~known) for name, v in (("approach_speed", speed), ("energy_lost", lost))}
 
 
 def _values(chunk: Chunk, name: str, row: int, kind: pa.DataType) -> NDArray[Any]:

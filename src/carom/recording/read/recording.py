@@ -167,9 +167,10 @@ class Recording(FrameTables):
         Returns
         -------
         contacts
-            The columns of `impacts`. In what was recorded, approach_speed and energy_lost are null but for impacts, and
-            contacts that held after the first kick but opened within the step are missing. The metadata of the schema
-            has the ``source``.
+            The columns of `impacts`. Point and normal are those of the end of the step; of a pair that met and is apart
+            again by then, those of its hardest impact. In what was recorded, approach_speed and energy_lost are null
+            but for impacts, and contacts that held after the first kick but opened within the step are missing. The
+            metadata of the schema has the ``source``.
 
         Raises
         ------
