@@ -91,7 +91,7 @@ def test_a_plane_is_called_by_its_name_and_not_a_body(tmp_path: Path) -> None:
         assert impact["between"] == 'body 1 "ball" and floor [x]'
     for file in ("x.rrd", "x-clip.rrd"):
         shown = carom("inspect", file, cwd=tmp_path).stdout
-        assert 'J of approach (½ μ v_n²), body 1 "ball" and floor [x], at step' in shown
+        assert 'J of approach (½ μ v_n²), body 1 "ball" and floor [x], in step' in shown
     assert worst_moment(Recording.open(tmp_path / "x.rrd"))[1].endswith('body 1 "ball" and floor [x]')
 
 

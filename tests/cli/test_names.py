@@ -109,7 +109,7 @@ def test_events_name_what_touched(collided: tuple[Path, str]) -> None:
 def test_inspect_names_what_touched_and_says_which_energy_that_is(collided: tuple[Path, str]) -> None:
     path, pair = collided
     text = carom("inspect", str(path), cwd=path.parent).stdout
-    assert f" J of approach (½ μ v_n²), {pair}, at step" in text
+    assert f" J of approach (½ μ v_n²), {pair}, in step" in text
     moment = json.loads(carom("inspect", str(path), "--json", cwd=path.parent).stdout)["moments"]["impact"]
     assert moment["between"] == pair
     assert len(moment["bodies"]) + len(moment["planes"]) == 2

@@ -169,7 +169,7 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
     for moment in moments(summary, units):
         span = (max(first, moment.time - window / 2), min(last, moment.time + window / 2))
         at, begin, end, length = (units.shown(time, TIME) for time in (moment.time, *span, window))
-        yield f"{moment.text}, at step {moment.step}, t = {units.text(moment.time, TIME)}"
+        yield f"{moment.text}, in step {moment.step}, to t = {units.text(moment.time, TIME)}"
         yield "    " + command("view", file, "--at", f"{at:.9g}")
         yield "    " + command("clip", file, "--around", f"{at:.9g}", "--window", f"{length:.3g}")
         if summary["scene"].get("engine") or summary.get("clip", {}).get("partial"):
