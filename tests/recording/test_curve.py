@@ -51,3 +51,9 @@ def test_a_curve_without_a_finite_value_is_zero() -> None:
     curve = Curve.of(np.arange(3.0), np.full(3, np.nan))
     assert curve.is_zero
     assert curve.range() == (np.inf, -np.inf)
+
+
+def test_a_peak_of_a_step_between_two_frames_belongs_to_the_range_of_its_plot() -> None:
+    curve = Curve.of(np.arange(4.0), np.zeros(4))
+    curve.insert(np.array([1.5, 2.5]), np.array([0.9, np.nan]))
+    assert curve.range() == (0.0, 0.9) and curve.range(2.0, 3.0) == (0.0, 0.0)

@@ -39,6 +39,13 @@ class Curve:
         while len(self._time) > 2 * _SPANS:
             self._merge()
 
+    def insert(self, time: FloatArray, value: FloatArray) -> None:
+        """Add values that are finite, at any times (s)."""
+        finite = np.isfinite(value)
+        place, value = np.searchsorted(self._time, time[finite], side="right"), value[finite]
+        self._time = np.insert(self._time, place, time[finite])
+        self._low, self._high = np.insert(self._low, place, value), np.insert(self._high, place, value)
+
     def _see_between(self, value: FloatArray) -> None:
         if len(value):
             later = np.concatenate((self._last, value if self._begun else value[1:]))

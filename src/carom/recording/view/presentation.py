@@ -136,7 +136,13 @@ def presentation(
     aspect = close_up_area(header, canvas, only).aspect
     close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
     trails = Trails(recording, header) if has_trails(recording) else None
-    rows = [*_steps(recording, header, step), *(close.rows(header) if close else [])]
+    repeated = list(_steps(recording, header, step))
+    curves = recorded_curves(recording)
+    for series in repeated:
+        if series.path in curves:  # a peak between two frames must be inside the plot
+            (column,) = series.columns
+            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
+    rows = [*repeated, *(close.rows(header) if close else [])]
     statics = list(close.statics(header)) if close else []
     if trails is not None:
         if not _meet(recording, header):  # orbits: the paths must be inside the view
@@ -150,7 +156,7 @@ def presentation(
     if colour_by is not None and recoloured:
         rows += colour_rows(recording, header, colour_by, step)
     added = Additions(close, trails is not None, recoloured, plots)
-    layout = blueprint(header, camera, recorded_curves(recording), canvas, only, added)
+    layout = blueprint(header, camera, curves, canvas, only, added)
     clock = Clock(float(recording.info["time_scale"]))
     return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
 
