@@ -107,8 +107,8 @@ def test_a_part_is_modelled_where_it_is_required(sentence: str, scene: Scene, pa
         (5000, {"method": "direct"}, "direct", 'gravity.method = "direct": a direct sum'),
         (9, {"method": "tree", "opening_angle": 0.3}, "tree", 'gravity.method = "tree"; opening angle 0.3'),
         (9, {"method": "fast-multipole"}, "fast-multipole", 'gravity.method = "fast-multipole"; opening angle 0.5'),
-        (1, {"method": "tree"}, "none", "nothing pulls"),
-        (9, {"method": "tree", "constant": 0}, "none", "nothing pulls"),
+        (1, {"method": "tree"}, "none", "no gravity between bodies"),
+        (9, {"method": "tree", "constant": 0}, "none", "no gravity between bodies"),
         (9, {"method": "tree", "constant": 0, "force": True}, "tree", 'gravity.method = "tree"'),
     ],
 )

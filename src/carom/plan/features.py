@@ -178,7 +178,7 @@ def _contradiction(scene: Scene, name: str) -> str:
 def _tree(scene: Scene) -> Part:
     name, method, n = "tree", gravity_method(scene), scene.count
     if method == "none":
-        return Part(name, False, "nothing pulls")
+        return Part(name, False, "no gravity between bodies")
     few = f"{n} bodies, {'fewer than' if n < TREE_FROM else 'at least'} {TREE_FROM}"
     why = few if scene.gravity.method == "auto" else f'gravity.method = "{method}"'
     if method == "direct":
@@ -189,7 +189,7 @@ def _tree(scene: Scene) -> Part:
 
 def _potential(scene: Scene, gravity: Part) -> Part:
     if not gravity.modelled:
-        return Part("potential", False, "nothing pulls")
+        return Part("potential", False, "no gravity between bodies")
     return Part("potential", True, f"every {scene.record.check_every} steps and at frames")
 
 
