@@ -88,7 +88,11 @@ def opened(path: Path) -> Iterator[Path]:
             _unpack(path, out)
         except _SURPRISES as error:
             raise RecordingError(f"{path} is not a bundle of carom's, or is damaged ({error})") from error
-        yield out
+        try:
+            yield out
+        except RecordingError as error:  # a person knows the bundle, and not what it is unpacked to
+            error.args = (str(error).replace(str(out), str(path)), *error.args[1:])
+            raise
 
 
 def _unpack(path: Path, out: Path) -> None:
