@@ -150,7 +150,8 @@ def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
     assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
     for name in ("impact", "overlap"):
         assert named_event(bounce, name) == NamedEvent(bounce.closing[f"moments.{name}.time"], Pair(0, 1))
-    assert named_event(bounce, "first-contact").time == pytest.approx(bounce.moment(), abs=1e-8)
+    first = named_event(bounce, "first-contact")
+    assert first.time == pytest.approx(bounce.moment(), abs=1e-8) and first.pair == Pair(0, 1)
 
 
 def test_a_pair_is_found_by_names_with_commas(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.view.pair import Pair, pair_of_extreme
 
 _IMPACT = "impact:"  # before the number of an impact
+_FIRST = "first-contact"  # a kind of event
 _DIGITS = 18  # so many fit into 64 bits
 
 
@@ -49,15 +50,26 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
         row = kinds.index(name)
         frames = recording.fingerprints()
         steps = frames[STEP].to_numpy()
-        own = np.flatnonzero(steps == table[STEP][row].as_py())
+        step = table[STEP][row].as_py()
+        own = np.flatnonzero(steps == step)
+        pair = _first_to_meet(recording, step) if name == _FIRST else None
         if len(own):
-            return NamedEvent(float(frames["time"][int(own[0])].as_py()))
+            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair)
         scale = float(recording.info["time_scale"])
-        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale)
+        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair)
     moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
     known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
     has = f"it has {', '.join(known)}" if known else "it has none"
     raise RecordingError(f'{recording.path} has no event "{name}"; {has}')
+
+
+def _first_to_meet(recording: Recording, step: int) -> Pair | None:
+    """Return the pair of the run's first impact, if it is recorded and happened in a step."""
+    try:
+        first = _impact(recording, "1")
+    except RecordingError:
+        return None
+    return first.pair if first.step == step else None
 
 
 def _impact(recording: Recording, text: str) -> NamedEvent:
