@@ -31,7 +31,7 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
     for name in ("one.parquet", "one.csv", "one.npz", "one.vtk", "one.extxyz"):
         done = carom("export", str(cradle), "--at", "0.1", "-o", name, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
-        assert done.stdout == f"{name} written: 1 step of 7 bodies.\n"
+        assert done.stdout == f"{name} written: 1 step of 7 bodies, t = 0.1 s.\n"
     bodies = Recording.open(cradle).bodies(0.1)
     position = np.stack([bodies[axis].to_numpy() for axis in "xyz"], axis=1)
     for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):
@@ -62,7 +62,7 @@ def test_the_bodies_of_a_clip_are_exported_and_no_others(cradle: Path, tmp_path:
     assert carom("clip", str(cradle), "--bodies", "0,3", "-o", "clip.rrd", cwd=tmp_path).returncode == 0
     for name in ("one.csv", "one.parquet", "one.npz", "one.vtk", "one.extxyz"):
         done = carom("export", "clip.rrd", "--at", "0.1", "-o", name, cwd=tmp_path)
-        assert done.stdout == f"{name} written: 1 step of 2 bodies.\n", done.stderr
+        assert done.stdout == f"{name} written: 1 step of 2 bodies, t = 0.1 s.\n", done.stderr
     whole = Recording.open(cradle).bodies(0.1).take([0, 3])
     position = np.stack([whole[axis].to_numpy() for axis in "xyz"], axis=1)
     for table in (pq.read_table(tmp_path / "one.parquet"), pc.read_csv(tmp_path / "one.csv")):

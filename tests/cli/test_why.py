@@ -19,6 +19,12 @@ def test_the_answer_names_the_impact_and_the_command_to_look_at_it(folder: Path)
     assert "carom view run.rrd --at 1" in done.stdout
 
 
+def test_a_moment_within_a_step_is_answered_for_its_end_and_says_so(folder: Path) -> None:
+    said = carom("why", "run.rrd", "--body", "0", "--at", "1.25", cwd=folder).stdout.splitlines()[1]
+    assert said == "That is within a step; the answer is about its end, t = 1.3 s."
+    assert "within a step" not in carom("why", "run.rrd", "--body", "0", "--at", "1.3", cwd=folder).stdout
+
+
 def test_json_has_the_sum_the_causes_the_chain_and_the_cone(folder: Path) -> None:
     told = json.loads(carom("why", "run.rrd", "--event", "impact:1", "--json", cwd=folder).stdout)
     assert told["question"]["ends"] == [0, 1] and told["question"]["event"] == "impact:1"
@@ -41,7 +47,7 @@ def test_json_has_the_sum_the_causes_the_chain_and_the_cone(folder: Path) -> Non
         (("--body", "0", "--at", "0"), "nothing happened before"),
         (("--body", "0", "--at", "1", "--from", "1.5"), "is after 1 s, the moment asked about"),
         (("--event", "bang"), 'has no event "bang"; it has'),
-        (("--event", "first-contact"), "ask about one with --body"),
+        (("--event", "contacts"), "ask about one with --body"),
         (("--event", "impact:1", "--at", "1"), "give --at or --event, not both"),
     ],
 )

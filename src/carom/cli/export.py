@@ -10,6 +10,7 @@ import typer
 from carom.cli.options import ForceOption, RecordingArgument, StepTimeOption, simulated_or_none
 from carom.cli.text import say
 from carom.scene.counted import counted
+from carom.scene.units.dimension import TIME
 
 
 def export(
@@ -47,6 +48,10 @@ def export(
         recording.refuse_overlay()
         with replaying(recording) as watch:
             at = simulated_or_none(at, recording.units)
-            written, count = write(output, snapshots(recording, at, everything=everything, watch=watch), everything)
+            steps, when = snapshots(recording, at, everything=everything, watch=watch), ""
+            if not everything:  # a moment stands for the end of its step
+                one = next(steps)
+                steps, when = iter([one]), f", t = {recording.units.text(one.state.time, TIME, '.9g')}"
+            written, count = write(output, steps, everything)
         bodies = len(recording.shown)
-    say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}.")
+    say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}{when}.")

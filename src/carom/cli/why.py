@@ -182,9 +182,12 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
 
 def _print(answer: Answer, names: Names, units: UnitSystem, file: Path) -> None:
     from carom.cli.terminal import Terminal
+    from carom.recording.read.moment import tolerance
 
     console = Terminal(soft_wrap=True)
     console.print(answer.question.text, style="bold")
+    if answer.question.ends is None and answer.time > answer.question.time + tolerance(answer.question.time):
+        say(f"That is within a step; the answer is about its end, t = {units.text(answer.time, TIME, '.9g')}.")
     for account in answer.accounts:
         say("")
         for line in _summary(account, answer, names, units):
