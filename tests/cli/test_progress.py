@@ -1,13 +1,16 @@
-"""What a run says before its first step."""
+"""What a run says before its first step and after its last."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from carom.cli.progress import Progress
+from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from command import carom
 
 
 @pytest.mark.parametrize(
@@ -27,3 +30,26 @@ def test_a_largest_step_that_makes_a_run_long_is_named_before_the_run(
         pass
     shown = " ".join(capsys.readouterr().err.split())
     assert said in shown and ("max_dt" in shown) == bool(said)
+
+
+def test_fewer_frames_than_were_asked_for_are_pointed_out_with_the_key_that_gives_all(tmp_path: Path) -> None:
+    (tmp_path / "moon.toml").write_text(
+        """
+record.every = 600
+time.duration = 2e5
+[[body]]
+mass = 6e24
+radius = 6.4e6
+[[body]]
+position = [4e8, 0, 0]
+velocity = [0, 1e3, 0]
+mass = 7e22
+radius = 1.7e6
+""",
+        encoding="utf-8",
+    )
+    hint = "334 frames were asked for, but a frame is the end of a step and most steps are longer; time.max_dt = 600 s"
+    shown = " ".join(carom("run", "moon.toml", "-o", "few.rrd", cwd=tmp_path).stdout.split())
+    assert hint in shown
+    shown = carom("run", "moon.toml", "--set", "time.max_dt=600 s", "-o", "all.rrd", cwd=tmp_path).stdout
+    assert Recording.open(tmp_path / "all.rrd").frames >= 334 and "asked for" not in shown

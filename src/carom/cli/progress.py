@@ -25,6 +25,7 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
+ENOUGH = 0.9  # of the frames asked for; fewer are pointed out
 
 
 class Progress(LiveLine):
@@ -99,11 +100,26 @@ class Progress(LiveLine):
             kept = Text("expected" if verdict.judged else "not judged")
             table.add_row(kept if verdict.met else Text("missed", style="red"), verdict.text(units))
         table.add_row("file", f"{outcome.path}, {bytes_text(outcome.size)}, {counted(outcome.frames, 'frame')}")
+        if fewer := _fewer_frames(self._scene, outcome):
+            table.add_row("", fewer)
         resumed = ("resume",) if outcome.status == "interrupted" else ()
         terminal = Terminal(file=sys.stdout)
         terminal.print(table)
         for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
             terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # whole, to be copied
+
+
+def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
+    """Say that steps were longer than the time between frames that the scene asks for; empty if they were not."""
+    if isinstance(scene.record.every, str):
+        return ""
+    asked = outcome.sim_time / scene.record.every + 1.0  # and a frame of the start
+    if outcome.frames >= ENOUGH * asked:
+        return ""
+    return (
+        f"{asked:.0f} frames were asked for, but a frame is the end of a step and most steps are longer; "
+        f"time.max_dt = {scene.unit_system.text(scene.record.every, TIME, 'g')} gives all"
+    )
 
 
 def _many_steps(scene: Scene) -> str:
