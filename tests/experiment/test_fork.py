@@ -182,6 +182,7 @@ def test_the_probability_of_an_outcome_is_measured_at_each_time_of_the_fork() ->
 
     found = list(chances(draw, 0.0, 8.0, 4))
     assert [(chance.time, chance.probability) for chance in found] == [(2.0, 0.2), (4.0, 0.4), (6.0, 0.6)]
+    assert [chance.time for chance in chances(draw, 0.0, 8.0, 4, last_step=5.0)] == [2.0, 4.0]
     assert found[1].band == pytest.approx((0.168, 0.687), abs=1e-3)  # Wilson's interval of 4 of 10
     assert Chance(0.0, 20, 20).band == pytest.approx((0.839, 1.0), abs=1e-3)
 

@@ -153,6 +153,12 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
     return document, lines
 
 
+def _last_step(start: Start) -> float:
+    """Return when the last step of the recording begins, in s."""
+    steps = start.recording.steps("dt")
+    return float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())
+
+
 def _many(
     start: Start, branch: Branch, target: Path, seeds: int, ulps: int, outcome: str | None, times: int, when: bool
 ) -> tuple[dict[str, Any], list[str]]:
@@ -191,7 +197,7 @@ def _many(
         begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))
-            found = replace(found, chances=[here, *chances(draw, begin, end, times)])
+            found = replace(found, chances=[here, *chances(draw, begin, end, times, _last_step(start))])
         if when:
             came = bool(found.reference_outcome)
             moment = inevitable(lambda time: (hit == came for hit in draw(time)), begin, end)

@@ -33,9 +33,14 @@ class Chance:
         return max(0.0, low), min(1.0, high)
 
 
-def chances(draw: Draw, begin: float, end: float, count: int) -> Iterator[Chance]:
-    """Fork at equal distances after a time (s) and before the end; ``count`` is that of the intervals."""
+def chances(draw: Draw, begin: float, end: float, count: int, last_step: float = math.inf) -> Iterator[Chance]:
+    """Fork at equal distances after a time (s) and before the end; ``count`` is that of the intervals.
+
+    A fork begins at the end of a step, so none begins after ``last_step``, where the last one does (s).
+    """
     for k in range(1, count):
         time = begin + (end - begin) * k / count
+        if time > last_step:
+            return
         came = list(draw(time))
         yield Chance(time, sum(came), len(came))
