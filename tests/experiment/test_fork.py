@@ -17,6 +17,7 @@ from carom.experiment.fork.chance import Chance, chances
 from carom.experiment.fork.ensemble import Ensemble, ensemble
 from carom.experiment.fork.fork import fork, text_of, write_ensemble
 from carom.experiment.fork.inevitable import inevitable, judge
+from carom.experiment.fork.path import outcome_of
 from carom.experiment.fork.workers import Result, Task, Workers, by_seed, execute
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
@@ -62,7 +63,9 @@ class Here:
 
 def many(path: Path, at: float, seeds: int, outcome: str | None = None) -> Ensemble:
     branch = Branch(path, at)
-    return ensemble(start_of(branch), branch, seeds, 1, cast(Workers, Here()), outcome)
+    start = start_of(branch)
+    expression = None if outcome is None else outcome_of(start, outcome)
+    return ensemble(start, branch, seeds, 1, cast(Workers, Here()), expression)
 
 
 @pytest.mark.parametrize("override", ["contact.restitution=0.5", "gravity.constant=1.0", "record.check_every=3"])

@@ -177,8 +177,7 @@ def _many(
     from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
-    if outcome is not None:
-        outcome_of(start, outcome)  # a mistake is found before the workers start
+    expression = None if outcome is None else outcome_of(start, outcome)  # a mistake is found before the workers start
 
     class Line(LiveLine):
         def update(self, done: int, at: float = start.checkpoint.time) -> None:
@@ -193,7 +192,7 @@ def _many(
                 line.update(done, time)
                 yield bool(result.outcome)
 
-        found = ensemble(start, branch, seeds, ulps, workers, outcome, line.update)
+        found = ensemble(start, branch, seeds, ulps, workers, expression, line.update)
         begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))

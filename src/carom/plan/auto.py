@@ -93,20 +93,20 @@ def integrator(scene: Scene) -> Integrator:
         promised = scene.promise.integrator if scene.promise else None
         return INTEGRATORS[promised or _accurate(scene)]
     if not _is_smooth(scene):
-        return INTEGRATORS["gauss-radau15" if meets_seldom(scene) else "leapfrog"]
+        return INTEGRATORS["gauss-radau15" if _meets_seldom(scene) else "leapfrog"]
     if _leaves_step_free(scene) and orbits_often(scene) >= FEWEST_ORBITS:
         return INTEGRATORS["wisdom-holman"]
     return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
 
 
-def meets_seldom(scene: Scene) -> bool:
+def _meets_seldom(scene: Scene) -> bool:
     """Tell whether bodies that may meet are on their own almost always: planets, moons and comets.
 
     In steps of leapfrog, a second at most, eighty years of a comet took hours; Gauss–Radau takes a second.
     """
     if not (contacts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
         return False
-    alone = not (any(scene.gravity.uniform) or scene.plane or scene.domain.boundary == "walls")
+    alone = scene.domain.boundary == "open" and not scene.plane and not pulls.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
     drifts = contacts.moves_relatively(scene)  # what begins at rest falls together
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from carom.experiment.engines.stepped import FINER, Simulation
+from carom.experiment.engines.translation import refuse
 from carom.experiment.engines.watched import watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.run_bound import RunStoppedError
@@ -171,7 +172,7 @@ def shortest_period(scene: Scene) -> float:
 
 def _refuse(scene: Scene) -> None:
     """Refuse a scene that has more than smooth spheres that pull and strike each other."""
-    parts, start = require(scene), place(scene)
+    parts, start, force = require(scene), place(scene), further(scene)
     lacks = {
         "friction (contact.static_friction = 0 and contact.kinetic_friction = 0 leave it out)": parts.contact.modelled
         and parts.friction.modelled,
@@ -180,13 +181,11 @@ def _refuse(scene: Scene) -> None:
         "a periodic box": scene.domain.boundary == "periodic",
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
-        f"the force {further(scene)}": further(scene) != "",
+        f"the force {force}": force != "",
         "fixed bodies": bool(np.any(start.fixed)),
         "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
     }
-    found = [what for what, there in lacks.items() if there]
-    if found:
-        raise ExperimentError(f"rebound cannot represent this scene: {', '.join(found)}")
+    refuse("rebound", lacks)
 
 
 def _setting(integrator: str, units: UnitSystem, step: float = 0.0) -> Setting:

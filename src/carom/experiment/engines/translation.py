@@ -60,12 +60,12 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     ExperimentError
         If the scene has what such engines lack; the message names all of it.
     """
-    parts, coefficients = require(scene), pair_coefficients(scene)
+    parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
         "the bodies' own gravity": parts.gravity.modelled,
         "a periodic box": scene.domain.boundary == "periodic",
         "drag": scene.drag is not None,
-        f"the force {further(scene)}": further(scene) != "",
+        f"the force {force}": force != "",
         "bodies of several materials": len(coefficients.places) > 0,
     }
     refuse(engine, lacks)

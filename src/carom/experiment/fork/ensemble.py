@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from carom.experiment.diff.divergence import Curve, Divergence, divergence_of
 from carom.experiment.fork.branch import Branch, Start
 from carom.experiment.fork.chance import Chance
-from carom.experiment.fork.path import Path, outcome_of, path_of
+from carom.experiment.fork.path import Path, path_of
 from carom.experiment.fork.workers import Task, Workers
+from carom.experiment.shrink.expression import Expression
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ def ensemble(
     seeds: int,
     ulps: int,
     workers: Workers,
-    outcome: str | None = None,
+    outcome: Expression | None = None,
     watch: Callable[[int], None] = lambda done: None,
 ) -> Ensemble:
     """Run perturbed branches, with seeds from 1 on.
@@ -67,16 +68,16 @@ def ensemble(
     workers
         Run the branches.
     outcome
-        An expression on the summary of each branch.
+        On the summary of each branch, from `outcome_of`.
     watch
         Called with the number of branches that are done.
     """
-    expression = None if outcome is None else outcome_of(start, outcome)
-    reference = path_of(start, None, 0, expression, None)
+    reference = path_of(start, None, 0, outcome, None)
     rms = np.empty((seeds, len(reference.time)))
     squares = np.zeros(reference.position.shape[:2])
     outcomes: dict[int, bool] = {}
-    tasks = [Task(branch, seed, ulps, outcome) for seed in range(1, seeds + 1)]
+    text = None if outcome is None else outcome.text
+    tasks = [Task(branch, seed, ulps, text) for seed in range(1, seeds + 1)]
     for done, found in enumerate(workers.results(tasks), 1):
         square = found.apart.astype(np.float64) ** 2
         squares += square

@@ -96,19 +96,20 @@ class Account:
         impacts
             (k,) `CONTACT_ROW`, of this step.
         """
-        now = self._velocity_after(step, rows, kicks)
+        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
+        late = len(rows) > 0 and rows[-1]["time"] >= step.time
+        now = self._velocity_after(step, rows, first + last if late else first)
         keys = list(zip(rows["instant"].tolist(), rows["holds"].tolist(), strict=True))
-        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))
-        end, late = len(rows), len(rows) > 0 and rows[-1]["time"] >= step.time
+        end = len(rows)
         while end > 0:
-            if late and rows[end - 1]["time"] < step.time:  # before the last kick
+            if late and rows[end - 1]["time"] < step.time:
                 now, late = now - last, False
             begin = end - 1
             while begin > 0 and keys[begin - 1] == keys[end - 1]:
                 begin -= 1
             now = self._undo(rows[begin:end], now, last if late else first, impacts)
             end = begin
-        kicked = sum(kicks, np.zeros(3))
+        kicked = first + last
         self.by_forces = self.by_forces + kicked
         self.start_velocity = step.before[self.body].copy()
         change, had = float(np.linalg.norm(kicked)), float(np.linalg.norm(self.start_velocity))
@@ -139,14 +140,13 @@ class Account:
             self.start_share *= had / (given + had)
         return before
 
-    def _velocity_after(self, step: Step, rows: Rows, kicks: list[FloatArray]) -> FloatArray:
-        """Return the velocity right after the last of the impulses: the first kick comes before, the others after."""
-        now: FloatArray = step.before[self.body] + (kicks[0] if kicks else np.zeros(3))
+    def _velocity_after(self, step: Step, rows: Rows, kicked: FloatArray) -> FloatArray:
+        """Return the velocity right after the last of the impulses, given the kicks before it, (3,) m/s in all."""
+        now: FloatArray = step.before[self.body] + kicked
         for row in rows:
             sign = 1.0 if row["j"] == self.body else -1.0
             now = now + sign * np.array([row["x"], row["y"], row["z"]]) / self.mass
-        late = len(rows) > 0 and rows[-1]["time"] >= step.time
-        return now + sum(kicks[1:], np.zeros(3)) if late else now
+        return now
 
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:
         partner = int(row["i"]) if row["j"] == self.body else int(row["j"])

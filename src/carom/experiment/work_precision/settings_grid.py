@@ -25,7 +25,7 @@ STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matte
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
 MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
 ACCURACIES = ("1e-4", "1e-8")
-STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator", "accuracy")
+STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from carom.recording.view.body_plots import BodyPlots
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
+from carom.recording.view.curve import Curve
 from carom.recording.view.named_event import NamedEvent, named_event
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.recoloured import colour_rows
@@ -137,11 +138,6 @@ def presentation(
     close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
     trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
-    curves = recorded_curves(recording)
-    for series in repeated:
-        if series.path in curves:  # a peak between two frames must be inside the plot
-            (column,) = series.columns
-            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
     rows = [*repeated, *(close.rows(header) if close else [])]
     statics = list(close.statics(header)) if close else []
     if trails is not None:
@@ -156,7 +152,7 @@ def presentation(
     if colour_by is not None and recoloured:
         rows += colour_rows(recording, header, colour_by, step)
     added = Additions(close, trails is not None, recoloured, plots)
-    layout = blueprint(header, camera, curves, canvas, only, added)
+    layout = blueprint(header, camera, _curves(recording, repeated), canvas, only, added)
     clock = Clock(float(recording.info["time_scale"]))
     return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
 
@@ -172,6 +168,16 @@ def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
     if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
         return hardest
     return pair_of_step(step.frame, header.bodies) or hardest
+
+
+def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, Curve]:
+    """Return the outlines of the plotted series with the repeated steps: a peak between two frames must be inside."""
+    curves = recorded_curves(recording)
+    for series in repeated:
+        if series.path in curves:
+            (column,) = series.columns
+            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
+    return curves
 
 
 def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Rows]:

@@ -76,12 +76,13 @@ def shown_step(
     row, goal = frame_of(recording, at), at - tolerance(at)
     if row is not None and within is not None and steps[row] < within:
         row, goal = _row_of(within, steps), float(np.nextafter(times[row], np.inf))
+    if row is not None:
+        goal = float(times[row])
     last = row if row is not None else max(0, int(np.searchsorted(times, goal)) - 1)
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
     if len(recording.shown) != int(recording.info["bodies"]):
         return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
-    goal = float(times[row]) if row is not None else goal
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
     except (RecordingError, PhysicsError) as error:
