@@ -25,7 +25,7 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
-ENOUGH = 0.9  # of the frames asked for; fewer are pointed out
+LEAST_FRAMES = 0.9  # of those asked for; fewer are pointed out
 
 
 class Progress(LiveLine):
@@ -114,7 +114,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     if isinstance(scene.record.every, str):
         return ""
     asked = outcome.sim_time / scene.record.every + 1.0  # and a frame of the start
-    if outcome.frames >= ENOUGH * asked:
+    if outcome.frames >= LEAST_FRAMES * asked:
         return ""
     return (
         f"{asked:.0f} frames were asked for, but a frame is the end of a step and most steps are longer; "

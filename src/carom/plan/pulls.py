@@ -35,9 +35,9 @@ def damping(scene: Scene) -> Part | None:
 
 
 def further(scene: Scene) -> str:
-    """Name the first modelled force that was added to gravity, uniform fields and drag; empty if there is none.
+    """Name the first modelled force besides gravity, uniform fields and drag; empty if there is none.
 
-    What knows these three only (Gauss–Radau, Wisdom–Holman, exact solutions, other engines, periodic boxes) asks this.
+    Gauss–Radau, Wisdom–Holman, exact solutions, other engines and periodic boxes know these three only.
     """
     known = (GRAVITY, UNIFORM_FIELD, DRAG)
     return next((kind.name for kind in FORCES if kind not in known and part(kind, scene).modelled), "")

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
-_LATER = "moments."  # the summary has these once something has happened
+_MOMENTS = "moments."  # the summary has these once something has happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def outcome_of(start: Start, text: str) -> Expression:
     outcome, space = Expression(text, OPTION), start.space()
     summary = _summary(outcome, space, Observation(space, space.status.energy.total, 0, [], Touches(space)))
     for name in outcome.unknown(summary):
-        if not name.startswith(_LATER):
+        if not name.startswith(_MOMENTS):
             raise ExperimentError(_explained(outcome, name, summary, len(space.state)))
     return outcome
 

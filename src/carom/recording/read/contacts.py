@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 _SAME = 1e-5  # relative, of sums of float32 impulses, and of the length of a float32 line
-_MOMENT = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
+_TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 
 def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Watcher | None = None) -> pa.Table:
@@ -118,9 +118,9 @@ def _of_impacts(
                 given[row] += impact["normal_impulse"]
                 hardest[row] = max(hardest[row] or impact, impact, key=itemgetter("normal_impulse"))
         known = struck & (np.abs(given - impulse) <= _SAME * impulse)
-    met: dict[str, Any] = {name: columns[name].copy() for name in _MOMENT}
+    met: dict[str, Any] = {name: columns[name].copy() for name in _TIME_AND_PLACE}
     for k in np.flatnonzero(known & apart).tolist():
-        for name in _MOMENT:
+        for name in _TIME_AND_PLACE:
             met[name][k] = hardest[k][name]
     return met | {name: pa.array(v, mask=~known) for name, v in (("approach_speed", speed), ("energy_lost", lost))}
 

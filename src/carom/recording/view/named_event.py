@@ -13,7 +13,7 @@ from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.view.pair import Pair, pair_of_extreme
 
 _IMPACT = "impact:"  # before the number of an impact
-_FIRST = "first-contact"  # a kind of event
+_FIRST_CONTACT = "first-contact"  # a kind of event
 _DIGITS = 18  # so many fit into 64 bits
 
 
@@ -52,7 +52,7 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
         steps = frames[STEP].to_numpy()
         step = table[STEP][row].as_py()
         own = np.flatnonzero(steps == step)
-        pair = _first_to_meet(recording, step) if name == _FIRST else None
+        pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
         if len(own):
             return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair)
         scale = float(recording.info["time_scale"])
