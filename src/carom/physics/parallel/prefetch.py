@@ -42,14 +42,17 @@ def prefetch_record(typing: Any, records: Any, record: Any, line: Any) -> Any:
 def _fetch(*, to_write: bool, by_line: bool = False) -> Callable[..., Any]:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         element = element_address(context, builder, signature, args[0], args[1:2] if by_line else args[1:])
-        address = builder.bitcast(element, ir.IntType(8).as_pointer())
-        if by_line:
-            address = builder.gep(address, [builder.mul(args[2], args[2].type(CACHE_LINE))])
-        byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
-        fetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
-        near, data = word(3), word(1)
-        builder.call(fetch, [address, word(int(to_write)), near, data])
+        fetch_line(builder, element, args[2] if by_line else 0, to_write=to_write)
         return context.get_dummy_value()
 
     return generate
+
+
+def fetch_line(builder: Any, address: Any, line: Any, *, to_write: bool) -> None:
+    """Generate the code that fetches a cache line, an int or a value of the code, counted from an address."""
+    byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
+    offset = ir.IntType(64)(line * CACHE_LINE) if isinstance(line, int) else builder.mul(line, line.type(CACHE_LINE))
+    kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])
+    fetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+    near, data = word(3), word(1)
+    builder.call(fetch, [builder.gep(builder.bitcast(address, byte), [offset]), word(int(to_write)), near, data])

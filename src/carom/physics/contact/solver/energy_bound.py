@@ -15,23 +15,23 @@ from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.contact.union_find import join_islands, root_of
+from carom.physics.contact.union_find import join_islands
 from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island by θ where θ < 1."""
-    _begin_islands(system)
+    _find_islands(system)
     _sum_up_islands(system)
-    _find_scales(system)
-    _scale_impulses(system)
-    _scale_velocities(system)
+    if _find_scales(system):
+        _scale_impulses(system)
+        _scale_velocities(system)
 
 
 @inline
-def _begin_islands(system: ConstraintSystem) -> None:
-    """Make each body an island, and join those at the ends of each contact."""
+def _find_islands(system: ConstraintSystem) -> None:
+    """Write the island of each body: the lowest body of those that contacts join."""
     active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
@@ -39,13 +39,15 @@ def _begin_islands(system: ConstraintSystem) -> None:
         whole.slope = whole.curvature = 0.0
         whole.scale = 1.0
     join_islands(system.pairs, system.inverse_mass, island)
+    for k in range(len(active)):  # rising: the parent is lower, so its root is known
+        island[active[k]] = island[island[active[k]]]
 
 
 @inline
 def _island_of(c: int, system: ConstraintSystem) -> int:
     """Return the island of a contact: that of an end that moves."""
     i, j = system.pairs[c, 0], system.pairs[c, 1]
-    island: int = root_of(system.island, i if system.bodies[i].inverse_mass > 0.0 else j)
+    island: int = system.island[i if system.bodies[i].inverse_mass > 0.0 else j]
     return island
 
 
@@ -71,12 +73,15 @@ def _sum_up_islands(system: ConstraintSystem) -> None:
 
 
 @inline
-def _find_scales(system: ConstraintSystem) -> None:
-    """Find θ of each island; 1 where the minimum is beyond."""
+def _find_scales(system: ConstraintSystem) -> bool:
+    """Find θ of each island, 1 where the minimum is beyond; return whether one is less than 1."""
+    any_less = False
     for k in range(len(system.active)):
         whole = system.islands[system.active[k]]
-        if system.island[system.active[k]] == system.active[k] and -whole.slope < whole.curvature:
+        if -whole.slope < whole.curvature:  # both are 0 where a body is not the lowest of its island
             whole.scale = max(0.0, -whole.slope / whole.curvature)
+            any_less = True
+    return any_less
 
 
 @inline
@@ -96,7 +101,7 @@ def _scale_velocities(system: ConstraintSystem) -> None:
     v, omega = system.velocity, system.spin
     for k in range(len(system.active)):
         b = system.active[k]
-        body, scale = system.bodies[b], system.islands[root_of(system.island, b)].scale
+        body, scale = system.bodies[b], system.islands[system.island[b]].scale
         if body.inverse_mass > 0.0 and scale < 1.0:
             body.vx = v[b, 0] + scale * (body.vx - v[b, 0])
             body.vy = v[b, 1] + scale * (body.vy - v[b, 1])

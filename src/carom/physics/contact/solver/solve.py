@@ -37,9 +37,9 @@ from carom.physics.contact.solver.solve_block import solve_block
 from carom.physics.contact.solver.velocity import bias_of, relative_velocity, slip
 from carom.physics.parallel.jit import inline, unowned
 from carom.physics.parallel.lanes import WIDTH
+from carom.physics.parallel.prefetch import AHEAD
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
-MIN_PER_BLOCK = 4  # contacts; fewer are solved one by one
 
 
 @unowned
@@ -58,7 +58,7 @@ def solve_straight(piece: int, end: int, system: ConstraintSystem) -> None:
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
     """Solve the contacts of a piece once, each at the velocities that those before it left.
 
-    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the others one by one.
+    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), those left over one by one.
 
     Parameters
     ----------
@@ -66,26 +66,24 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
-    if piece < system.edges[system.settings[0].independent] and hi - lo >= MIN_PER_BLOCK:
-        found = _solve_blocks(lo, hi, system, turning)
-    else:
-        found = _solve_each(lo, hi, system, turning)
+    blocks = (hi - lo) // WIDTH if piece < system.edges[system.settings[0].independent] else 0
+    found = _solve_blocks(lo, blocks, system, turning)
+    found = _solve_each(lo + blocks * WIDTH, hi, found, system, turning)
     findings = system.found[piece]
     findings.residual, findings.step_limit, findings.slope = found
 
 
 @inline
 def _solve_blocks(
-    lo: int, hi: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
+    lo: int, blocks: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
-    """Solve the contacts [lo, hi) in blocks; return the largest change, the limit of the step, and the slope."""
+    """Solve blocks of contacts, the first at lo; return the largest change, the limit of the step, and the slope."""
     pairs, held, contacts, states, bodies = system.pairs, system.held, system.contacts, system.states, system.bodies
     materials, places, settings, count = system.materials, system.places, system.settings[0], len(system.position)
     alpha, drift, keeps_sliding = settings.alpha, settings.drift, settings.keeps_sliding
     change, step_limit, slope = 0.0, np.inf, 0.0
-    for first in range(lo, hi, WIDTH):
-        for c in range(first, first + WIDTH):
-            prefetch_records(bodies, pairs, c)
+    for block in range(blocks):
+        first = lo + block * WIDTH
         change, step_limit, slope = solve_block(
             pairs,
             held,
@@ -96,7 +94,7 @@ def _solve_blocks(
             materials,
             places,
             first,
-            hi,
+            min(len(pairs) - WIDTH, first + AHEAD),
             count,
             alpha,
             drift,
@@ -111,14 +109,14 @@ def _solve_blocks(
 
 @inline
 def _solve_each(
-    lo: int, hi: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
+    lo: int, hi: int, found: tuple[float, float, float], system: ConstraintSystem, turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
-    """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope."""
+    """Solve the contacts [lo, hi) one by one; return what was found with those before, likewise."""
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
     count, places = len(system.position), system.places
-    change, step_limit, slope = 0.0, np.inf, 0.0
+    change, step_limit, slope = found
     for c in range(lo, hi):
         prefetch_records(bodies, pairs, c)
         if not system.held[c]:
