@@ -5,22 +5,21 @@ operators emit strict IEEE arithmetic, so each lane has the bits that a loop ove
 with narrower registers take two or four instructions for each operation, with the same bits. A mask has a bit for each
 lane.
 
-Records are read and written as whole cache lines, which are transposed in registers. A transposition takes as long as
-24 multiplications, so what several lines gain is transposed once, and added to them in memory.
+Formulas are written once, for doubles: `in_lanes` makes the same Python code compute with lanes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cache
+from types import FunctionType
 from typing import Any
 
 from llvmlite import ir
 
 WIDTH = 8  # doubles in a cache line
-HALF = WIDTH // 2
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
-LINE = 64  # bytes
 
 
 class Lanes:
@@ -47,6 +46,9 @@ class Lanes:
     def __abs__(self) -> Lanes:
         return self._apply("llvm.fabs")
 
+    def __bool__(self) -> bool:
+        raise TypeError("lanes take no branches")
+
     def root(self) -> Lanes:
         """Return the square roots."""
         return self._apply("llvm.sqrt")
@@ -68,7 +70,7 @@ class Lanes:
         lanes = self
         for apart in (4, 2, 1):
             order = [(k + apart) % WIDTH for k in range(WIDTH)]
-            lanes = greater(lanes, Lanes(self.builder, _shuffled(self.builder, lanes.value, lanes.value, order)))
+            lanes = greater(lanes, Lanes(self.builder, shuffled(self.builder, lanes.value, lanes.value, order)))
         return lanes.lane(0)
 
     def _apply(self, name: str) -> Lanes:
@@ -76,11 +78,31 @@ class Lanes:
         return Lanes(self.builder, self.builder.call(function, [self.value]))
 
 
+@cache
+def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a formula of kernels as a function of lanes: its operators, and those of formulas in it, emit code.
+
+    A formula has no branches that depend on its doubles.
+    """
+    plain: FunctionType = formula.py_func  # type: ignore[attr-defined]
+    named = {name: plain.__globals__.get(name) for name in plain.__code__.co_names}
+    inner = {name: in_lanes(value) for name, value in named.items() if hasattr(value, "py_func")}
+    return FunctionType(plain.__code__, plain.__globals__ | inner)
+
+
 def greater(first: Lanes, *others: Lanes) -> Lanes:
     """Return the largest, like ``max`` of doubles: the first where they are equal or not numbers."""
     for other in others:
         first = other.where(other.exceeds(first), first)
     return first
+
+
+def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:
+    """Add all terms of the first lane to a double, then those of the next; its bits depend on this order."""
+    for k in range(WIDTH):
+        for term in terms:
+            total = builder.fadd(total, term.lane(k))
+    return total
 
 
 def spread(builder: Any, value: Any) -> Lanes:
@@ -116,40 +138,8 @@ def read_flags(builder: Any, address: Any) -> Any:
     return builder.icmp_unsigned("!=", flags, ir.Constant(flags.type, None))
 
 
-def read_line(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
-    """Read a cache line of `WIDTH` records; return its eight fields, each with a lane per record."""
-    vectors = []
-    for part in range(2):  # halves of two lines make a vector, which saves a step of the transposition
-        halves = [builder.load(_half_of(builder, address, line, part), align=LINE // 2) for address in addresses]
-        pairs = zip(halves[:HALF], halves[HALF:], strict=True)
-        vectors += [_shuffled(builder, *pair, range(WIDTH)) for pair in pairs]
-    return [Lanes(builder, column) for column in _exchanged(builder, vectors, (1, 2))]
-
-
-def write_line(builder: Any, addresses: Sequence[Any], line: int, fields: Sequence[Lanes], mask: Any) -> None:
-    """Write eight fields to a cache line of the records in a mask."""
-    rows = _rows_of(builder, fields)
-
-    def write(k: int) -> None:
-        builder.store(rows[k], _line_of(builder, addresses[k], line), align=LINE)
-
-    _in_lanes(builder, mask, write)
-
-
-def add_to_lines(builder: Any, addresses: Sequence[Any], count: int, fields: Sequence[Lanes], mask: Any) -> None:
-    """Add eight fields to each of the first cache lines of the records in a mask."""
-    rows = _rows_of(builder, fields)
-
-    def add(k: int) -> None:
-        for line in range(count):
-            place = _line_of(builder, addresses[k], line)
-            builder.store(builder.fadd(builder.load(place, align=LINE), rows[k]), place, align=LINE)
-
-    _in_lanes(builder, mask, add)
-
-
-def _in_lanes(builder: Any, mask: Any, do: Callable[[int], None]) -> None:
-    """Do something in each lane of a mask. In most blocks it has all lanes, which takes a single branch."""
+def in_each(builder: Any, mask: Any, do: Callable[[int], None]) -> None:
+    """Do something for each lane of a mask. Most often all are set, which takes a single branch."""
     every = builder.icmp_unsigned("==", builder.bitcast(mask, BYTE), BYTE(2**WIDTH - 1))
     with builder.if_else(every, likely=True) as (in_all, in_some):
         with in_all:
@@ -161,40 +151,8 @@ def _in_lanes(builder: Any, mask: Any, do: Callable[[int], None]) -> None:
                     do(k)
 
 
-def _line_of(builder: Any, address: Any, line: int) -> Any:
-    return _at(builder, address, line * LINE, VECTOR)
-
-
-def _half_of(builder: Any, address: Any, line: int, part: int) -> Any:
-    return _at(builder, address, line * LINE + part * LINE // 2, ir.VectorType(DOUBLE, HALF))
-
-
-def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:
-    """Return the address of a value some bytes after another address."""
-    moved = builder.gep(builder.bitcast(address, BYTE.as_pointer()), [WORD(offset)])
-    return builder.bitcast(moved, kind.as_pointer())
-
-
-def _rows_of(builder: Any, fields: Sequence[Lanes]) -> list[Any]:
-    """Return the cache lines of records with these fields."""
-    return _exchanged(builder, [field.value for field in fields], (1, 2, 4))
-
-
-def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[Any]:
-    """Exchange single lanes, pairs or halves of eight vectors; all three steps transpose them."""
-    for step in steps:
-        firsts = [k - k % (2 * step) + k % step + (WIDTH if k % (2 * step) >= step else 0) for k in range(WIDTH)]
-        exchanged = list(vectors)
-        for k in range(WIDTH):
-            if k % (2 * step) < step:
-                both = vectors[k], vectors[k + step]
-                exchanged[k] = _shuffled(builder, *both, firsts)
-                exchanged[k + step] = _shuffled(builder, *both, [lane + step for lane in firsts])
-        vectors = exchanged
-    return vectors
-
-
-def _shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
+def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
+    """Return the vector of some lanes of two vectors; those of the second are numbered from `WIDTH` on."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INDEX, WIDTH), list(lanes)))
 
 

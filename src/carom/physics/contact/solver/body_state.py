@@ -128,10 +128,16 @@ def push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
 
 
 @inline
+def torque_of(contact: Any, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return λ_t × n of a tangential impulse, in N s."""
+    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    return nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+
+
+@inline
 def turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
     """Change the angular velocities by a tangential impulse λ_t, in N s."""
-    nx, ny, nz = contact.nx, contact.ny, contact.nz
-    lx, ly, lz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
     if si > 0.0:
         a.wx += si * lx
@@ -160,8 +166,7 @@ def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
 @inline
 def accumulate_turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
     """Add the changes by `turn` to those of the iteration."""
-    nx, ny, nz = contact.nx, contact.ny, contact.nz
-    lx, ly, lz = nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
+    lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
     if si > 0.0:
         a.dwx += si * lx

@@ -31,13 +31,13 @@ import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.law import material_index
+from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
 from carom.physics.contact.solver.friction import friction
 from carom.physics.contact.solver.solve_block import solve_block
 from carom.physics.contact.solver.velocity import bias_of, relative_velocity, slip
 from carom.physics.parallel.jit import inline, unowned
 from carom.physics.parallel.lanes import WIDTH
-from carom.physics.parallel.prefetch import AHEAD
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
 
@@ -66,52 +66,23 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
-    blocks = (hi - lo) // WIDTH if piece < system.edges[system.settings[0].independent] else 0
-    found = _solve_blocks(lo, blocks, system, turning)
+    blocks = whole_blocks(piece, system)
+    found = 0.0, np.inf, 0.0
+    for block in range(blocks):
+        found = solve_block(system, lo + block * WIDTH, found, turning)
     found = _solve_each(lo + blocks * WIDTH, hi, found, system, turning)
     findings = system.found[piece]
     findings.residual, findings.step_limit, findings.slope = found
 
 
 @inline
-def _solve_blocks(
-    lo: int, blocks: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]
-) -> tuple[float, float, float]:
-    """Solve blocks of contacts, the first at lo; return the largest change, the limit of the step, and the slope."""
-    pairs, held, contacts, states, bodies = system.pairs, system.held, system.contacts, system.states, system.bodies
-    materials, places, settings, count = system.materials, system.places, system.settings[0], len(system.position)
-    alpha, drift, keeps_sliding = settings.alpha, settings.drift, settings.keeps_sliding
-    change, step_limit, slope = 0.0, np.inf, 0.0
-    for block in range(blocks):
-        first = lo + block * WIDTH
-        change, step_limit, slope = solve_block(
-            pairs,
-            held,
-            system.small_change,
-            contacts,
-            states,
-            bodies,
-            materials,
-            places,
-            first,
-            min(len(pairs) - WIDTH, first + AHEAD),
-            count,
-            alpha,
-            drift,
-            keeps_sliding,
-            change,
-            step_limit,
-            slope,
-            turning,
-        )
-    return change, step_limit, slope
-
-
-@inline
 def _solve_each(
     lo: int, hi: int, found: tuple[float, float, float], system: ConstraintSystem, turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
-    """Solve the contacts [lo, hi) one by one; return what was found with those before, likewise."""
+    """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope.
+
+    ``found`` are those of the contacts before.
+    """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding

@@ -1,7 +1,6 @@
-"""Eight contacts that share no moving body, solved at once: `solve`, with a lane for each contact.
+"""A block of contacts, solved at once; see `solve`.
 
-The lanes do what the loop of `solve` does, operation by operation, so they have its bits. The law is called for each
-contact by itself, so a law needs no second form.
+The law is called for each contact by itself, so a law needs no second form.
 """
 
 from __future__ import annotations
@@ -9,179 +8,138 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from llvmlite import ir
 from numba import types
 
-from carom.physics.contact.constraints import BODY_STATE, CONTACT
+from carom.physics.contact.constraints import CONTACT
+from carom.physics.contact.solver.block import CHANGE, VELOCITY, Block
+from carom.physics.contact.solver.body_state import torque_of
 from carom.physics.contact.solver.friction import friction
-from carom.physics.parallel.intrinsics import address_in, instruction
+from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.parallel.intrinsics import instruction
 from carom.physics.parallel.lanes import (
-    LINE,
-    WIDTH,
+    DOUBLE,
+    INDEX,
     WORD,
     Lanes,
-    add_to_lines,
+    added_in_order,
     computed_if,
     gathered,
     greater,
+    in_lanes,
     mask_of,
     read_doubles,
-    read_flags,
-    read_line,
     spread,
-    write_line,
 )
-from carom.physics.parallel.prefetch import fetch_line
+from carom.physics.parallel.record_lanes import RecordLanes
 
-Fields = dict[str, Lanes]
-Three = tuple[Lanes, Lanes, Lanes]
+Vector = Sequence[Lanes]
 
-THREE_DOUBLES: Any = types.Tuple([types.float64] * 3)  # type: ignore[no-untyped-call]
-BODY_LINES = BODY_STATE.itemsize // LINE
+DOUBLES: Any = types.UniTuple(types.float64, 3)  # type: ignore[no-untyped-call]
 
 
 @instruction
-def solve_block(
-    typing: Any,
-    pairs: Any,  # this and the next as in `ConstraintSystem`
-    held: Any,
-    small_change: Any,
-    contacts: Any,
-    states: Any,
-    bodies: Any,
-    materials: Any,
-    places: Any,
-    first: Any,  # contact of the block
-    ahead: Any,  # first of the contacts whose bodies are fetched for a later block
-    count: Any,  # of bodies
-    alpha: Any,  # this and the next as in `SETTINGS`
-    drift: Any,
-    keeps_sliding: Any,
-    change: Any,  # this and the next: what `solve` found before
-    step_limit: Any,
-    slope: Any,
-    turning: Any,  # as in `solve`
-) -> Any:
-    """Solve a block of contacts; return what `solve` found with those of the block."""
-    kind_of = {name: kind for name, kind in locals().items() if name != "typing"}
+def solve_block(typing: Any, system: Any, first: Any, found: Any, turning: Any) -> Any:
+    """Solve the contacts of a block; return what `solve` ``found`` with theirs. ``turning`` is as in `solve`."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        block = _Block(context, builder, kind_of, dict(zip(kind_of, args, strict=True)))
-        return context.make_tuple(builder, signature.return_type, block.solve(turns=len(kind_of["turning"]) > 0))
+        block = _Solution(Block(context, builder, system, *args[:2]), turns=len(turning) > 0)
+        before = [builder.extract_value(args[2], k) for k in range(3)]
+        return context.make_tuple(builder, signature.return_type, block.found(*before))
 
-    return THREE_DOUBLES(*kind_of.values()), generate
+    return DOUBLES(system, first, found, turning), generate
 
 
-class _Block:
-    """Generates the code for a block."""
+class _Solution:
+    """Generates the code that solves a block."""
 
-    def __init__(self, context: Any, builder: Any, kinds: dict[str, Any], given: dict[str, Any]) -> None:
-        self._context, self._builder, self._kinds, self._given = context, builder, kinds, given
-        self._places = [builder.add(given["first"], WORD(k)) for k in range(WIDTH)]
-        self._held = read_flags(builder, self._address("held", given["first"]))
-        self._ends = self._ends_from(given["first"])
-        self._zero = spread(builder, ir.Constant(ir.DoubleType(), 0.0))
-        self._nothing = spread(builder, ir.Constant(ir.DoubleType(), -0.0))  # adding it keeps all bits, also of -0.0
-
-    def solve(self, *, turns: bool) -> list[Any]:
-        """Solve the contacts; return the largest change, the limit of the step, and the slope."""
-        self._fetch_bodies_ahead()
-        contacts = [self._address("contacts", place) for place in self._places]
-        bodies = [[self._address("bodies", body) for body in end] for end in self._ends]
-        c = _read(self._builder, contacts, CONTACT, CONTACT.itemsize // LINE)
-        a, b = (_read(self._builder, addresses, BODY_STATE, 1) for addresses in bodies)
-        alpha = spread(self._builder, self._given["alpha"])
-        n = c["nx"], c["ny"], c["nz"]
-        u = b["vx"] - a["vx"], b["vy"] - a["vy"], b["vz"] - a["vz"]
-        vn = _dot(u, n)
-        u = u[0] - vn * n[0], u[1] - vn * n[1], u[2] - vn * n[2]
-        bias = self._bias(c, u)
-        old = c["normal_impulse"] + alpha * c["delta_normal"]
-        normal = greater(self._zero, old - (vn + bias) * c["normal_mass"])
+    def __init__(self, block: Block, *, turns: bool) -> None:
+        self._block, self._builder, self._held = block, block.builder, block.held
+        block.fetch_bodies_ahead((VELOCITY, CHANGE))
+        contact = block.records("contacts", CONTACT, (0, 1))
+        a, b = block.bodies((VELOCITY,))
+        alpha = spread(self._builder, block.setting("alpha"))
+        vn, *u = in_lanes(relative_velocity)(contact, a, b)
+        bias = self._bias(contact, u)
+        old = contact.normal_impulse + alpha * contact.delta_normal
+        normal = greater(block.zero, old - (vn + bias) * contact.normal_mass)
         more = normal - old
-        c["normal_impulse"], c["delta_normal"] = normal, more
-        largest = abs(more)
-        J, torque = (more * n[0], more * n[1], more * n[2]), None
+        changed = {"normal_impulse": normal, "delta_normal": more}
+        J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
         if turns:
-            d = self._friction(c, a, b, u, alpha)
-            largest = greater(largest, abs(d[0]), abs(d[1]), abs(d[2]))
-            J, torque = (J[0] + d[0], J[1] + d[1], J[2] + d[2]), _cross(d, n)
-        change = largest * (a["inverse_mass"] + b["inverse_mass"])
-        self._apply((-J[0], -J[1], -J[2]), torque, c["arm_i"], a, bodies[0])
-        self._apply(J, torque, c["arm_j"], b, bodies[1])
-        write_line(self._builder, contacts, 1, [c[name] for name in _names(CONTACT)[WIDTH:]], self._held)
-        return self._found(change, normal, more, more * bias)
+            u = in_lanes(slip)(contact, a, b, *u)
+            old_friction = [
+                contact.friction_x + alpha * contact.delta_x,
+                contact.friction_y + alpha * contact.delta_y,
+                contact.friction_z + alpha * contact.delta_z,
+            ]
+            ending = [before - along * contact.tangent_mass for before, along in zip(old_friction, u, strict=True)]
+            friction = self._by_law(normal, ending)
+            d = [after - before for after, before in zip(friction, old_friction, strict=True)]
+            changed |= dict(zip(("friction_x", "friction_y", "friction_z"), friction, strict=True))
+            changed |= dict(zip(("delta_x", "delta_y", "delta_z"), d, strict=True))
+            largest = greater(largest, *map(abs, d))
+            J = [pressing + rubbing for pressing, rubbing in zip(J, d, strict=True)]
+            torque = in_lanes(torque_of)(contact, *d)
+        self._change = largest * (a.inverse_mass + b.inverse_mass)
+        self._normal, self._more, self._slope = normal, more, more * bias
+        block.apply(contact, (a, b), self._held, (VELOCITY, CHANGE), J, torque)
+        contact.write(self._held, **changed)
 
-    def _address(self, name: str, *indices: Any) -> Any:
-        return address_in(self._context, self._builder, self._kinds[name], self._given[name], indices)
+    def found(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
+        """Return the largest change, the limit of the step, and the slope, given those before."""
+        builder = self._builder
+        largest, limit = spread(builder, change), spread(builder, step_limit)
+        small = read_doubles(builder, self._block.address("small_change", self._block.places[0]))
+        matters = builder.and_(self._held, self._change.exceeds(small))
+        largest = self._change.where(builder.and_(matters, self._change.exceeds(largest)), largest)
+        pulling = -self._normal / self._more
+        nearer = builder.and_(self._block.zero.exceeds(self._more), limit.exceeds(pulling))
+        limit = pulling.where(builder.and_(self._held, nearer), limit)
+        slope = added_in_order(builder, slope, self._slope.where(self._held, self._block.nothing))
+        return [largest.largest(), builder.fneg((-limit).largest()), slope]
 
-    def _ends_from(self, first: Any) -> list[list[Any]]:
-        """Return the indices i, then j, of eight contacts."""
-        places = [self._builder.add(first, WORD(k)) for k in range(WIDTH)]
-        return [[self._builder.load(self._address("pairs", at, WORD(end))) for at in places] for end in range(2)]
-
-    def _fetch_bodies_ahead(self) -> None:
-        for end in self._ends_from(self._given["ahead"]):
-            for body in end:
-                for line in range(BODY_LINES):
-                    fetch_line(self._builder, self._address("bodies", body), line, to_write=True)
-
-    def _bias(self, c: Fields, u: Three) -> Lanes:
+    def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
         """Return the biases c, see `bias_along_arc`; they are those along the normal at planes, and without a drift."""
-        builder, given, bias = self._builder, self._given, c["velocity_bias"]
-        drifts = builder.fcmp_ordered(">", given["drift"], ir.Constant(ir.DoubleType(), 0.0))
-        between = mask_of(builder, [builder.icmp_signed("<", j, given["count"]) for j in self._ends[1]])
+        builder, block, bias, drift = self._builder, self._block, contact.velocity_bias, self._block.setting("drift")
+        count = block.count("position")
+        between = mask_of(builder, [builder.icmp_signed("<", j, count) for j in block.ends[1]])
 
         def along_arc() -> Lanes:
-            drift = spread(builder, given["drift"])
-            R = (c["arm_i"] + c["arm_j"]) - bias * drift
-            t2 = _dot(u, u) * drift * drift
-            bends = builder.and_(t2.exceeds(self._zero), (R * R).exceeds(t2))
-            more = t2 / ((R + (R * R - t2).root()) * drift)
-            return (bias + more.where(bends, self._zero)).where(between, bias)
+            time = spread(builder, drift)
+            R = (contact.arm_i + contact.arm_j) - bias * time
+            t2 = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * time * time
+            bends = builder.and_(t2.exceeds(block.zero), (R * R).exceeds(t2))
+            more = t2 / ((R + (R * R - t2).root()) * time)
+            return (bias + more.where(bends, block.zero)).where(between, bias)
 
-        return computed_if(builder, drifts, along_arc, bias)
+        return computed_if(builder, builder.fcmp_ordered(">", drift, DOUBLE(0.0)), along_arc, bias)
 
-    def _friction(self, c: Fields, a: Fields, b: Fields, u: Three, alpha: Lanes) -> Three:
-        """Find the friction; return its change."""
-        w = [c["arm_i"] * a[axis] + c["arm_j"] * b[axis] for axis in ("wx", "wy", "wz")]
-        turning = _cross((w[0], w[1], w[2]), (c["nx"], c["ny"], c["nz"]))
-        slip = [before - by for before, by in zip(u, turning, strict=True)]
-        old = [c[f"friction_{axis}"] + alpha * c[f"delta_{axis}"] for axis in "xyz"]
-        ending = [before - ux * c["tangent_mass"] for before, ux in zip(old, slip, strict=True)]
-        friction = self._by_law(c["normal_impulse"], ending)
-        x, y, z = (after - before for after, before in zip(friction, old, strict=True))
-        c["friction_x"], c["friction_y"], c["friction_z"] = friction
-        c["delta_x"], c["delta_y"], c["delta_z"] = x, y, z
-        return x, y, z
-
-    def _by_law(self, normal: Lanes, ending: Sequence[Lanes]) -> list[Lanes]:
+    def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
         """Return the friction that the law allows in place of the one that ends the slip, contact by contact."""
-        builder, context = self._builder, self._context
-        records = [self._kinds[name].dtype for name in ("states", "materials")]
-        signature = THREE_DOUBLES(*records, types.boolean, *[types.float64] * 4)
+        builder, block, context = self._builder, self._block, self._block.context
+        records = [block.kind_of(name).dtype for name in ("states", "materials")]
+        signature = DOUBLES(*records, types.boolean, *[types.float64] * 4)
+        keeps_sliding = block.setting("keeps_sliding")
         found = []
         for k, row in enumerate(self._material_rows()):
-            state, material = self._address("states", self._places[k]), self._address("materials", row)
-            slides = builder.and_(self._given["keeps_sliding"], self._is_held(k))  # others must not be marked
-            asked = [state, material, slides, *(value.lane(k) for value in (normal, *ending))]
-            allowed = context.compile_internal(builder, _friction_of_one, signature, asked)
+            slides = builder.and_(keeps_sliding, builder.extract_element(self._held, INDEX(k)))
+            given = [block.address("states", block.places[k]), block.address("materials", row), slides]
+            numbers = [value.lane(k) for value in (normal, *ending)]
+            allowed = context.compile_internal(builder, _friction_of_one, signature, [*given, *numbers])
             found.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in found]) for axis in range(3)]
 
     def _material_rows(self) -> list[Any]:
         """Return the row of each contact's coefficients, see `material_index`."""
-        builder, kind = self._builder, self._kinds["places"]
-        places = self._context.make_array(kind)(self._context, builder, self._given["places"])
-        many = builder.icmp_signed(">", builder.extract_value(places.shape, 0), WORD(0))
-        planes = [builder.add(builder.sub(j, self._given["count"]), WORD(1)) for j in self._ends[1]]
+        builder, block = self._builder, self._block
+        count, many = block.count("position"), builder.icmp_signed(">", block.count("places"), WORD(0))
+        planes = [builder.add(builder.sub(j, count), WORD(1)) for j in block.ends[1]]
         rows = [builder.select(builder.icmp_signed(">", plane, WORD(0)), plane, WORD(0)) for plane in planes]
         before = builder.block
         with builder.if_then(many):
             known = []
-            for i, j in zip(*self._ends, strict=True):
-                parts = [builder.load(self._address("places", *at)) for at in ((i, WORD(0)), (j, WORD(1)))]
+            for ends in zip(*block.ends, strict=True):
+                parts = [builder.load(block.address("places", end, WORD(part))) for part, end in enumerate(ends)]
                 known.append(builder.add(*parts))
             looked_up = builder.block
         joined = [builder.phi(WORD) for _ in rows]
@@ -190,60 +148,9 @@ class _Block:
             phi.add_incoming(other, looked_up)
         return joined
 
-    def _is_held(self, k: int) -> Any:
-        return self._builder.extract_element(self._held, ir.IntType(32)(k))
-
-    def _apply(self, J: Three, torque: Three | None, arm: Lanes, body: Fields, addresses: Sequence[Any]) -> None:
-        """Change velocities and spins by impulses, now and in the sum of the iteration; fixed bodies are not written.
-
-        Spins change where there is a lever.
-        """
-        by = [along * body["inverse_mass"] for along in J]
-        if torque is not None:
-            lever = arm * body["inverse_inertia"]
-            turns = lever.exceeds(self._zero)
-            by += [(lever * about).where(turns, self._nothing) for about in torque]
-        by += [self._nothing] * (WIDTH - len(by))
-        mask = self._builder.and_(self._held, body["inverse_mass"].exceeds(self._zero))
-        add_to_lines(self._builder, addresses, BODY_LINES, by, mask)
-
-    def _found(self, change: Lanes, normal: Lanes, more: Lanes, slope: Lanes) -> list[Any]:
-        """Add the contacts of the block to the findings; to the slope one after the other, as its bits depend on it."""
-        builder = self._builder
-        largest, limit = (spread(builder, self._given[name]) for name in ("change", "step_limit"))
-        small = read_doubles(builder, self._address("small_change", self._given["first"]))
-        matters = builder.and_(self._held, change.exceeds(small))
-        largest = change.where(builder.and_(matters, change.exceeds(largest)), largest)
-        pulling = -normal / more
-        nearer = builder.and_(self._zero.exceeds(more), limit.exceeds(pulling))
-        limit = pulling.where(builder.and_(self._held, nearer), limit)
-        total, by_held = self._given["slope"], slope.where(self._held, self._nothing)
-        for k in range(WIDTH):
-            total = builder.fadd(total, by_held.lane(k))
-        return [largest.largest(), builder.fneg((-limit).largest()), total]
-
 
 def _friction_of_one(
     state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, ...]:
     """Call `friction`; Numba compiles functions of Python into generated code, but no kernels."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)
-
-
-def _read(builder: Any, addresses: Sequence[Any], kind: np.dtype[np.void], lines: int) -> Fields:
-    """Read the first cache lines of records."""
-    lanes = [field for line in range(lines) for field in read_line(builder, addresses, line)]
-    return dict(zip(_names(kind), lanes, strict=False))
-
-
-def _names(kind: np.dtype[np.void]) -> tuple[str, ...]:
-    return kind.names or ()
-
-
-def _dot(u: Three, v: Three) -> Lanes:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-def _cross(u: Three, v: Three) -> Three:
-    x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-    return x, y, z

@@ -1,0 +1,131 @@
+"""Eight contacts of a colour that share no moving body: a block, for code generators of phases.
+
+The code computes with lanes, one for each contact, what the phase's loop computes for one contact at a time, with the
+same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from carom.physics.contact.constraints import BODY_STATE, SETTINGS, ConstraintSystem
+from carom.physics.parallel.intrinsics import address_in
+from carom.physics.parallel.jit import inline
+from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, read_flags, spread
+from carom.physics.parallel.prefetch import AHEAD, fetch_line
+from carom.physics.parallel.record_lanes import RecordLanes
+
+VELOCITY, CHANGE = range(2)  # lines of a body
+
+
+@inline
+def whole_blocks(piece: int, system: ConstraintSystem) -> int:
+    """Return the number of whole blocks in a piece; 0 if its contacts may share moving bodies."""
+    independent = piece < system.edges[system.settings[0].independent]
+    return (system.pieces[piece, 1] - system.pieces[piece, 0]) // WIDTH if independent else 0
+
+
+class Block:
+    """Eight contacts of a `ConstraintSystem`.
+
+    Parameters
+    ----------
+    context, builder
+        Of the code.
+    kind, system
+        Numba's type of the system, and its value in the code.
+    first
+        Place of the first contact, a value of the code.
+    """
+
+    def __init__(self, context: Any, builder: Any, kind: Any, system: Any, first: Any) -> None:
+        self.context, self.builder = context, builder
+        self._kind, self._system, self._first = kind, system, first
+        self.places = [builder.add(first, WORD(k)) for k in range(WIDTH)]
+        self.ends = self._ends_from(first)
+        self.zero = spread(builder, DOUBLE(0.0))
+        self.nothing = spread(builder, DOUBLE(-0.0))  # adding it keeps all bits, those of -0.0, too
+
+    def kind_of(self, name: str) -> Any:
+        """Return Numba's type of an array of the system."""
+        return self._kind.types[self._kind.fields.index(name)]
+
+    def array(self, name: str) -> Any:
+        """Return the value of an array of the system."""
+        return self.builder.extract_value(self._system, self._kind.fields.index(name))
+
+    def count(self, name: str) -> Any:
+        """Return the number of rows of an array of the system."""
+        view = self.context.make_array(self.kind_of(name))(self.context, self.builder, self.array(name))
+        return self.builder.extract_value(view.shape, 0)
+
+    def address(self, name: str, *indices: Any) -> Any:
+        """Return the address of an element of an array of the system."""
+        return address_in(self.context, self.builder, self.kind_of(name), self.array(name), indices)
+
+    def setting(self, name: str) -> Any:
+        """Return a double or a flag of the settings."""
+        assert SETTINGS.fields is not None
+        kind, offset = SETTINGS.fields[name][:2]
+        address = self.builder.bitcast(self.address("settings", WORD(0)), BYTE.as_pointer())
+        address = self.builder.gep(address, [WORD(offset)])
+        if kind == np.bool_:
+            return self.builder.icmp_unsigned("!=", self.builder.load(address), BYTE(0))
+        return self.builder.load(self.builder.bitcast(address, DOUBLE.as_pointer()))
+
+    @property
+    def held(self) -> Any:
+        """A mask of the contacts that are held."""
+        return read_flags(self.builder, self.address("held", self._first))
+
+    def records(self, name: str, kind: np.dtype[np.void], lines: Sequence[int]) -> RecordLanes:
+        """Return the records of the contacts in an array, and read some of their lines."""
+        return RecordLanes(self.builder, kind, [self.address(name, place) for place in self.places], lines)
+
+    def bodies(self, lines: Sequence[int]) -> list[RecordLanes]:
+        """Return the records of the bodies i and j, and read some of their lines."""
+        addresses = [[self.address("bodies", body) for body in end] for end in self.ends]
+        return [RecordLanes(self.builder, BODY_STATE, end, lines) for end in addresses]
+
+    def fetch_bodies_ahead(self, lines: Sequence[int]) -> None:
+        """Fetch lines of the bodies of a later block."""
+        last = self.builder.sub(self.count("pairs"), WORD(WIDTH))
+        ahead = self.builder.add(self._first, WORD(AHEAD))
+        for end in self._ends_from(self.builder.select(self.builder.icmp_signed("<", ahead, last), ahead, last)):
+            for body in end:
+                for line in lines:
+                    fetch_line(self.builder, self.address("bodies", body), line, to_write=True)
+
+    def apply(
+        self,
+        contact: RecordLanes,
+        bodies: Sequence[RecordLanes],
+        mask: Any,
+        lines: Sequence[int],
+        J: Sequence[Lanes],
+        torque: Sequence[Lanes] | None,
+    ) -> None:
+        """Add the effect of an impulse J on j, and of -J on i, to lines of the bodies; see `body_state.push`.
+
+        Parameters
+        ----------
+        mask
+            The contacts that exert an impulse; fixed bodies are not written.
+        torque
+            N s, λ_t × n; both bodies turn by it times their levers. None without spin.
+        """
+        for body, arm, push in zip(bodies, (contact.arm_i, contact.arm_j), ([-a for a in J], J), strict=True):
+            by = [along * body.inverse_mass for along in push]
+            if torque is not None:
+                lever = arm * body.inverse_inertia
+                by += [(lever * about).where(lever.exceeds(self.zero), self.nothing) for about in torque]
+            by += [self.nothing] * (WIDTH - len(by))
+            body.add(self.builder.and_(mask, body.inverse_mass.exceeds(self.zero)), lines, by)
+
+    def _ends_from(self, first: Any) -> list[list[Any]]:
+        """Return the indices i, then j, of eight contacts."""
+        places = [self.builder.add(first, WORD(k)) for k in range(WIDTH)]
+        return [[self.builder.load(self.address("pairs", at, WORD(end))) for at in places] for end in range(2)]

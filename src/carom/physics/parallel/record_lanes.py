@@ -1,0 +1,125 @@
+"""Eight records whose fields are lanes, for code generators.
+
+Records are read and written as whole cache lines, which are transposed in registers. A transposition takes as long as
+24 multiplications, so what several lines gain is transposed once, and added to them in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+
+from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, in_each, shuffled
+
+LINE = 64  # bytes
+HALF = WIDTH // 2
+
+
+class RecordLanes:
+    """Eight records; the fields of the lines that were read are attributes.
+
+    Parameters
+    ----------
+    builder
+        Of the code.
+    kind
+        Type of the records, whole cache lines.
+    addresses
+        Of the records.
+    lines
+        Cache lines to read.
+    """
+
+    def __init__(self, builder: Any, kind: np.dtype[np.void], addresses: Sequence[Any], lines: Sequence[int]) -> None:
+        self._builder, self._kind, self._addresses = builder, kind, addresses
+        self._lines = {line: _read(builder, addresses, line) for line in lines}
+
+    def __getattr__(self, name: str) -> Lanes:
+        line, place, _ = self._place_of(name)
+        return self._lines[line][place]
+
+    def flag(self, name: str) -> Any:
+        """Return a flag as a mask."""
+        line, place, byte = self._place_of(name)
+        words = self._builder.bitcast(self._lines[line][place].value, ir.VectorType(WORD, WIDTH))
+        bits = ir.Constant(words.type, [0xFF << 8 * byte] * WIDTH)
+        return self._builder.icmp_unsigned("!=", self._builder.and_(words, bits), ir.Constant(words.type, None))
+
+    def write(self, mask: Any, **fields: Lanes) -> None:
+        """Write fields of one line that was read, in the records of a mask."""
+        (line,) = {self._place_of(name)[0] for name in fields}
+        changed = list(self._lines[line])
+        for name, value in fields.items():
+            changed[self._place_of(name)[1]] = value
+        rows = _rows_of(self._builder, changed)
+
+        def write(k: int) -> None:
+            self._builder.store(rows[k], line_of(self._builder, self._addresses[k], line), align=LINE)
+
+        in_each(self._builder, mask, write)
+
+    def add(self, mask: Any, lines: Sequence[int], fields: Sequence[Lanes]) -> None:
+        """Add eight fields to each of some lines, in the records of a mask."""
+        builder, rows = self._builder, _rows_of(self._builder, fields)
+
+        def add(k: int) -> None:
+            for line in lines:
+                place = line_of(builder, self._addresses[k], line)
+                builder.store(builder.fadd(builder.load(place, align=LINE), rows[k]), place, align=LINE)
+
+        in_each(builder, mask, add)
+
+    def _place_of(self, name: str) -> tuple[int, int, int]:
+        """Return the line of a field, its place in the line, and its byte there."""
+        if name not in (self._kind.fields or {}):
+            raise AttributeError(f"these records have no {name}")
+        assert self._kind.fields is not None
+        offset = self._kind.fields[name][1]
+        return offset // LINE, offset % LINE // 8, offset % 8
+
+
+def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
+    """Read a cache line of eight records; return its eight fields."""
+    vectors = []
+    for part in range(2):  # halves of two lines make a vector, which saves a step of the transposition
+        halves = [builder.load(_half_of(builder, address, line, part), align=LINE // 2) for address in addresses]
+        pairs = zip(halves[:HALF], halves[HALF:], strict=True)
+        vectors += [shuffled(builder, *pair, range(WIDTH)) for pair in pairs]
+    return [Lanes(builder, column) for column in _exchanged(builder, vectors, (1, 2))]
+
+
+def _rows_of(builder: Any, fields: Sequence[Lanes]) -> list[Any]:
+    """Return the cache lines of eight records with these fields."""
+    return _exchanged(builder, [field.value for field in fields], (1, 2, 4))
+
+
+def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[Any]:
+    """Exchange single lanes, pairs or halves of eight vectors; all three steps transpose them."""
+    for step in steps:
+        firsts = [k - k % (2 * step) + k % step + (WIDTH if k % (2 * step) >= step else 0) for k in range(WIDTH)]
+        exchanged = list(vectors)
+        for k in range(WIDTH):
+            if k % (2 * step) < step:
+                both = vectors[k], vectors[k + step]
+                exchanged[k] = shuffled(builder, *both, firsts)
+                exchanged[k + step] = shuffled(builder, *both, [lane + step for lane in firsts])
+        vectors = exchanged
+    return vectors
+
+
+def line_of(builder: Any, address: Any, line: int) -> Any:
+    """Return the address of a cache line of a record, as that of a vector."""
+    return _at(builder, address, line * LINE, VECTOR)
+
+
+def _half_of(builder: Any, address: Any, line: int, part: int) -> Any:
+    return _at(builder, address, line * LINE + part * LINE // 2, ir.VectorType(DOUBLE, HALF))
+
+
+def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:
+    """Return the address of a value some bytes after another address."""
+    moved = builder.gep(builder.bitcast(address, BYTE.as_pointer()), [WORD(offset)])
+    return builder.bitcast(moved, kind.as_pointer())
