@@ -1,9 +1,8 @@
 """Lanes: the same arithmetic on several records at once, in the vector registers of the processor.
 
-`Lanes` is a value of a code generator (see `parallel.intrinsics`): one double for each of `WIDTH` records. Its
-operators emit strict IEEE arithmetic, so each lane has the bits that a loop over the records would give it. Processors
-with narrower registers take two or four instructions for each operation, with the same bits. A mask has a bit for each
-lane.
+`Lanes` is a value of a code generator (see `parallel.intrinsics`): one double for each of `WIDTH` records, and `Mask`
+one bit for each. Their operators emit strict IEEE arithmetic, so each lane has the bits that a loop over the records
+would give it. Processors with narrower registers take two or four instructions for each operation, with the same bits.
 
 Formulas are written once, for doubles: `in_lanes` makes the same Python code compute with lanes.
 """
@@ -17,28 +16,60 @@ from typing import Any
 
 from llvmlite import ir
 
+from carom.physics.parallel.jit import inline
+
 WIDTH = 8  # doubles in a cache line
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
 
 
-class Lanes:
-    """One double per lane."""
+class Mask:
+    """One bit per lane."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
 
-    def __add__(self, other: Lanes) -> Lanes:
-        return Lanes(self.builder, self.builder.fadd(self.value, other.value))
+    def __and__(self, other: Mask) -> Mask:
+        return Mask(self.builder, self.builder.and_(self.value, other.value))
 
-    def __sub__(self, other: Lanes) -> Lanes:
-        return Lanes(self.builder, self.builder.fsub(self.value, other.value))
+    def __bool__(self) -> bool:
+        raise TypeError("lanes take no branches: use `where`")
 
-    def __mul__(self, other: Lanes) -> Lanes:
-        return Lanes(self.builder, self.builder.fmul(self.value, other.value))
+    def bit(self, k: int) -> Any:
+        """Return the bit of a lane."""
+        return self.builder.extract_element(self.value, INDEX(k))
 
-    def __truediv__(self, other: Lanes) -> Lanes:
-        return Lanes(self.builder, self.builder.fdiv(self.value, other.value))
+    def in_each(self, do: Callable[[int], None]) -> None:
+        """Do something for each lane that is set. Most often all are, which takes a single branch."""
+        builder = self.builder
+        every = builder.icmp_unsigned("==", builder.bitcast(self.value, BYTE), BYTE(2**WIDTH - 1))
+        with builder.if_else(every, likely=True) as (in_all, in_some):
+            with in_all:
+                for k in range(WIDTH):
+                    do(k)
+            with in_some:
+                for k in range(WIDTH):
+                    with builder.if_then(self.bit(k)):
+                        do(k)
+
+
+class Lanes:
+    """One double per lane. An operand may be a number, which all lanes share."""
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __add__(self, other: Lanes | float) -> Lanes:
+        return self._joined("fadd", other)
+
+    def __sub__(self, other: Lanes | float) -> Lanes:
+        return self._joined("fsub", other)
+
+    def __mul__(self, other: Lanes | float) -> Lanes:
+        return self._joined("fmul", other)
+
+    def __truediv__(self, other: Lanes | float) -> Lanes:
+        return self._joined("fdiv", other)
 
     def __neg__(self) -> Lanes:
         return Lanes(self.builder, self.builder.fneg(self.value))
@@ -46,20 +77,22 @@ class Lanes:
     def __abs__(self) -> Lanes:
         return self._apply("llvm.fabs")
 
-    def __bool__(self) -> bool:
-        raise TypeError("lanes take no branches")
+    def __gt__(self, other: Lanes | float) -> Mask:  # NaN is not greater, nor is anything greater than NaN
+        return Mask(self.builder, self.builder.fcmp_ordered(">", self.value, self._alike(other).value))
 
-    def root(self) -> Lanes:
-        """Return the square roots."""
+    def __lt__(self, other: Lanes | float) -> Mask:
+        return Mask(self.builder, self.builder.fcmp_ordered("<", self.value, self._alike(other).value))
+
+    def __bool__(self) -> bool:
+        raise TypeError("lanes take no branches: use `where`")
+
+    def sqrt(self) -> Lanes:
+        """Return the square roots; `numpy.sqrt` calls this."""
         return self._apply("llvm.sqrt")
 
-    def exceeds(self, other: Lanes) -> Any:
-        """Return a mask of the lanes that are greater than those of another; NaN is not."""
-        return self.builder.fcmp_ordered(">", self.value, other.value)
-
-    def where(self, mask: Any, other: Lanes) -> Lanes:
+    def where(self, mask: Mask, other: Lanes | float) -> Lanes:
         """Return these lanes where a mask is set, and the other's elsewhere."""
-        return Lanes(self.builder, self.builder.select(mask, self.value, other.value))
+        return Lanes(self.builder, self.builder.select(mask.value, self.value, self._alike(other).value))
 
     def lane(self, k: int) -> Any:
         """Return the double of a lane."""
@@ -73,28 +106,48 @@ class Lanes:
             lanes = greater(lanes, Lanes(self.builder, shuffled(self.builder, lanes.value, lanes.value, order)))
         return lanes.lane(0)
 
+    def _joined(self, operation: str, other: Lanes | float) -> Lanes:
+        return Lanes(self.builder, getattr(self.builder, operation)(self.value, self._alike(other).value))
+
+    def _alike(self, other: Lanes | float) -> Lanes:
+        return other if isinstance(other, Lanes) else spread(self.builder, DOUBLE(other))
+
     def _apply(self, name: str) -> Lanes:
         function = self.builder.module.declare_intrinsic(f"{name}.v{WIDTH}f64", (), ir.FunctionType(VECTOR, [VECTOR]))
         return Lanes(self.builder, self.builder.call(function, [self.value]))
+
+
+@inline
+def where(condition: bool, then: float, otherwise: float) -> float:
+    """Return one of two doubles, for formulas of doubles and of lanes; both are computed."""
+    return then if condition else otherwise
 
 
 @cache
 def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
     """Return a formula of kernels as a function of lanes: its operators, and those of formulas in it, emit code.
 
-    A formula has no branches that depend on its doubles.
+    A formula has no branches that depend on its doubles, but `where`.
     """
+    if formula is where:
+        return _where
     plain: FunctionType = formula.py_func  # type: ignore[attr-defined]
     named = {name: plain.__globals__.get(name) for name in plain.__code__.co_names}
-    inner = {name: in_lanes(value) for name, value in named.items() if hasattr(value, "py_func")}
-    return FunctionType(plain.__code__, plain.__globals__ | inner)
+    called = {name: in_lanes(value) for name, value in named.items() if hasattr(value, "py_func")}
+    return FunctionType(plain.__code__, plain.__globals__ | called)
 
 
-def greater(first: Lanes, *others: Lanes) -> Lanes:
+def _where(condition: Mask, then: Lanes | float, otherwise: Lanes | float) -> Lanes:
+    lanes = then if isinstance(then, Lanes) else spread(condition.builder, DOUBLE(then))
+    return lanes.where(condition, otherwise)
+
+
+def greater(first: Lanes | float, *others: Lanes | float) -> Lanes:
     """Return the largest, like ``max`` of doubles: the first where they are equal or not numbers."""
     for other in others:
-        first = other.where(other.exceeds(first), first)
-    return first
+        lanes = other if isinstance(other, Lanes) else first._alike(other)  # type: ignore[union-attr]
+        first = lanes.where(lanes > first, first)
+    return first  # type: ignore[return-value]
 
 
 def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:
@@ -115,9 +168,9 @@ def gathered(builder: Any, values: Sequence[Any]) -> Lanes:
     return Lanes(builder, _collected(builder, VECTOR, values))
 
 
-def mask_of(builder: Any, bits: Sequence[Any]) -> Any:
+def mask_of(builder: Any, bits: Sequence[Any]) -> Mask:
     """Return bits as a mask."""
-    return _collected(builder, MASK, bits)
+    return Mask(builder, _collected(builder, MASK, bits))
 
 
 def _collected(builder: Any, kind: Any, values: Sequence[Any]) -> Any:
@@ -132,23 +185,10 @@ def read_doubles(builder: Any, address: Any) -> Lanes:
     return Lanes(builder, builder.load(builder.bitcast(address, VECTOR.as_pointer()), align=8))
 
 
-def read_flags(builder: Any, address: Any) -> Any:
-    """Read eight flags of an array, from the one at an address on, as a mask."""
+def read_flags(builder: Any, address: Any) -> Mask:
+    """Read eight flags of an array, from the one at an address on."""
     flags = builder.load(builder.bitcast(address, ir.VectorType(BYTE, WIDTH).as_pointer()), align=1)
-    return builder.icmp_unsigned("!=", flags, ir.Constant(flags.type, None))
-
-
-def in_each(builder: Any, mask: Any, do: Callable[[int], None]) -> None:
-    """Do something for each lane of a mask. Most often all are set, which takes a single branch."""
-    every = builder.icmp_unsigned("==", builder.bitcast(mask, BYTE), BYTE(2**WIDTH - 1))
-    with builder.if_else(every, likely=True) as (in_all, in_some):
-        with in_all:
-            for k in range(WIDTH):
-                do(k)
-        with in_some:
-            for k in range(WIDTH):
-                with builder.if_then(builder.extract_element(mask, INDEX(k))):
-                    do(k)
+    return Mask(builder, builder.icmp_unsigned("!=", flags, ir.Constant(flags.type, None)))
 
 
 def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
@@ -156,13 +196,19 @@ def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INDEX, WIDTH), list(lanes)))
 
 
-def computed_if(builder: Any, condition: Any, then: Callable[[], Lanes], otherwise: Lanes) -> Lanes:
-    """Return lanes that are computed only if a condition holds."""
-    before = builder.block
-    with builder.if_then(condition):
-        value = then().value
-        computed = builder.block
-    joined = builder.phi(VECTOR)
-    joined.add_incoming(value, computed)
-    joined.add_incoming(otherwise.value, before)
-    return Lanes(builder, joined)
+def either(
+    builder: Any, condition: Any, then: Callable[[], Sequence[Lanes]], otherwise: Callable[[], Sequence[Lanes]]
+) -> list[Lanes]:
+    """Return what one of two functions computes, by a condition that is the same for all lanes."""
+    found = []
+    with builder.if_else(condition) as (if_so, if_not):
+        for branch, compute in ((if_so, then), (if_not, otherwise)):
+            with branch:
+                found.append((compute(), builder.block))
+    joined = []
+    for choices in zip(*(lanes for lanes, _ in found), strict=True):
+        phi = builder.phi(VECTOR)
+        for lanes, (_, block) in zip(choices, found, strict=True):
+            phi.add_incoming(lanes.value, block)
+        joined.append(Lanes(builder, phi))
+    return joined

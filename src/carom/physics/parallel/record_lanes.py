@@ -1,7 +1,7 @@
 """Eight records whose fields are lanes, for code generators.
 
-Records are read and written as whole cache lines, which are transposed in registers. A transposition takes as long as
-24 multiplications, so what several lines gain is transposed once, and added to them in memory.
+Records are read and written as whole cache lines, which are transposed in registers. A transposition takes 24
+instructions, so what several lines gain is transposed once, and added to them in memory.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, in_each, shuffled
+from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, shuffled
 
 LINE = 64  # bytes
 HALF = WIDTH // 2
@@ -38,31 +38,26 @@ class RecordLanes:
         self._lines = {line: _read(builder, addresses, line) for line in lines}
 
     def __getattr__(self, name: str) -> Lanes:
-        line, place, _ = self._place_of(name)
+        line, place = self._place_of(name)
         return self._lines[line][place]
 
-    def flag(self, name: str) -> Any:
-        """Return a flag as a mask."""
-        line, place, byte = self._place_of(name)
-        words = self._builder.bitcast(self._lines[line][place].value, ir.VectorType(WORD, WIDTH))
-        bits = ir.Constant(words.type, [0xFF << 8 * byte] * WIDTH)
-        return self._builder.icmp_unsigned("!=", self._builder.and_(words, bits), ir.Constant(words.type, None))
-
-    def write(self, mask: Any, **fields: Lanes) -> None:
-        """Write fields of one line that was read, in the records of a mask."""
-        (line,) = {self._place_of(name)[0] for name in fields}
-        changed = list(self._lines[line])
+    def change(self, **fields: Lanes) -> None:
+        """Change fields of lines that were read, not yet in memory."""
         for name, value in fields.items():
-            changed[self._place_of(name)[1]] = value
-        rows = _rows_of(self._builder, changed)
+            line, place = self._place_of(name)
+            self._lines[line][place] = value
+
+    def write(self, line: int, mask: Mask) -> None:
+        """Write a line that was read, in the records of a mask."""
+        rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
             self._builder.store(rows[k], line_of(self._builder, self._addresses[k], line), align=LINE)
 
-        in_each(self._builder, mask, write)
+        mask.in_each(write)
 
-    def add(self, mask: Any, lines: Sequence[int], fields: Sequence[Lanes]) -> None:
-        """Add eight fields to each of some lines, in the records of a mask."""
+    def add(self, lines: Sequence[int], fields: Sequence[Lanes], mask: Mask) -> None:
+        """Add eight fields to each of some lines in memory, in the records of a mask."""
         builder, rows = self._builder, _rows_of(self._builder, fields)
 
         def add(k: int) -> None:
@@ -70,15 +65,15 @@ class RecordLanes:
                 place = line_of(builder, self._addresses[k], line)
                 builder.store(builder.fadd(builder.load(place, align=LINE), rows[k]), place, align=LINE)
 
-        in_each(builder, mask, add)
+        mask.in_each(add)
 
-    def _place_of(self, name: str) -> tuple[int, int, int]:
-        """Return the line of a field, its place in the line, and its byte there."""
+    def _place_of(self, name: str) -> tuple[int, int]:
+        """Return the line of a field, and its place in the line."""
         if name not in (self._kind.fields or {}):
             raise AttributeError(f"these records have no {name}")
         assert self._kind.fields is not None
         offset = self._kind.fields[name][1]
-        return offset // LINE, offset % LINE // 8, offset % 8
+        return offset // LINE, offset % LINE // 8
 
 
 def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:

@@ -14,7 +14,7 @@ import numpy as np
 from carom.physics.contact.constraints import BODY_STATE, SETTINGS, ConstraintSystem
 from carom.physics.parallel.intrinsics import address_in
 from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, read_flags, spread
+from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, Mask, read_flags, spread
 from carom.physics.parallel.prefetch import AHEAD, fetch_line
 from carom.physics.parallel.record_lanes import RecordLanes
 
@@ -43,10 +43,9 @@ class Block:
 
     def __init__(self, context: Any, builder: Any, kind: Any, system: Any, first: Any) -> None:
         self.context, self.builder = context, builder
-        self._kind, self._system, self._first = kind, system, first
+        self._kind, self._system = kind, system
         self.places = [builder.add(first, WORD(k)) for k in range(WIDTH)]
         self.ends = self._ends_from(first)
-        self.zero = spread(builder, DOUBLE(0.0))
         self.nothing = spread(builder, DOUBLE(-0.0))  # adding it keeps all bits, those of -0.0, too
 
     def kind_of(self, name: str) -> Any:
@@ -67,19 +66,24 @@ class Block:
         return address_in(self.context, self.builder, self.kind_of(name), self.array(name), indices)
 
     def setting(self, name: str) -> Any:
-        """Return a double or a flag of the settings."""
+        """Return a double of the settings in all lanes, or a flag of theirs as a bit."""
         assert SETTINGS.fields is not None
         kind, offset = SETTINGS.fields[name][:2]
         address = self.builder.bitcast(self.address("settings", WORD(0)), BYTE.as_pointer())
         address = self.builder.gep(address, [WORD(offset)])
         if kind == np.bool_:
             return self.builder.icmp_unsigned("!=", self.builder.load(address), BYTE(0))
-        return self.builder.load(self.builder.bitcast(address, DOUBLE.as_pointer()))
+        return spread(self.builder, self.builder.load(self.builder.bitcast(address, DOUBLE.as_pointer())))
 
     @property
-    def held(self) -> Any:
-        """A mask of the contacts that are held."""
-        return read_flags(self.builder, self.address("held", self._first))
+    def drifts(self) -> Any:
+        """A bit: whether a drift follows."""
+        return self.builder.fcmp_ordered(">", self.setting("drift").lane(0), DOUBLE(0.0))
+
+    @property
+    def held(self) -> Mask:
+        """The contacts that are held."""
+        return read_flags(self.builder, self.address("held", self.places[0]))
 
     def records(self, name: str, kind: np.dtype[np.void], lines: Sequence[int]) -> RecordLanes:
         """Return the records of the contacts in an array, and read some of their lines."""
@@ -93,7 +97,7 @@ class Block:
     def fetch_bodies_ahead(self, lines: Sequence[int]) -> None:
         """Fetch lines of the bodies of a later block."""
         last = self.builder.sub(self.count("pairs"), WORD(WIDTH))
-        ahead = self.builder.add(self._first, WORD(AHEAD))
+        ahead = self.builder.add(self.places[0], WORD(AHEAD))
         for end in self._ends_from(self.builder.select(self.builder.icmp_signed("<", ahead, last), ahead, last)):
             for body in end:
                 for line in lines:
@@ -103,8 +107,8 @@ class Block:
         self,
         contact: RecordLanes,
         bodies: Sequence[RecordLanes],
-        mask: Any,
         lines: Sequence[int],
+        mask: Mask,
         J: Sequence[Lanes],
         torque: Sequence[Lanes] | None,
     ) -> None:
@@ -121,9 +125,9 @@ class Block:
             by = [along * body.inverse_mass for along in push]
             if torque is not None:
                 lever = arm * body.inverse_inertia
-                by += [(lever * about).where(lever.exceeds(self.zero), self.nothing) for about in torque]
+                by += [(lever * about).where(lever > 0.0, self.nothing) for about in torque]
             by += [self.nothing] * (WIDTH - len(by))
-            body.add(self.builder.and_(mask, body.inverse_mass.exceeds(self.zero)), lines, by)
+            body.add(lines, by, mask & (body.inverse_mass > 0.0))
 
     def _ends_from(self, first: Any) -> list[list[Any]]:
         """Return the indices i, then j, of eight contacts."""

@@ -14,15 +14,13 @@ from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.solver.block import CHANGE, VELOCITY, Block
 from carom.physics.contact.solver.body_state import torque_of
 from carom.physics.contact.solver.friction import friction
-from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
 from carom.physics.parallel.intrinsics import instruction
 from carom.physics.parallel.lanes import (
-    DOUBLE,
-    INDEX,
     WORD,
     Lanes,
     added_in_order,
-    computed_if,
+    either,
     gathered,
     greater,
     in_lanes,
@@ -56,63 +54,59 @@ class _Solution:
         self._block, self._builder, self._held = block, block.builder, block.held
         block.fetch_bodies_ahead((VELOCITY, CHANGE))
         contact = block.records("contacts", CONTACT, (0, 1))
-        a, b = block.bodies((VELOCITY,))
-        alpha = spread(self._builder, block.setting("alpha"))
+        bodies = a, b = block.bodies((VELOCITY,))
+        alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
         bias = self._bias(contact, u)
         old = contact.normal_impulse + alpha * contact.delta_normal
-        normal = greater(block.zero, old - (vn + bias) * contact.normal_mass)
+        normal = greater(0.0, old - (vn + bias) * contact.normal_mass)
         more = normal - old
-        changed = {"normal_impulse": normal, "delta_normal": more}
+        contact.change(normal_impulse=normal, delta_normal=more)
         J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
         if turns:
-            u = in_lanes(slip)(contact, a, b, *u)
-            old_friction = [
-                contact.friction_x + alpha * contact.delta_x,
-                contact.friction_y + alpha * contact.delta_y,
-                contact.friction_z + alpha * contact.delta_z,
-            ]
-            ending = [before - along * contact.tangent_mass for before, along in zip(old_friction, u, strict=True)]
-            friction = self._by_law(normal, ending)
-            d = [after - before for after, before in zip(friction, old_friction, strict=True)]
-            changed |= dict(zip(("friction_x", "friction_y", "friction_z"), friction, strict=True))
-            changed |= dict(zip(("delta_x", "delta_y", "delta_z"), d, strict=True))
+            d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
             largest = greater(largest, *map(abs, d))
-            J = [pressing + rubbing for pressing, rubbing in zip(J, d, strict=True)]
+            J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
         self._change = largest * (a.inverse_mass + b.inverse_mass)
         self._normal, self._more, self._slope = normal, more, more * bias
-        block.apply(contact, (a, b), self._held, (VELOCITY, CHANGE), J, torque)
-        contact.write(self._held, **changed)
+        block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
+        contact.write(1, self._held)
 
     def found(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
         """Return the largest change, the limit of the step, and the slope, given those before."""
-        builder = self._builder
-        largest, limit = spread(builder, change), spread(builder, step_limit)
-        small = read_doubles(builder, self._block.address("small_change", self._block.places[0]))
-        matters = builder.and_(self._held, self._change.exceeds(small))
-        largest = self._change.where(builder.and_(matters, self._change.exceeds(largest)), largest)
+        largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
+        small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
+        matters = self._held & (self._change > small) & (self._change > largest)
+        largest = self._change.where(matters, largest)
         pulling = -self._normal / self._more
-        nearer = builder.and_(self._block.zero.exceeds(self._more), limit.exceeds(pulling))
-        limit = pulling.where(builder.and_(self._held, nearer), limit)
-        slope = added_in_order(builder, slope, self._slope.where(self._held, self._block.nothing))
-        return [largest.largest(), builder.fneg((-limit).largest()), slope]
+        nearer = self._held & (self._more < 0.0) & (pulling < limit)
+        limit = pulling.where(nearer, limit)
+        slope = added_in_order(self._builder, slope, self._slope.where(self._held, self._block.nothing))
+        return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
         """Return the biases c, see `bias_along_arc`; they are those along the normal at planes, and without a drift."""
-        builder, block, bias, drift = self._builder, self._block, contact.velocity_bias, self._block.setting("drift")
+        builder, block, bias = self._builder, self._block, contact.velocity_bias
         count = block.count("position")
         between = mask_of(builder, [builder.icmp_signed("<", j, count) for j in block.ends[1]])
 
-        def along_arc() -> Lanes:
-            time = spread(builder, drift)
-            R = (contact.arm_i + contact.arm_j) - bias * time
-            t2 = (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) * time * time
-            bends = builder.and_(t2.exceeds(block.zero), (R * R).exceeds(t2))
-            more = t2 / ((R + (R * R - t2).root()) * time)
-            return (bias + more.where(bends, block.zero)).where(between, bias)
+        def along_arc() -> list[Lanes]:
+            arc = in_lanes(bias_along_arc)(bias, contact.arm_i + contact.arm_j, *u, block.setting("drift"))
+            return [arc.where(between, bias)]
 
-        return computed_if(builder, builder.fcmp_ordered(">", drift, DOUBLE(0.0)), along_arc, bias)
+        return either(builder, block.drifts, along_arc, lambda: [bias])[0]
+
+    def _rub(self, contact: RecordLanes, u: Vector, alpha: Lanes) -> list[Lanes]:
+        """Change the friction by that which ends the slip u, as far as the law allows; return its change."""
+        axes = ("x", "y", "z")
+        old = [getattr(contact, f"friction_{axis}") + alpha * getattr(contact, f"delta_{axis}") for axis in axes]
+        ending = [before - along * contact.tangent_mass for before, along in zip(old, u, strict=True)]
+        friction = self._by_law(contact.normal_impulse, ending)
+        d = [after - before for after, before in zip(friction, old, strict=True)]
+        for axis, after, change in zip(axes, friction, d, strict=True):
+            contact.change(**{f"friction_{axis}": after, f"delta_{axis}": change})
+        return d
 
     def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
         """Return the friction that the law allows in place of the one that ends the slip, contact by contact."""
@@ -122,7 +116,7 @@ class _Solution:
         keeps_sliding = block.setting("keeps_sliding")
         found = []
         for k, row in enumerate(self._material_rows()):
-            slides = builder.and_(keeps_sliding, builder.extract_element(self._held, INDEX(k)))
+            slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
             given = [block.address("states", block.places[k]), block.address("materials", row), slides]
             numbers = [value.lane(k) for value in (normal, *ending)]
             allowed = context.compile_internal(builder, _friction_of_one, signature, [*given, *numbers])

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from carom.physics.parallel.jit import inline
+from carom.physics.parallel.lanes import where
 
 
 @inline
@@ -89,4 +90,5 @@ def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, d
     """
     R = reach - bias * drift
     t2 = (tx * tx + ty * ty + tz * tz) * drift * drift
-    return bias + (t2 / ((R + np.sqrt(R * R - t2)) * drift) if 0.0 < t2 < R * R else 0.0)
+    more = t2 / ((R + np.sqrt(R * R - t2)) * drift)
+    return bias + where((t2 > 0.0) & (t2 < R * R), more, 0.0)
