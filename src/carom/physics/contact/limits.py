@@ -43,11 +43,7 @@ def limits_of(
         text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
         reached.append(("INFO", text))
     if too_few_sweeps:
-        text = (
-            f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
-            "what is left is resolved in later steps."
-        )
-        reached.append(("WARN", text))
+        reached.append(("WARN", still_closing(contact)))
     if exhausted:
         text = (
             f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end, and bodies may "
@@ -69,3 +65,11 @@ def limits_of(
         )
         reached.append(("WARN", text))
     return reached
+
+
+def still_closing(contact: Contact) -> str:
+    """Return the text of too few sweeps."""
+    return (
+        f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
+        "what is left is resolved in later steps."
+    )

@@ -26,7 +26,7 @@ from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.continuous.next_impact import step_by_impacts
 from carom.physics.contact.law import Materials
-from carom.physics.contact.limits import limits_of
+from carom.physics.contact.limits import limits_of, still_closing
 from carom.physics.contact.near_pairs import NearPairs
 from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.plane_guard import PlaneGuard
@@ -412,7 +412,7 @@ class ContactPipeline:
             profile.mark("resting")
         else:
             self._hold = ImpulseCache.empty()
-        if self.sweeps >= self._most_sweeps:
+        if self.sweeps >= self._most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
 
