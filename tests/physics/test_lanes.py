@@ -1,0 +1,121 @@
+"""Code that computes with lanes has the bits of a loop over the same formula."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from llvmlite import ir
+from numba import types
+from numpy.typing import NDArray
+
+from carom.physics.aligned import aligned_empty, record
+from carom.physics.parallel.intrinsics import address_in, instruction
+from carom.physics.parallel.jit import inline
+from carom.physics.parallel.lanes import WIDTH, WORD, added_in_order, in_lanes, read_doubles, read_flags, where
+from carom.physics.parallel.record_lanes import RecordLanes
+
+FloatArray = NDArray[np.float64]
+
+EIGHT = arrays(np.float64, WIDTH, elements=st.floats(width=64))
+MASKS = arrays(np.bool_, WIDTH)
+PAIR = record("a b c d e f g h i j k l m n o p", size=128)
+
+
+@inline
+def chosen(x: float, y: float) -> float:
+    ratio = abs(x) / y
+    return where((x > y) & (ratio < 2.0), np.sqrt(ratio), -x * y - 0.5)
+
+
+@inline
+def branching(x: float, y: float) -> float:
+    return x if x > y else y
+
+
+@instruction
+def choose_in_lanes(typing: Any, x: Any, y: Any, found: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        first = [
+            address_in(context, builder, kind, array, [WORD(0)])
+            for kind, array in zip((x, y, found), args, strict=True)
+        ]
+        lanes = in_lanes(chosen)(*(read_doubles(builder, address) for address in first[:2]))
+        builder.store(lanes.value, builder.bitcast(first[2], lanes.value.type.as_pointer()), align=8)
+        return context.get_dummy_value()
+
+    return types.void(x, y, found), generate
+
+
+@numba.njit(error_model="numpy")
+def run_choice(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
+    choose_in_lanes(x, y, found)
+
+
+@numba.njit(error_model="numpy")
+def choose_in_loop(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
+    for k in range(len(x)):
+        found[k] = chosen(x[k], y[k])
+
+
+@instruction
+def change_records(typing: Any, records: Any, mask: Any, total: Any) -> Any:
+    """Where the mask is set: add the second line's fields to both lines, then double "c"; return Σ a + b in order."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        addresses = [address_in(context, builder, records, args[0], [WORD(k)]) for k in range(WIDTH)]
+        held = read_flags(builder, address_in(context, builder, mask, args[1], [WORD(0)]))
+        lanes = RecordLanes(builder, PAIR, addresses, (0, 1))
+        lanes.add((0, 1), [getattr(lanes, name) for name in "ijklmnop"], held)
+        again = RecordLanes(builder, PAIR, addresses, (0,))
+        again.change(c=again.c * 2.0)
+        again.write(0, held)
+        return added_in_order(builder, args[2], again.a, again.b)
+
+    return types.float64(records, mask, total), generate
+
+
+@numba.njit(error_model="numpy")
+def run_change(records: NDArray[np.void], mask: NDArray[np.bool_], total: float) -> float:
+    found: float = change_records(records, mask, total)
+    return found
+
+
+@given(EIGHT, EIGHT)
+def test_a_formula_in_lanes_has_the_bits_of_a_loop(x: FloatArray, y: FloatArray) -> None:
+    in_vectors, one_by_one = np.empty(WIDTH), np.empty(WIDTH)
+    run_choice(x, y, in_vectors)
+    choose_in_loop(x, y, one_by_one)
+    numbers = ~np.isnan(one_by_one)  # the sign of NaN is not specified
+    assert in_vectors[numbers].tobytes() == one_by_one[numbers].tobytes()
+    assert np.isnan(in_vectors[~numbers]).all()
+
+
+@given(arrays(np.float64, (WIDTH, 16), elements=st.floats(-1e9, 1e9)), MASKS)
+def test_records_of_a_mask_are_changed_and_the_others_keep_their_bits(
+    values: FloatArray, mask: NDArray[np.bool_]
+) -> None:
+    records = aligned_empty(WIDTH, PAIR)
+    numbers = records.view(np.float64).reshape(WIDTH, 16)
+    numbers[:] = values
+    expected = values.copy()
+    expected[mask] += np.tile(values[mask, 8:], 2)
+    total = 0.25
+    for a, b in expected[:, :2].tolist():
+        total += a
+        total += b
+    assert run_change(records, mask, 0.25) == total
+    expected[mask, 2] *= 2.0
+    assert numbers.tobytes() == expected.tobytes()
+
+
+def test_a_formula_that_branches_is_refused_in_lanes() -> None:
+    builder = ir.IRBuilder(ir.Function(ir.Module(), ir.FunctionType(ir.VoidType(), []), "f").append_basic_block())
+    lanes = [read_doubles(builder, ir.Constant(WORD, place).inttoptr(WORD.as_pointer())) for place in (64, 128)]
+    with pytest.raises(TypeError, match="take no branches"):
+        in_lanes(branching)(*lanes)
