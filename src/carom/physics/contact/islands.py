@@ -89,7 +89,9 @@ class Islands:
         if found[UNEQUAL]:
             team.divide(len(pairs), MIN_PER_TASK, _join, pairs, inverse_mass, parent)
             team.divide(len(active), MIN_PER_TASK, _spread_largest, active, parent, largest.view(np.int64))
-        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, parent, largest, dt, states, found)
+        joined = bool(found[UNEQUAL])
+        islands = (pairs, inverse_mass, parent, largest, joined)
+        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, *islands, dt, states, found)
         return bool(found[PRESSES])
 
 
@@ -213,14 +215,17 @@ def _write_speeds(
     inverse_mass: FloatArray,
     parent: IntArray,
     largest: FloatArray,
+    joined: bool,
     dt: float,
     states: Records,
     found: NDArray[np.bool_],
 ) -> None:
-    presses = False
+    """Write the rest speed of each contact; the same for all where islands were not ``joined``."""
+    presses, rest_speed = False, 0.0
     for c in range(lo, hi):
-        mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
-        rest_speed = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
+        if joined or c == lo:
+            mover = pairs[c, 0] if inverse_mass[pairs[c, 0]] > 0.0 else pairs[c, 1]
+            rest_speed = 2.0 * np.sqrt(largest[root_of(parent, mover)]) * dt
         states[c].rest_speed = rest_speed
         presses = presses or rest_speed > 0.0
     if presses:
