@@ -137,17 +137,13 @@ def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
     return FunctionType(plain.__code__, plain.__globals__ | called)
 
 
-def _where(condition: Mask, then: Lanes | float, otherwise: Lanes | float) -> Lanes:
-    lanes = then if isinstance(then, Lanes) else spread(condition.builder, DOUBLE(then))
-    return lanes.where(condition, otherwise)
+def _where(condition: Mask, then: Lanes, otherwise: Lanes | float) -> Lanes:
+    return then.where(condition, otherwise)
 
 
-def greater(first: Lanes | float, *others: Lanes | float) -> Lanes:
-    """Return the largest, like ``max`` of doubles: the first where they are equal or not numbers."""
-    for other in others:
-        lanes = other if isinstance(other, Lanes) else first._alike(other)  # type: ignore[union-attr]
-        first = lanes.where(lanes > first, first)
-    return first  # type: ignore[return-value]
+def greater(first: Lanes | float, second: Lanes) -> Lanes:
+    """Return the larger, like ``max`` of doubles: the first where they are equal or not numbers."""
+    return second.where(second > first, first)
 
 
 def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
+from carom.physics.aligned import CACHE_LINE
 from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, shuffled
 
-LINE = 64  # bytes
 HALF = WIDTH // 2
 
 
@@ -52,7 +52,7 @@ class RecordLanes:
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
-            self._builder.store(rows[k], line_of(self._builder, self._addresses[k], line), align=LINE)
+            self._builder.store(rows[k], _line_of(self._builder, self._addresses[k], line), align=CACHE_LINE)
 
         mask.in_each(write)
 
@@ -62,8 +62,8 @@ class RecordLanes:
 
         def add(k: int) -> None:
             for line in lines:
-                place = line_of(builder, self._addresses[k], line)
-                builder.store(builder.fadd(builder.load(place, align=LINE), rows[k]), place, align=LINE)
+                place = _line_of(builder, self._addresses[k], line)
+                builder.store(builder.fadd(builder.load(place, align=CACHE_LINE), rows[k]), place, align=CACHE_LINE)
 
         mask.in_each(add)
 
@@ -73,14 +73,14 @@ class RecordLanes:
             raise AttributeError(f"these records have no {name}")
         assert self._kind.fields is not None
         offset = self._kind.fields[name][1]
-        return offset // LINE, offset % LINE // 8
+        return offset // CACHE_LINE, offset % CACHE_LINE // 8
 
 
 def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
     """Read a cache line of eight records; return its eight fields."""
     vectors = []
     for part in range(2):  # halves of two lines make a vector, which saves a step of the transposition
-        halves = [builder.load(_half_of(builder, address, line, part), align=LINE // 2) for address in addresses]
+        halves = [builder.load(_half_of(builder, address, line, part), align=CACHE_LINE // 2) for address in addresses]
         pairs = zip(halves[:HALF], halves[HALF:], strict=True)
         vectors += [shuffled(builder, *pair, range(WIDTH)) for pair in pairs]
     return [Lanes(builder, column) for column in _exchanged(builder, vectors, (1, 2))]
@@ -105,13 +105,13 @@ def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[A
     return vectors
 
 
-def line_of(builder: Any, address: Any, line: int) -> Any:
+def _line_of(builder: Any, address: Any, line: int) -> Any:
     """Return the address of a cache line of a record, as that of a vector."""
-    return _at(builder, address, line * LINE, VECTOR)
+    return _at(builder, address, line * CACHE_LINE, VECTOR)
 
 
 def _half_of(builder: Any, address: Any, line: int, part: int) -> Any:
-    return _at(builder, address, line * LINE + part * LINE // 2, ir.VectorType(DOUBLE, HALF))
+    return _at(builder, address, line * CACHE_LINE + part * CACHE_LINE // 2, ir.VectorType(DOUBLE, HALF))
 
 
 def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:

@@ -52,28 +52,26 @@ class Block:
         """Return Numba's type of an array of the system."""
         return self._kind.types[self._kind.fields.index(name)]
 
-    def array(self, name: str) -> Any:
+    def _array(self, name: str) -> Any:
         """Return the value of an array of the system."""
         return self.builder.extract_value(self._system, self._kind.fields.index(name))
 
     def count(self, name: str) -> Any:
         """Return the number of rows of an array of the system."""
-        view = self.context.make_array(self.kind_of(name))(self.context, self.builder, self.array(name))
+        view = self.context.make_array(self.kind_of(name))(self.context, self.builder, self._array(name))
         return self.builder.extract_value(view.shape, 0)
 
     def address(self, name: str, *indices: Any) -> Any:
         """Return the address of an element of an array of the system."""
-        return address_in(self.context, self.builder, self.kind_of(name), self.array(name), indices)
+        return address_in(self.context, self.builder, self.kind_of(name), self._array(name), indices)
 
-    def setting(self, name: str) -> Any:
-        """Return a double of the settings in all lanes, or a flag of theirs as a bit."""
-        assert SETTINGS.fields is not None
-        kind, offset = SETTINGS.fields[name][:2]
-        address = self.builder.bitcast(self.address("settings", WORD(0)), BYTE.as_pointer())
-        address = self.builder.gep(address, [WORD(offset)])
-        if kind == np.bool_:
-            return self.builder.icmp_unsigned("!=", self.builder.load(address), BYTE(0))
-        return spread(self.builder, self.builder.load(self.builder.bitcast(address, DOUBLE.as_pointer())))
+    def setting(self, name: str) -> Lanes:
+        """Return a double of the settings, in all lanes."""
+        return spread(self.builder, self.builder.load(self._setting_at(name, DOUBLE)))
+
+    def flag(self, name: str) -> Any:
+        """Return a flag of the settings, as a bit."""
+        return self.builder.icmp_unsigned("!=", self.builder.load(self._setting_at(name, BYTE)), BYTE(0))
 
     @property
     def drifts(self) -> Any:
@@ -128,6 +126,12 @@ class Block:
                 by += [(lever * about).where(lever > 0.0, self.nothing) for about in torque]
             by += [self.nothing] * (WIDTH - len(by))
             body.add(lines, by, mask & (body.inverse_mass > 0.0))
+
+    def _setting_at(self, name: str, kind: Any) -> Any:
+        """Return the address of a setting."""
+        assert SETTINGS.fields is not None
+        settings = self.builder.bitcast(self.address("settings", WORD(0)), BYTE.as_pointer())
+        return self.builder.bitcast(self.builder.gep(settings, [WORD(SETTINGS.fields[name][1])]), kind.as_pointer())
 
     def _ends_from(self, first: Any) -> list[list[Any]]:
         """Return the indices i, then j, of eight contacts."""

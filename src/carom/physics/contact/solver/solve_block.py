@@ -6,6 +6,7 @@ The law is called for each contact by itself, so a law needs no second form.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 from numba import types
@@ -65,7 +66,7 @@ class _Solution:
         J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
         if turns:
             d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
-            largest = greater(largest, *map(abs, d))
+            largest = reduce(greater, map(abs, d), largest)
             J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
             torque = in_lanes(torque_of)(contact, *d)
         self._change = largest * (a.inverse_mass + b.inverse_mass)
@@ -113,7 +114,7 @@ class _Solution:
         builder, block, context = self._builder, self._block, self._block.context
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         signature = DOUBLES(*records, types.boolean, *[types.float64] * 4)
-        keeps_sliding = block.setting("keeps_sliding")
+        keeps_sliding = block.flag("keeps_sliding")
         found = []
         for k, row in enumerate(self._material_rows()):
             slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
