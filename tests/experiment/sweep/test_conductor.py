@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +12,7 @@ from typing import Any
 import pytest
 
 from carom.experiment.interrupts import Interrupts
-from carom.experiment.sweep.conductor import GONE, Conductor
+from carom.experiment.sweep.conductor import GONE, INTERRUPTED, Conductor
 from carom.experiment.sweep.folder import Folder
 from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest
 from carom.experiment.sweep.plan import plan
@@ -65,3 +68,48 @@ def test_a_run_whose_report_cannot_be_had_has_not_failed(lost: Exception, tmp_pa
 
 def test_a_run_that_raised_has_failed(tmp_path: Path) -> None:
     assert conducted(tmp_path, "error", ValueError("no such scene")) == ("", {FAILED})
+
+
+class UnderWay(Ended):
+    """A future of a run that ends only after the conductor should have stopped waiting for it."""
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        self.end = threading.Timer(5.0, call, (self,))  # s; a conductor waits 0.2 s at a time
+        self.end.start()
+
+
+class Busy(Scheduler):
+    """A client whose only run goes on."""
+
+    cancelled = False
+
+    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Ended]:
+        self.run = UnderWay(key[0], "cancelled", TimeoutError())
+        return [self.run]
+
+    def call_stack(self) -> dict[str, list[str]]:
+        return {"worker": [self.run.key]}
+
+    def cancel(self, futures: list[Any]) -> None:
+        assert futures == [self.run]
+        self.run.end.cancel()
+        self.cancelled = True
+
+
+def test_the_second_interrupt_is_seen_even_when_its_handler_is_slow(tmp_path: Path) -> None:
+    """The wait of a `SimpleQueue` that is interrupted until its time is over lasts for ever (CPython 3.11)."""
+    interrupts = Interrupts()
+
+    def interrupt(number: int, frame: object) -> None:
+        time.sleep(0.4)
+        interrupts.count = 2
+
+    manifest = Manifest.begin(Folder(tmp_path / "out"), plan(write_scene(tmp_path), seeds=1), "carom sweep")
+    client: Any = Busy("pending", TimeoutError())
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+        assert Conductor(client, manifest, Silent()).conduct(manifest.todo, interrupts) == INTERRUPTED
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    assert client.cancelled

@@ -47,7 +47,8 @@ class Conductor:
         self._watch = watch
         self._waiting: dict[str, Future[Report]] = {}  # by key
         self._names: dict[str, str] = {}  # of the runs, by key
-        self._ended: queue.SimpleQueue[Future[Report]] = queue.SimpleQueue()
+        # not a SimpleQueue: a signal that interrupts its wait when the time is over makes it wait for ever
+        self._ended: queue.Queue[Future[Report]] = queue.Queue()
         self._dropped = 0  # runs that the scheduler refuses to make, or whose report it lost
         self._unsaved = ""  # why the manifest could not be written
 
