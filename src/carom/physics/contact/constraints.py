@@ -77,6 +77,11 @@ PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
     size=2 * CACHE_LINE,
 )
 
+AUDITED = record(  # of a contact whose island may have to give back energy
+    "slope curvature"  # J, along its impulses
+    f" {LEDGER_TERMS}"  # J, its ledger before the audit
+)
+
 BLOCK_SUMS = record("slope curvature")  # J, of the line search, over a block of bodies
 ISLAND = record("slope curvature scale")  # J, along the impulses of an island; factor of these impulses
 
@@ -100,6 +105,9 @@ SETTINGS = np.dtype(
         ("as_needed", "?"),  # whether small changes and small overlaps end the iterations
         ("settles", "?"),  # whether more iterations follow conjugate gradients that did not converge
         ("keeps_sliding", "?"),  # whether contacts that slid may not stick again
+        ("islands_known", "?"),  # whether the bodies' islands are found
+        ("measures", "?"),  # whether the audit writes `AUDITED`
+        ("scaled_back", "?"),  # whether impulses were too large for the energy bound
     ],
     align=True,
 )
@@ -132,6 +140,7 @@ class ConstraintSystem(NamedTuple):
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
+    audited: Records  # (m,) AUDITED
     recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s

@@ -84,6 +84,13 @@ def clear_terms(entry: Any) -> None:
     entry.restitution_loss = entry.friction_loss = entry.stabilisation_gain = 0.0
 
 
+@inline
+def copy_terms(entry: Any, to: Any) -> None:
+    """Copy the terms of a record to another one."""
+    to.restitution_loss, to.friction_loss = entry.restitution_loss, entry.friction_loss
+    to.stabilisation_gain = entry.stabilisation_gain
+
+
 @kernel
 def _sum_rows(rows: FloatArray, total: FloatArray) -> None:
     for c in range(len(rows)):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import Room, aligned_empty, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import (
+    AUDITED,
     BLOCK_SUMS,
     BODIES_PER_BLOCK,
     BODY_STATE,
@@ -96,6 +97,7 @@ class ContactSolver:
         self._small_change = Room(np.float64)
         self._states = Room(CONTACT_STATE)
         self._search = Room(SEARCH)
+        self._audited = Room(AUDITED)
         self._recorded = Room(RECORDED)
         self._records = records
         self._normals = Room(columns=3)
@@ -132,7 +134,7 @@ class ContactSolver:
             self._active = active_bodies(order.pairs, len(self._body_states), self._team)
             self._counts = None
         self.order = order
-        self._settings["independent"] = order.independent
+        self._settings["independent"], self._settings["islands_known"] = order.independent, False
         self._system = ConstraintSystem(
             pairs=order.pairs,
             pieces=order.pieces,
@@ -142,6 +144,7 @@ class ContactSolver:
             small_change=self._small_change.take(m),
             states=self._states.take(m),
             search=self._search.take(m),
+            audited=self._audited.take(m),
             recorded=self._recorded.take(m if self._records else 0),
             position=bodies.position,
             velocity=ends.velocity,
@@ -255,6 +258,7 @@ class ContactSolver:
             self._counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
             self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, self._counts)
         pushed = (system.pairs, self._counts, system.states, system.island)
+        self._settings["islands_known"] = False
         self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, *pushed)
         self._work(POSITIONS, system, max_iterations)
 

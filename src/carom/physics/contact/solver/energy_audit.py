@@ -7,13 +7,17 @@ been booked with the first kick, without J. The difference, J·Δv with Δv = (a
     lost_n = -λ_n ((v_n + v_n')/2 - Δv_n),    lost_t = -λ_t·((u + u')/2 - Δu)        Δv = 0 after the last kick
 
 The entries of the two kicks then cancel for a body that lies still.
+
+If the iterations did not converge, the audit also measures what the energy bound asks for (`energy_bound`).
 """
 
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem
 from carom.physics.contact.solver.body_state import prefetch_velocities
+from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.parallel.jit import unowned
 
 
@@ -23,17 +27,20 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
-    spins = settings.spins
+    spins, measures = settings.spins, settings.measures
     kick = settings.kick if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
-        contact = system.contacts[c]
+        contact, state, audited = system.contacts[c], system.states[c], system.audited[c]
+        if measures:
+            audited.slope = audited.curvature = 0.0
+            copy_terms(state, audited)
         Jn = contact.normal_impulse
         if Jn == 0.0:
             continue
         i, j = pairs[c, 0], pairs[c, 1]
-        state, body_i, body_j = system.states[c], bodies[i], bodies[j]
+        body_i, body_j = bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
@@ -46,6 +53,8 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
             lost = -Jn * (0.5 * (state.normal_before + vn) - kn)
         state.restitution_loss += lost
         restitution += lost
+        if measures:
+            audited.slope, audited.curvature = normal_energies(contact, state, vn)
         if not spins:
             continue
         ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
@@ -56,5 +65,9 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
         )
         state.friction_loss += lost
         friction += lost
+        if measures:
+            slope, curvature = friction_energies(contact, state, ux, uy, uz)
+            audited.slope += slope
+            audited.curvature += curvature
     found = system.found[piece]
     found.restitution_loss, found.friction_loss, found.stabilisation_gain = restitution, friction, stabilisation

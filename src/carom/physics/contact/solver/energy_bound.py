@@ -9,24 +9,48 @@ impulses of the previous kick, which may be far too large. Along θ λ the minim
 θ < 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, whose
 second kick starts from the impulses of the first. An island is a connected component of the collision graph without
 fixed bodies and planes.
+
+θ < 1 is rare, so the audit measures both sums on its way (`energy_audit`), and is repeated if impulses were scaled. In
+a falling heap of 1000 spheres, one `hold` in twenty is; a pass of its own took 8 % of each step.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 from carom.physics.contact.constraints import ConstraintSystem
-from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.contact.union_find import join_islands
+from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
 def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Scale the impulses of each island by θ where θ < 1."""
-    _find_islands(system)
+    """Scale the impulses of each island by θ where θ < 1, and take back the audit; note whether there were any."""
+    settings = system.settings[0]
+    if not settings.islands_known:
+        _find_islands(system)
+        settings.islands_known = True
     _sum_up_islands(system)
-    if _find_scales(system):
+    settings.scaled_back = _find_scales(system)
+    if settings.scaled_back:
         _scale_impulses(system)
         _scale_velocities(system)
+
+
+@inline
+def normal_energies(contact: Any, state: Any, vn: float) -> tuple[float, float]:
+    """Return λ_n (v_n + c) and λ_n (v_n' - v_n), in J."""
+    Jn = contact.normal_impulse
+    return Jn * (state.normal_before + contact.velocity_bias), Jn * (vn - state.normal_before)
+
+
+@inline
+def friction_energies(contact: Any, state: Any, ux: float, uy: float, uz: float) -> tuple[float, float]:
+    """Return λ_t·u and λ_t·(u' - u), in J."""
+    tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
+    before = tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
+    return before, tx * (ux - state.slip_x) + ty * (uy - state.slip_y) + tz * (uz - state.slip_z)
 
 
 @inline
@@ -35,9 +59,6 @@ def _find_islands(system: ConstraintSystem) -> None:
     active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
-        whole = system.islands[active[k]]
-        whole.slope = whole.curvature = 0.0
-        whole.scale = 1.0
     join_islands(system.pairs, system.inverse_mass, island)
     for k in range(len(active)):  # rising: the parent is lower, so its root is known
         island[active[k]] = island[island[active[k]]]
@@ -54,22 +75,14 @@ def _island_of(c: int, system: ConstraintSystem) -> int:
 @inline
 def _sum_up_islands(system: ConstraintSystem) -> None:
     """Sum λ·(v + c) and λ·(v' - v) over the contacts of each island."""
+    for k in range(len(system.active)):
+        whole = system.islands[system.active[k]]
+        whole.slope = whole.curvature = 0.0
+        whole.scale = 1.0
     for c in range(len(system.pairs)):
-        if not system.held[c]:
-            continue
-        contact, state = system.contacts[c], system.states[c]
-        body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
-        vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        slope = contact.normal_impulse * (state.normal_before + contact.velocity_bias)
-        curvature = contact.normal_impulse * (vn - state.normal_before)
-        if len(system.spin) > 0:
-            tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
-            ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
-            slope += tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
-            curvature += tx * (ux - state.slip_x) + ty * (uy - state.slip_y) + tz * (uz - state.slip_z)
-        whole = system.islands[_island_of(c, system)]
-        whole.slope += slope
-        whole.curvature += curvature
+        whole, audited = system.islands[_island_of(c, system)], system.audited[c]
+        whole.slope += audited.slope
+        whole.curvature += audited.curvature
 
 
 @inline
@@ -87,6 +100,7 @@ def _find_scales(system: ConstraintSystem) -> bool:
 @inline
 def _scale_impulses(system: ConstraintSystem) -> None:
     for c in range(len(system.pairs)):
+        copy_terms(system.audited[c], system.states[c])
         contact, scale = system.contacts[c], system.islands[_island_of(c, system)].scale
         if scale < 1.0:
             contact.normal_impulse *= scale

@@ -137,9 +137,13 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
         iterations += 1
     if change > HOLD_CONVERGED * largest and settings.refines:
         iterations += _refine(board, phases)
-    if change > HOLD_CONVERGED * largest:
-        _share(board, phases, SCALE_BACK, 0, 1, False)
+    settings.measures, settings.scaled_back = change > HOLD_CONVERGED * largest, False
     _share(board, phases, AUDIT, 0, pieces, True)
+    if settings.measures:
+        _share(board, phases, SCALE_BACK, 0, 1, False)
+        settings.measures = False
+    if settings.scaled_back:
+        _share(board, phases, AUDIT, 0, pieces, True)
     return iterations
 
 
