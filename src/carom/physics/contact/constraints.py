@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import CACHE_LINE, record
 from carom.physics.diagnostics.ledger import TERMS
+from carom.physics.parallel.index import from_front
+from carom.physics.parallel.jit import inline
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -21,7 +23,7 @@ Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
-SHARED_FROM = 4096  # contacts; with fewer, sharing them takes as long as it saves
+SHARED_FROM = 2048  # contacts; with fewer, sharing them takes as long as it saves
 # contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
 MIN_PER_TASK = SHARED_FROM // 2
 LEDGER_TERMS = " ".join(TERMS)
@@ -160,3 +162,15 @@ class ConstraintSystem(NamedTuple):
     found: Records  # (k,) PIECE_FINDINGS
     sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
     settings: Records  # (1,) SETTINGS
+
+
+@inline
+def contacts_of(piece: int, system: ConstraintSystem) -> tuple[int, int]:
+    """Return the first contact of a piece, and the one after the last."""
+    return from_front(system.pieces[piece, 0]), from_front(system.pieces[piece, 1])
+
+
+@inline
+def ends_of(pairs: IntArray, c: int) -> tuple[int, int]:
+    """Return the bodies, or the body and the plane, that a contact joins."""
+    return from_front(pairs[c, 0]), from_front(pairs[c, 1])

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import ends_of
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.periodic_box import nearest_image
 
@@ -51,8 +53,8 @@ def update_geometry(
 ) -> None:
     """Write normals from i to j, lever arms and overlaps of the contacts [lo, hi)."""
     n = len(x)
-    for c in range(lo, hi):
-        i, j, contact, state = pairs[c, 0], pairs[c, 1], contacts[c], states[c]
+    for c in range(from_front(lo), from_front(hi)):
+        (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if j >= n:
             p = j - n
             height = -offset[p]

@@ -16,7 +16,7 @@ from carom.physics.parallel.jit import kernel
 
 IntArray = NDArray[np.int64]
 
-CONTACTS_PER_PIECE = 512  # contacts; a few microseconds of an iteration
+CONTACTS_PER_PIECE = 256  # contacts; a few microseconds of an iteration
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK, LEDGER_TERMS
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 
@@ -114,14 +115,14 @@ def _count(
         _begin(block)
         restitution, friction, stabilisation = 0.0, 0.0, 0.0
         contacts_seen, impacts, struck = 0, 0, 0.0
-        for c in range(k * CONTACTS_PER_BLOCK, min(len(pairs), (k + 1) * CONTACTS_PER_BLOCK)):
+        for c in range(from_front(k * CONTACTS_PER_BLOCK), min(len(pairs), (k + 1) * CONTACTS_PER_BLOCK)):
             state = states[c]
             restitution += state.restitution_loss
             friction += state.friction_loss
             stabilisation += state.stabilisation_gain
             if state.apart and contacts[c].normal_impulse <= 0.0:
                 continue
-            i, j, approach = pairs[c, 0], pairs[c, 1], state.approach_speed
+            (i, j), approach = ends_of(pairs, c), state.approach_speed
             contacts_seen += 1
             if approach > state.rest_speed:
                 energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.atomics import atomic_replace
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, inner, kernel
 
 FloatArray = NDArray[np.float64]
@@ -16,14 +17,16 @@ IntArray = NDArray[np.int64]
 def root_of(parent: IntArray, i: int) -> int:
     """Return the lowest body of the set of a body; halves the path to it."""
     while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
+        parent[i] = parent[from_front(parent[i])]
+        i = from_front(parent[i])
     return i
 
 
 @inner
 def join(parent: IntArray, i: int, j: int) -> None:
     """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
+    if parent[i] == parent[j]:  # as most are in a heap
+        return
     i, j = root_of(parent, i), root_of(parent, j)
     parent[max(i, j)] = min(i, j)
 

@@ -41,7 +41,7 @@ JOB, FIRST = DOER + 1, DOER + 2  # written by the leader only, like DOER
 WORDS = 32
 PATIENCE = 5000  # looks at the board, about 20 µs, before an idle helper yields its core
 LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; with a fifth, two threads gain 1.38, not 1.53
-SHIFT = 32  # pieces, about half a millisecond, before a busy helper yields its core
+SHIFT = 32  # pieces, some tenths of a millisecond, before a busy helper yields its core
 SHARED = 0  # returned by `_lead` when the job is done; otherwise the kind of arguments that it needs code for
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import ends_of
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
@@ -47,7 +49,7 @@ def gather(
 ) -> None:
     """Copy the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
     for k in range(lo, hi):
-        b = active[k]
+        b = from_front(active[k])
         body = bodies[b]
         body.vx, body.vy, body.vz = v[b, 0], v[b, 1], v[b, 2]
         if len(omega) > 0:
@@ -64,7 +66,7 @@ def gather(
 def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, omega: FloatArray) -> None:
     """Copy the velocities of the active bodies [lo, hi) back into the arrays."""
     for k in range(lo, hi):
-        b = active[k]
+        b = from_front(active[k])
         body = bodies[b]
         v[b, 0], v[b, 1], v[b, 2] = body.vx, body.vy, body.vz
         if len(omega) > 0:
@@ -74,16 +76,15 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
 @inline
 def prefetch_velocities(bodies: Records, pairs: IntArray, c: int) -> None:
     """Fetch the velocities of the two bodies of the contact that comes `AHEAD` places after c."""
-    ahead = min(len(pairs) - 1, c + AHEAD)
-    prefetch_record(bodies, pairs[ahead, 0], 0)
-    prefetch_record(bodies, pairs[ahead, 1], 0)
+    i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
+    prefetch_record(bodies, i, 0)
+    prefetch_record(bodies, j, 0)
 
 
 @inline
 def prefetch_records(bodies: Records, pairs: IntArray, c: int) -> None:
     """Fetch the same, and their changes in the iteration."""
-    ahead = min(len(pairs) - 1, c + AHEAD)
-    i, j = pairs[ahead, 0], pairs[ahead, 1]
+    i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, i, 1)
     prefetch_record(bodies, j, 0)

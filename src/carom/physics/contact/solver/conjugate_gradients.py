@@ -15,7 +15,7 @@ spheres.
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
@@ -35,7 +35,7 @@ PART_WHEN_DEEP = 1e-2  # of the rest speed, for such a contact
 @unowned
 def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
     """Find by how much the worst contact of a piece exceeds its tolerance, in m/s; 0 if none does."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
     count = len(system.position)
@@ -43,7 +43,7 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
     for c in range(lo, hi):
         if not system.held[c]:
             continue
-        i, j = system.pairs[c, 0], system.pairs[c, 1]
+        i, j = ends_of(system.pairs, c)
         contact, state = system.contacts[c], system.states[c]
         vn, ux, uy, uz = relative_velocity(contact, system.bodies[i], system.bodies[j])
         bias = bias_of(contact, j < count, ux, uy, uz, drift)
@@ -79,7 +79,7 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 @unowned
 def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
     """Move by α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     settings = system.settings[0]
     alpha = settings.alpha
     if settings.iteration == 0:
@@ -94,9 +94,8 @@ def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
             search.step_x += alpha * search.direction_x
             search.step_y += alpha * search.direction_y
             search.step_z += alpha * search.direction_z
-            pn, px, py, pz = change_of_velocity(
-                contact, system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
-            )
+            i, j = ends_of(system.pairs, c)
+            pn, px, py, pz = change_of_velocity(contact, system.bodies[i], system.bodies[j])
             if search.free_normal:
                 search.residual_normal -= alpha * pn
             if search.free_tangent:
@@ -125,7 +124,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
         search.velocity_bias, search.free_normal, search.free_tangent = 0.0, False, False
         if not system.held[c]:
             continue
-        i, j = system.pairs[c, 0], system.pairs[c, 1]
+        i, j = ends_of(system.pairs, c)
         body_i, body_j = system.bodies[i], system.bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         bias = bias_of(contact, j < count, ux, uy, uz, drift)
@@ -144,7 +143,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
 @unowned
 def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
@@ -155,14 +154,15 @@ def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
             dz = contact.tangent_mass * search.residual_z + beta * search.direction_z
             search.direction_normal = normal
             search.direction_x, search.direction_y, search.direction_z = dx, dy, dz
-            body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
+            i, j = ends_of(system.pairs, c)
+            body_i, body_j = system.bodies[i], system.bodies[j]
             accumulate_impulse(contact, body_i, body_j, spins, normal, dx, dy, dz)
 
 
 @unowned
 def project(piece: int, end: int, system: ConstraintSystem) -> None:
     """Release contacts that would pull; store the remaining change of the impulses for a line search."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     spins, slope = system.settings[0].spins, 0.0
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
@@ -175,7 +175,8 @@ def project(piece: int, end: int, system: ConstraintSystem) -> None:
         if system.held[c]:
             normal = contact.delta_normal
             slope += normal * search.velocity_bias
-            body_i, body_j = system.bodies[system.pairs[c, 0]], system.bodies[system.pairs[c, 1]]
+            i, j = ends_of(system.pairs, c)
+            body_i, body_j = system.bodies[i], system.bodies[j]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
     found = system.found[piece]

@@ -34,7 +34,12 @@ from carom.physics.contact.solver.body_state import active_bodies, gather, scatt
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
 from carom.physics.contact.solver.phases import work
-from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
+from carom.physics.contact.solver.position_correction import (
+    audit_corrections,
+    count_contacts,
+    count_shared,
+    find_push_fractions,
+)
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
@@ -50,6 +55,7 @@ Records = NDArray[np.void]
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
 REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # small changes end these
+MIN_PER_COUNT = 10_000  # contacts; one thread alone needs no atomic additions
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 
@@ -256,7 +262,8 @@ class ContactSolver:
         system = self._system
         if self._counts is None:
             self._counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
-            self._team.divide(len(system.pairs), MIN_PER_TASK, count_contacts, system.pairs, self._counts)
+            counted = (system.pairs, self._counts)
+            self._team.divide(len(system.pairs), MIN_PER_COUNT, count_shared, *counted, alone=count_contacts)
         pushed = (system.pairs, self._counts, system.states, system.island)
         self._settings["islands_known"] = False
         self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, *pushed)

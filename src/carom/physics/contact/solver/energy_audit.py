@@ -13,7 +13,7 @@ If the iterations did not converge, the audit also measures what the energy boun
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.solver.body_state import prefetch_velocities
 from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
@@ -24,7 +24,7 @@ from carom.physics.parallel.jit import unowned
 @unowned
 def audit(piece: int, end: int, system: ConstraintSystem) -> None:
     """Book the energies of the impulses of a piece, by contact and in sum."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, measures = settings.spins, settings.measures
@@ -39,7 +39,7 @@ def audit(piece: int, end: int, system: ConstraintSystem) -> None:
         Jn = contact.normal_impulse
         if Jn == 0.0:
             continue
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         body_i, body_j = bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, ends_of
 from carom.physics.contact.union_find import join_islands
 from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.parallel.jit import inline, unowned
@@ -67,7 +67,7 @@ def _find_islands(system: ConstraintSystem) -> None:
 @inline
 def _island_of(c: int, system: ConstraintSystem) -> int:
     """Return the island of a contact: that of an end that moves."""
-    i, j = system.pairs[c, 0], system.pairs[c, 1]
+    i, j = ends_of(system.pairs, c)
     island: int = system.island[i if system.bodies[i].inverse_mass > 0.0 else j]
     return island
 

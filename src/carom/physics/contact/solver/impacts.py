@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import (
@@ -54,7 +54,7 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     The first iteration also notes each approach speed, the fastest one, and whether a contact is at rest. A later
     iteration raises the approach speed if an impulse from a neighbour has made the contact close faster.
     """
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
@@ -64,7 +64,7 @@ def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
     largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)
@@ -157,7 +157,7 @@ def look_for_closing(
         s, the step.
     """
     for c in range(lo, hi):
-        i, j, contact, state = pairs[c, 0], pairs[c, 1], contacts[c], states[c]
+        (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if state.overlap < 0.0 and state.apart:
             continue
         vx, vy, vz = between(v, i, j)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import unowned
 
 Records = NDArray[np.void]
@@ -30,7 +31,7 @@ def line_search(block: int, end: int, system: ConstraintSystem) -> None:
     """Sum m p·v + I t·ω, and m p² + I t², over a block of bodies."""
     active, slope, curvature = system.active, 0.0, 0.0
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
-        body = system.bodies[active[k]]
+        body = system.bodies[from_front(active[k])]
         px, py, pz, m = body.dvx, body.dvy, body.dvz, body.mass
         slope += (px * body.vx + py * body.vy + pz * body.vz) * m
         curvature += (px * px + py * py + pz * pz) * m
@@ -61,7 +62,7 @@ def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities of a block of bodies by α p and α t, and clear p and t."""
     alpha, active = system.settings[0].alpha, system.active
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
-        body = system.bodies[active[k]]
+        body = system.bodies[from_front(active[k])]
         body.vx += alpha * body.dvx
         body.vy += alpha * body.dvy
         body.vz += alpha * body.dvz

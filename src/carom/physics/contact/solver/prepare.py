@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import inverse_tangent_mass
 from carom.physics.contact.solver.body_state import prefetch_velocities
@@ -23,7 +23,7 @@ PART_OF_RADIUS = 3e-6  # of the smaller radius, per step
 @unowned
 def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
     """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
@@ -31,7 +31,8 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
     largest = 0.0  # m/s, the largest velocity that a contact removes
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
-        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
+        i, j = ends_of(pairs, c)
+        contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         Kn = body_i.inverse_mass + body_j.inverse_mass
         contact.normal_mass = 1.0 / Kn
         vn, tx, ty, tz = relative_velocity(contact, body_i, body_j)

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.contact.constraints import ConstraintSystem
+from carom.physics.contact.constraints import ConstraintSystem, ends_of
 from carom.physics.contact.law import material_index
 from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
@@ -92,7 +92,7 @@ def _solve_each(
         prefetch_records(bodies, pairs, c)
         if not system.held[c]:
             continue
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         bias = bias_of(contact, j < count, ux, uy, uz, drift)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
-from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem
+from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_velocities
@@ -120,7 +120,7 @@ def _carry(
         prefetch_record(contacts, p, 0)
         prefetch_record(contacts, p, 1)
         prefetch_record(old_contacts, q, 1)
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         while k < len(old_pairs) and comes_before(old_pairs[k, 0], old_pairs[k, 1], i, j):
             k += 1
         known = k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j
@@ -141,10 +141,11 @@ def _set_impulse(contact: Any, ratio: float, normal: float, x: float, y: float, 
 @unowned
 def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
     """Apply the impulses from which the contacts of a piece start."""
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = contacts_of(piece, system)
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
-        contact, body_i, body_j = system.contacts[c], bodies[pairs[c, 0]], bodies[pairs[c, 1]]
+        i, j = ends_of(pairs, c)
+        contact, body_i, body_j = system.contacts[c], bodies[i], bodies[j]
         tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
         apply_impulse(contact, body_i, body_j, spins, contact.normal_impulse, tx, ty, tz)
