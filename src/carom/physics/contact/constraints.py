@@ -165,9 +165,9 @@ class ConstraintSystem(NamedTuple):
 
 
 @inline
-def contacts_of(piece: int, system: ConstraintSystem) -> tuple[int, int]:
-    """Return the first contact of a piece, and the one after the last."""
-    return from_front(system.pieces[piece, 0]), from_front(system.pieces[piece, 1])
+def contacts_of(first: int, end: int, system: ConstraintSystem) -> tuple[int, int]:
+    """Return the first contact of the pieces [first, end), and the one after the last."""
+    return from_front(system.pieces[first, 0]), from_front(system.pieces[end - 1, 1])
 
 
 @inline

@@ -20,7 +20,7 @@ from carom.physics.parallel.intrinsics import instruction
 from carom.physics.parallel.jit import compile_for
 
 WORD = ir.IntType(64)
-PIECE = ir.FunctionType(ir.VoidType(), [WORD, WORD])  # does a piece: address of the job, number of the piece
+PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])  # address of the job, first piece, one after the last
 FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job; error code (0: none), exception
 
 
@@ -66,7 +66,7 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
     Returns
     -------
     doer, job
-        Addresses of the function that does a piece of such a job, and of the job.
+        Addresses of the function that does pieces of such a job, and of the job.
     """
     kinds = (types.int64, types.int64, *arguments)
 
@@ -84,19 +84,18 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
 
 
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
-    """Write the function that calls the kernel of a job on a piece.
+    """Write the function that calls the kernel of a job on some pieces.
 
     It keeps the first exception of a job there, for `raise_fault`.
     """
-    doer = ir.Function(module, PIECE, module.get_unique_name("do_a_piece"))
+    doer = ir.Function(module, PIECES_OF, module.get_unique_name("do_pieces"))
     doer.linkage = "internal"
     builder = ir.IRBuilder(doer.append_basic_block())
     job = builder.inttoptr(doer.args[0], layout.as_pointer())
     kernel, count, pieces, arguments = (
         builder.load(_member(builder, job, k)) for k in (KERNEL, COUNT, PIECES, ARGUMENTS)
     )
-    edges = [builder.add(doer.args[1], WORD(k)) for k in (0, 1)]
-    edges = [builder.sdiv(builder.mul(count, edge), pieces) for edge in edges]
+    edges = [builder.sdiv(builder.mul(count, edge), pieces) for edge in doer.args[1:]]
     convention = context.call_conv
     callee = builder.inttoptr(kernel, convention.get_function_type(types.none, kinds).as_pointer())
     members = cgutils.unpack_tuple(builder, arguments)  # type: ignore[no-untyped-call]
@@ -144,14 +143,14 @@ def assign(typing: Any, job: Any, kernel: Any) -> Any:
 
 
 @instruction
-def do(typing: Any, doer: Any, job: Any, piece: Any) -> Any:
-    """Do a piece of a job."""
+def do(typing: Any, doer: Any, job: Any, first: Any, end: Any) -> Any:
+    """Do the pieces [first, end) of a job, by one call of its kernel."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.call(builder.inttoptr(args[0], PIECE.as_pointer()), args[1:])
+        builder.call(builder.inttoptr(args[0], PIECES_OF.as_pointer()), args[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, types.int64, types.int64), generate
+    return types.void(types.int64, types.int64, types.int64, types.int64), generate
 
 
 def c_function(name: str) -> int:

@@ -209,7 +209,7 @@ def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) ->
     post(board, pieces)
     k = first
     while claim(board):
-        do(doer, job, k)
+        do(doer, job, k, k + 1)
         finish(board)
         k += 1
     wait(board, pieces)
@@ -228,7 +228,8 @@ def _look(board: IntArray, offer: int, looks: int) -> None:
     while idle < looks:
         idle += 1
         if claim(board):
-            do(board[DOER], board[JOB], board[FIRST] + last_piece(board))
+            piece = board[FIRST] + last_piece(board)
+            do(board[DOER], board[JOB], piece, piece + 1)
             finish(board)
             idle = 0
             done += 1

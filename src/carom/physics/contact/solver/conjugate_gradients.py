@@ -20,7 +20,7 @@ from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_of, change_of_velocity, relative_velocity, slip
-from carom.physics.parallel.jit import kernel, unowned
+from carom.physics.parallel.jit import inline, kernel, unowned
 
 # The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
 # a tenth of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
@@ -33,9 +33,15 @@ PART_WHEN_DEEP = 1e-2  # of the rest speed, for such a contact
 
 
 @unowned
-def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Find by how much the worst contact of a piece exceeds its tolerance, in m/s; 0 if none does."""
-    lo, hi = contacts_of(piece, system)
+def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
+    """Find by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 if none does."""
+    for piece in range(first, end):
+        system.found[piece].residual = _violation(piece, system)
+
+
+@inline
+def _violation(piece: int, system: ConstraintSystem) -> float:
+    lo, hi = contacts_of(piece, piece + 1, system)
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
     count = len(system.position)
@@ -55,7 +61,7 @@ def measure_violation(piece: int, end: int, system: ConstraintSystem) -> None:
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
         excess = max(excess, missed - (tolerance * allowed + negligible))
-    system.found[piece].residual = excess
+    return excess
 
 
 @kernel
@@ -77,13 +83,20 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 
 
 @unowned
-def conjugate_step(piece: int, end: int, system: ConstraintSystem) -> None:
+def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
     """Move by α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
-    lo, hi = contacts_of(piece, system)
+    if system.settings[0].iteration == 0:
+        lo, hi = contacts_of(first, end, system)
+        begin_search(lo, hi, system)
+    for piece in range(first, end):
+        _step(piece, system)
+
+
+@inline
+def _step(piece: int, system: ConstraintSystem) -> None:
+    lo, hi = contacts_of(piece, piece + 1, system)
     settings = system.settings[0]
     alpha = settings.alpha
-    if settings.iteration == 0:
-        begin_search(lo, hi, system)
     norm, most, least = 0.0, 0.0, 0.0
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
@@ -141,9 +154,9 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
 
 
 @unowned
-def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
+def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
     """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
-    lo, hi = contacts_of(piece, system)
+    lo, hi = contacts_of(first, end, system)
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
@@ -160,9 +173,15 @@ def conjugate_direction(piece: int, end: int, system: ConstraintSystem) -> None:
 
 
 @unowned
-def project(piece: int, end: int, system: ConstraintSystem) -> None:
+def project(first: int, end: int, system: ConstraintSystem) -> None:
     """Release contacts that would pull; store the remaining change of the impulses for a line search."""
-    lo, hi = contacts_of(piece, system)
+    for piece in range(first, end):
+        _project(piece, system)
+
+
+@inline
+def _project(piece: int, system: ConstraintSystem) -> None:
+    lo, hi = contacts_of(piece, piece + 1, system)
     spins, slope = system.settings[0].spins, 0.0
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]

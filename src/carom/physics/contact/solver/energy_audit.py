@@ -18,13 +18,19 @@ from carom.physics.contact.solver.body_state import prefetch_velocities
 from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms
-from carom.physics.parallel.jit import unowned
+from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
-def audit(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Book the energies of the impulses of a piece, by contact and in sum."""
-    lo, hi = contacts_of(piece, system)
+def audit(first: int, end: int, system: ConstraintSystem) -> None:
+    """Book the energies of the impulses of some pieces, by contact and in sum."""
+    for piece in range(first, end):
+        _audit(piece, system)
+
+
+@inline
+def _audit(piece: int, system: ConstraintSystem) -> None:
+    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, measures = settings.spins, settings.measures

@@ -25,7 +25,7 @@ from carom.physics.parallel.jit import inline, unowned
 
 
 @unowned
-def scale_back(piece: int, end: int, system: ConstraintSystem) -> None:
+def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
     """Scale the impulses of each island by θ where θ < 1, and take back the audit; note whether there were any."""
     settings = system.settings[0]
     if not settings.islands_known:

@@ -48,13 +48,19 @@ CONVERGED = 1e-9  # of the first iteration's largest change of a velocity; itera
 
 
 @unowned
-def resolve_impacts(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Resolve the impacts of a piece once; note the largest change of a velocity.
+def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
+    """Resolve the impacts of some pieces once; note the largest change of a velocity.
 
     The first iteration also notes each approach speed, the fastest one, and whether a contact is at rest. A later
     iteration raises the approach speed if an impulse from a neighbour has made the contact close faster.
     """
-    lo, hi = contacts_of(piece, system)
+    for piece in range(first, end):
+        _resolve(piece, system)
+
+
+@inline
+def _resolve(piece: int, system: ConstraintSystem) -> None:
+    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only

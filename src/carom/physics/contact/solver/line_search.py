@@ -21,14 +21,20 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
 from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import unowned
+from carom.physics.parallel.jit import inline, unowned
 
 Records = NDArray[np.void]
 
 
 @unowned
-def line_search(block: int, end: int, system: ConstraintSystem) -> None:
-    """Sum m p·v + I t·ω, and m p² + I t², over a block of bodies."""
+def line_search(first: int, end: int, system: ConstraintSystem) -> None:
+    """Sum m p·v + I t·ω, and m p² + I t², over each of some blocks of bodies."""
+    for block in range(first, end):
+        _sum_up(block, system)
+
+
+@inline
+def _sum_up(block: int, system: ConstraintSystem) -> None:
     active, slope, curvature = system.active, 0.0, 0.0
     for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
         body = system.bodies[from_front(active[k])]
@@ -58,10 +64,10 @@ def step_length(found: Records, sums: Records) -> float:
 
 
 @unowned
-def extrapolate(block: int, end: int, system: ConstraintSystem) -> None:
-    """Change the velocities of a block of bodies by α p and α t, and clear p and t."""
+def extrapolate(first: int, end: int, system: ConstraintSystem) -> None:
+    """Change the velocities of some blocks of bodies by α p and α t, and clear p and t."""
     alpha, active = system.settings[0].alpha, system.active
-    for k in range(block * BODIES_PER_BLOCK, min(len(active), (block + 1) * BODIES_PER_BLOCK)):
+    for k in range(first * BODIES_PER_BLOCK, min(len(active), end * BODIES_PER_BLOCK)):
         body = system.bodies[from_front(active[k])]
         body.vx += alpha * body.dvx
         body.vy += alpha * body.dvy

@@ -4,6 +4,9 @@ A phase is cut into pieces of contacts. The pieces of one colour are independent
 colours follow each other. Each piece writes its findings into its own record, and the leader combines them in the order
 of the pieces. The bits therefore do not depend on the number of threads. The leader alone does phases of one piece, and
 the last colour, in which contacts share bodies.
+
+A thread that works alone does all pieces of a phase in one call. A call hands over 200 words, which takes 30 ns: a
+twentieth of a step of `cloud-collapse`, which has seven pieces.
 """
 
 from __future__ import annotations
@@ -251,6 +254,9 @@ def _forget_changes(board: IntArray, phases: Phases) -> None:
 def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
     """Do a phase colour by colour."""
     edges, independent = phases.edges, phases.settings[0].independent
+    if len(board) == 0:
+        _share(board, phases, phase, edges[0], edges[len(edges) - 1], False)
+        return
     for colour in range(len(edges) - 1):
         _share(board, phases, phase, edges[colour], edges[colour + 1], colour < independent)
 
@@ -259,10 +265,11 @@ def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
 def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, independent: bool) -> None:
     """Do the pieces of a phase, with the team if they are independent."""
     assign(phases.task, phases.addresses[phase])
+    if end == first:
+        return
     if len(board) == 0 or end - first == 1 or not independent:
-        for k in range(first, end):
-            do(phases.doer, phases.task, k)
-    elif end > first:
+        do(phases.doer, phases.task, first, end)
+    else:
         lead_phase(board, phases.doer, phases.task, first, end - first)
     raise_fault(phases.task)
 

@@ -79,13 +79,20 @@ def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, sta
 
 
 @unowned
-def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Push the resting contacts of a piece apart once; note whether an overlap needs another iteration.
+def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
+    """Push the resting contacts of some pieces apart once; note whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
     Later iterations visit only contacts of which the last one pushed an end; the others still do not overlap.
     """
-    lo, hi = contacts_of(piece, system)
+    for piece in range(first, end):
+        system.found[piece].residual = _correct(piece, system)
+
+
+@inline
+def _correct(piece: int, system: ConstraintSystem) -> float:
+    """Push the resting contacts of a piece apart; return 1 if an overlap needs another iteration, otherwise 0."""
+    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, x, v = system.pairs, system.position, system.velocity
     inverse_mass, places = system.inverse_mass, system.places
     n, last, again = len(x), len(pairs) - 1, 0.0
@@ -126,7 +133,7 @@ def correct_positions(piece: int, end: int, system: ConstraintSystem) -> None:
         if j < n:  # a plane absorbs any angular momentum
             tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
             _scale_tangential_velocity(c, d / (d + delta) - 1.0, mi, mj, tx, ty, tz, system)
-    system.found[piece].residual = again
+    return again
 
 
 @inline

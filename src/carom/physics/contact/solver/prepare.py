@@ -9,7 +9,7 @@ from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import inverse_tangent_mass
 from carom.physics.contact.solver.body_state import prefetch_velocities
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import unowned
+from carom.physics.parallel.jit import inline, unowned
 
 LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
 # rounding is 1e-16 of that velocity
@@ -21,14 +21,21 @@ PART_OF_RADIUS = 3e-6  # of the smaller radius, per step
 
 
 @unowned
-def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
+def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
-    lo, hi = contacts_of(piece, system)
+    for piece in range(first, end):
+        system.found[piece].residual = _prepare(piece, system)
+
+
+@inline
+def _prepare(piece: int, system: ConstraintSystem) -> float:
+    """Prepare the contacts of a piece; return the largest velocity that one of them removes, in m/s."""
+    lo, hi = contacts_of(piece, piece + 1, system)
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
-    largest = 0.0  # m/s, the largest velocity that a contact removes
+    largest = 0.0
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
         i, j = ends_of(pairs, c)
@@ -58,4 +65,4 @@ def prepare(piece: int, end: int, system: ConstraintSystem) -> None:
         else:
             contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
         contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
-    system.found[piece].residual = largest
+    return largest

@@ -43,15 +43,17 @@ HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterati
 
 
 @unowned
-def solve_turning(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Solve the contacts of a piece once, with friction and spin."""
-    solve(piece, system, (1,))
+def solve_turning(first: int, end: int, system: ConstraintSystem) -> None:
+    """Solve the contacts of some pieces once, with friction and spin."""
+    for piece in range(first, end):
+        solve(piece, system, (1,))
 
 
 @unowned
-def solve_straight(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Solve the contacts of a piece once, without friction."""
-    solve(piece, system, ())
+def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
+    """Solve the contacts of some pieces once, without friction."""
+    for piece in range(first, end):
+        solve(piece, system, ())
 
 
 @unowned

@@ -139,9 +139,9 @@ def _set_impulse(contact: Any, ratio: float, normal: float, x: float, y: float, 
 
 
 @unowned
-def warm_start(piece: int, end: int, system: ConstraintSystem) -> None:
-    """Apply the impulses from which the contacts of a piece start."""
-    lo, hi = contacts_of(piece, system)
+def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
+    """Apply the impulses from which the contacts of some pieces start."""
+    lo, hi = contacts_of(first, end, system)
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
