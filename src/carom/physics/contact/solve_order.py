@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraint_graph import OVERFLOW
 from carom.physics.parallel.jit import kernel
+from carom.physics.parallel.lanes import WIDTH
 
 IntArray = NDArray[np.int64]
 
-CONTACTS_PER_PIECE = 256  # contacts; a few microseconds of an iteration
+CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +66,16 @@ def _lay_out(
     edges: IntArray,
     pieces: IntArray,
 ) -> None:
-    """Cut the colours into pieces, and assign each contact the next place of its colour."""
+    """Cut the colours into pieces of about equal size, and assign each contact the next place of its colour."""
     k, end = 0, 0
     for colour in range(len(sizes)):
         lo, end = end, end + sizes[colour]
         sizes[colour] = lo
+        fewest = max(1, -(-(end - lo) // CONTACTS_PER_PIECE))
+        size = -(-(end - lo) // (fewest * WIDTH)) * WIDTH  # whole blocks
         while lo < end:
-            pieces[k, 0], pieces[k, 1] = lo, min(end, lo + CONTACTS_PER_PIECE)
-            lo += CONTACTS_PER_PIECE
+            pieces[k, 0], pieces[k, 1] = lo, min(end, lo + size)
+            lo += size
             k += 1
         edges[colour + 1] = k
     for c in range(len(colours)):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.periodic_box import minimum_image, nearest_image
@@ -147,9 +148,9 @@ def _test(
     """
     periodic = box[0] > 0.0
     for block in range(lo, hi):
-        m = begin = block * PAIRS_PER_BLOCK
+        m = begin = from_front(block * PAIRS_PER_BLOCK)
         for c in range(begin, min(len(listed), begin + PAIRS_PER_BLOCK)):
-            i, j = listed[c, 0], listed[c, 1]
+            i, j = from_front(listed[c, 0]), from_front(listed[c, 1])
             dx = position[j, 0] - position[i, 0]
             dy = position[j, 1] - position[i, 1]
             dz = position[j, 2] - position[i, 2]

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.constraint_graph import first_of
+from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
@@ -66,8 +67,8 @@ def _merge(
     blocks: Records,
 ) -> None:
     """Merge the pairs of the blocks [lo, hi) of bodies; each block has room for all its possible pairs."""
-    c = first_of(lo * BODIES_PER_BLOCK, pairs)
-    for block in range(lo, hi):
+    c = from_front(first_of(lo * BODIES_PER_BLOCK, pairs))
+    for block in range(from_front(lo), hi):
         begin = c + block * BODIES_PER_BLOCK * len(offset)
         m = begin
         for i in range(block * BODIES_PER_BLOCK, min(len(radius), (block + 1) * BODIES_PER_BLOCK)):

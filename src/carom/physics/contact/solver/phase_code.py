@@ -1,8 +1,8 @@
 """The machine code of the solver's phases, by address.
 
-Each phase is a kernel ``(first, end, system)``, which does the pieces [first, end). The kernels that lead a job call phases
-by address, which saves compilation. Called by name, all phases would be compiled into the caller, and passing the 24
-arrays of a `ConstraintSystem` takes a second to compile in each. By address, each phase is compiled separately, by
+Each phase is a kernel ``(first, end, system)``, which does the pieces [first, end). The kernels that lead a job call
+phases by address, which saves compilation. Called by name, all phases would be compiled into the caller, and passing
+the arrays of a `ConstraintSystem` takes a second to compile in each. By address, each phase is compiled separately, by
 whichever process comes first, and only if a scene needs it.
 """
 
