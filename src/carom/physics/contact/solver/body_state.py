@@ -12,28 +12,26 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
 from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.parallel.jit import inline, kernel, long_kernel
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
-from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-MIN_CONTACTS_PER_TASK = 10_000
 
-
-def active_bodies(pairs: IntArray, count: int, team: Team) -> IntArray:
+def active_bodies(pairs: IntArray, count: int) -> IntArray:
     """Return the indices, among ``count`` bodies and planes, that occur in a pair, in rising order."""
     touches = np.zeros(count, dtype=np.bool_)
-    team.divide(len(pairs), MIN_CONTACTS_PER_TASK, _mark, pairs, touches)
+    _mark(pairs, touches)
     return np.flatnonzero(touches)
 
 
-@long_kernel
-def _mark(lo: int, hi: int, pairs: IntArray, touches: NDArray[np.bool_]) -> None:
-    for c in range(lo, hi):
-        touches[pairs[c, 0]] = touches[pairs[c, 1]] = True
+@kernel
+def _mark(pairs: IntArray, touches: NDArray[np.bool_]) -> None:
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        touches[i] = touches[j] = True
 
 
 @long_kernel

@@ -37,7 +37,6 @@ from carom.physics.contact.solver.phases import work
 from carom.physics.contact.solver.position_correction import (
     audit_corrections,
     count_contacts,
-    count_shared,
     find_push_fractions,
 )
 from carom.physics.contact.solver.warm_start import impulses_of
@@ -55,7 +54,6 @@ Records = NDArray[np.void]
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
 REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # small changes end these
-MIN_PER_COUNT = 10_000  # contacts; one thread alone needs no atomic additions
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 
@@ -137,7 +135,7 @@ class ContactSolver:
         m, bodies, ends, planes = len(order.pairs), self._bodies, self._bodies.ends, self._planes
         room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
         if order is not self.order:
-            self._active = active_bodies(order.pairs, len(self._body_states), self._team)
+            self._active = active_bodies(order.pairs, len(self._body_states))
             self._counts = None
         self.order = order
         self._settings["independent"], self._settings["islands_known"] = order.independent, False
@@ -261,9 +259,8 @@ class ContactSolver:
         """Correct the overlaps of resting contacts."""
         system = self._system
         if self._counts is None:
-            self._counts = np.zeros(len(self._bodies.ends.inverse_mass), dtype=np.int64)
-            counted = (system.pairs, self._counts)
-            self._team.divide(len(system.pairs), MIN_PER_COUNT, count_shared, *counted, alone=count_contacts)
+            self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
+            count_contacts(system.pairs, self._counts)
         pushed = (system.pairs, self._counts, system.states, system.island)
         self._settings["islands_known"] = False
         self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, *pushed)

@@ -27,9 +27,8 @@ from numpy.typing import NDArray
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.law import LAW, material_index
-from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, long_kernel, unowned
+from carom.physics.parallel.jit import inline, kernel, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import add, between, vector
@@ -47,20 +46,17 @@ ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
 ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed and quick ones; the next step has one iteration for them
 
 
-@long_kernel
-def count_contacts(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
-    """Add the contacts [lo, hi) to the counts of their bodies and planes."""
-    for c in range(lo, hi):
-        counts[pairs[c, 0]] += 1
-        counts[pairs[c, 1]] += 1
+@kernel
+def count_contacts(pairs: IntArray, counts: IntArray) -> None:
+    """Count the contacts of each body and plane.
 
-
-@long_kernel
-def count_shared(lo: int, hi: int, pairs: IntArray, counts: IntArray) -> None:
-    """Count while other threads count other contacts, which takes five times as long for each."""
-    for c in range(lo, hi):
-        atomic_add(counts, pairs[c, 0], 1)
-        atomic_add(counts, pairs[c, 1], 1)
+    By one thread: of 40 000 contacts it takes 40 µs, and two threads with atomic additions 250.
+    """
+    counts[:] = 0
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        counts[i] += 1
+        counts[j] += 1
 
 
 @long_kernel
