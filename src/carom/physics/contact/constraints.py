@@ -25,7 +25,7 @@ BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
 SHARED_FROM = 2048  # contacts; with fewer, sharing them takes as long as it saves
 # contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
-MIN_PER_TASK = SHARED_FROM // 4
+MIN_PER_TASK = SHARED_FROM // 2
 LEDGER_TERMS = " ".join(TERMS)
 
 CONTACT = record(
