@@ -32,6 +32,7 @@ FloatArray = NDArray[np.float64]
 RADIUS, SPACING, FRICTION = 0.1, 2.4, 0.5  # m, radii, 1
 RATE, FALL, TURN = 60, 180, 10  # steps a second; steps; steps before the next engine's turn
 SUBSTEPS = 4  # of Box3D
+WARM_UP = 1000  # bodies of a heap that does not count
 SETTINGS: dict[str, dict[str, Any]] = {  # sections [contact] of carom's runs
     "carom": {},
     "as needed": {"sweeps": "as-needed"},
@@ -124,14 +125,16 @@ def compare(n: int, threads: int, rounds: int, calm: int, only: list[str]) -> di
     """Let the heaps of both engines fall in turns, several times, then lie."""
     side = lattice(n)[1]
     clock = time.process_time if threads == 1 else time.perf_counter
-    engines: dict[str, Callable[[], Heap]] = {
-        name: partial(in_carom, n, threads, **contact) for name, contact in SETTINGS.items() if name in only
+    engines: dict[str, Callable[[int], Heap]] = {
+        name: partial(in_carom, threads=threads, **contact) for name, contact in SETTINGS.items() if name in only
     }
-    engines["Box3D"] = partial(in_box3d, n, threads)
+    engines["Box3D"] = partial(in_box3d, threads=threads)
+    for make in engines.values():
+        _timed(clock, make(WARM_UP).step, FALL)  # loads the kernels
     falls: dict[str, list[float]] = {name: [] for name in engines}
     rests: dict[str, list[float]] = {name: [] for name in engines}
     for _ in range(max(1, rounds // 2)):
-        heaps = {name: make() for name, make in engines.items()}
+        heaps = {name: make(n) for name, make in engines.items()}
         spent, sunk = dict.fromkeys(heaps, 0.0), dict.fromkeys(heaps, 0.0)
         for _ in range(0, FALL, TURN):
             for name, heap in heaps.items():
