@@ -17,6 +17,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.space import Space
+from carom.scene.integrators import INTEGRATORS
 from carom.scene.names import Names
 from carom.scene.schema import Expect
 from examples import pair, random_bodies, scene_of
@@ -178,8 +179,8 @@ def energies(*totals: float) -> list[Energy]:
     return [Energy(total, 0.0, 0.0, 0.0, Ledger(), total - totals[0], 1.0) for total in totals]
 
 
-def watched(tolerance: float, *found: Energy, contact_gain: float = 0.0) -> list[Event]:
-    watch = EnergyMonitor(tolerance, Names(["a", "b"], []))
+def watched(tolerance: float, *found: Energy, contact_gain: float = 0.0, integrator: str = "leapfrog") -> list[Event]:
+    watch = EnergyMonitor(tolerance, Names(["a", "b"], []), INTEGRATORS[integrator])
     return [event for k, energy in enumerate(found) for event in watch.check(k, 0.5 * k, energy, contact_gain, [])]
 
 
@@ -205,6 +206,20 @@ def test_an_integration_error_of_a_tenth_of_the_scale_is_warned_of_once() -> Non
     events = watched(1e9, *energies(-1.0, -0.95, -0.89, -0.5, -0.2))
     assert kinds(events) == ["energy-lost"] and events[0].step == 2
     assert "11% of the energy scale" in events[0].text
+
+
+@pytest.mark.parametrize(
+    ("integrator", "advice"),
+    [
+        ("leapfrog", 'fixed_dt), or time.integrator = "yoshida4".'),
+        ("yoshida4", "(time.target_dx, time.cfl or time.fixed_dt)."),
+        ("gauss-radau15", "by their error unless time.fixed_dt is set"),
+        ("wisdom-holman", 'time.integrator = "gauss-radau15"'),
+    ],
+)
+def test_the_advice_against_a_lost_orbit_fits_the_integrator(integrator: str, advice: str) -> None:
+    (lost,) = watched(1e9, *energies(-1.0, -0.5), integrator=integrator)
+    assert advice in lost.text and f'"{integrator}"' not in lost.text
 
 
 def see(extremes: Extremes, *ledgers: Ledger) -> Extremes:

@@ -37,6 +37,13 @@ def path(tmp_path: Path, merry: Merry) -> Path:
     return tmp_path / "run.rrd"
 
 
+def test_a_recording_without_a_title_is_untitled(tmp_path: Path, merry: Merry) -> None:
+    with Recorder(tmp_path / "run.rrd", replace(merry.header, title="")) as recorder:  # Rerun drops empty texts
+        recorder.put(next(iter(merry.frames(1))))
+        recorder.finish("completed")
+    assert Recording.open(tmp_path / "run.rrd").title == "Untitled scene"
+
+
 def foreign(path: Path, application_id: str) -> Path:
     with rr.RecordingStream(application_id) as stream:
         stream.set_sinks(rr.FileSink(path))

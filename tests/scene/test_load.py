@@ -492,3 +492,9 @@ def test_overrides_that_are_no_list_are_refused_as_such(overrides: Any) -> None:
     scene = Scene.from_dict({"body": [{"radius": 1.0}]})
     with pytest.raises(TypeError, match="overrides: expected a list of texts such as"):
         scene.changed(overrides)
+
+
+@pytest.mark.parametrize("blank", ["", "  "])
+def test_a_scene_whose_title_is_blank_is_untitled(blank: str) -> None:
+    document = f'title = "{blank}"\ntime.duration = 1.0\n[[body]]\n'
+    assert scene_from_text(document, "scene.toml", []).title == "Untitled scene"

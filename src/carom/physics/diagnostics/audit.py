@@ -20,6 +20,7 @@ from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, Moment
 from carom.physics.diagnostics.motion import Motion
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
+from carom.plan.auto import integrator
 from carom.scene.names import Names
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -67,7 +68,7 @@ class Audit:
         self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
         booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
-        self._watch = EnergyMonitor(scene.record.energy_tolerance, names, scene.unit_system)
+        self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: list[Suspects] = []
         self._last_suspects: Suspects | None = None
         self._old_suspects: Suspects | None = None  # those before; their arrays are used again

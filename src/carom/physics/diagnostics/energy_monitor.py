@@ -16,6 +16,7 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
+from carom.scene.integrators import Integrator
 from carom.scene.names import Names
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem
@@ -95,11 +96,23 @@ class EnergyMonitor:
     """Checks the energy and warns of a rise, and of an integration error that makes the run useless.
 
     A rise is relative to the lowest energy since the last warning, so a slow rise is noticed at any rate of checks.
+
+    Parameters
+    ----------
+    tolerance
+        Of a rise, over the energy scale.
+    names
+        Of the bodies.
+    integrator
+        Of the run; what helps against a large error depends on it.
+    units
+        In which the warnings give energies.
     """
 
-    def __init__(self, tolerance: float, names: Names, units: UnitSystem = SI) -> None:
+    def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:
         self._tolerance = tolerance
         self._names = names
+        self._remedy = _remedy(integrator)
         self._units = units
         self.tally = MonitorState()
 
@@ -139,7 +152,8 @@ class EnergyMonitor:
             events.append(Event(step, time, "WARN", text, "energy-ledger"))
         lost = energy.relative_error > LOST
         if lost and not tally.lost:
-            events.append(Event(step, time, "WARN", _loss(energy, lowest, self._units), "energy-lost"))
+            text = f"{_loss(energy, lowest, self._units)} {self._remedy}"
+            events.append(Event(step, time, "WARN", text, "energy-lost"))
         if rose or tally.lowest is None or now < least:
             lowest, since = energy, time
         else:
@@ -172,10 +186,20 @@ def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
     part = energy.relative_error
     amount = f"{part:.0%} of" if part < 10.0 else f"{part:.2g} times"
     change = units.text(energy.integration_error, ENERGY, "+.4g")
-    return (
-        f"{what}: integration has changed the total energy by {change}, {amount} the energy "
-        'scale. Take shorter steps (time.target_dx, time.cfl or time.fixed_dt), or time.integrator = "yoshida4".'
-    )
+    return f"{what}: integration has changed the total energy by {change}, {amount} the energy scale."
+
+
+def _remedy(integrator: Integrator) -> str:
+    """Say which keys help against a large error of an integrator."""
+    if integrator.hierarchical:
+        return 'Take shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
+    if integrator.controls_error:
+        return (
+            "The integrator chooses its steps by their error unless time.fixed_dt is set; without it, soften the "
+            "closest passages (gravity.softening)."
+        )
+    other = "" if integrator.order > 2 else ', or time.integrator = "yoshida4"'
+    return f"Take shorter steps (time.target_dx, time.cfl or time.fixed_dt){other}."
 
 
 def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:

@@ -15,6 +15,7 @@ from carom.recording.read.entities import Entities
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Store
 from carom.recording.schema import paths
+from carom.scene.schema.heading import UNTITLED
 from carom.scene.units.system import UnitSystem
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
@@ -131,8 +132,8 @@ class Statics:
     @property
     @named
     def title(self) -> str:
-        """The scene's title."""
-        return str(self.info["title"])
+        """The scene's title; Rerun keeps no empty one."""
+        return str(self.info.get("title", UNTITLED))
 
     @property
     @named

@@ -102,7 +102,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         **dict.fromkeys(("expect.*.met", "expect.*.judged"), _flag),
     },
 }
-_REQUIRED = {"carom": ("title", "bodies", "time_scale"), "clip": ("source", "from", "to"), "outcome": ("outcome",)}
+_REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to"), "outcome": ("outcome",)}
 
 
 def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
