@@ -350,6 +350,19 @@ def test_an_added_force_is_never_left_out_silently(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
+    ("part", "unknown"),
+    [
+        ({"contact": {"allow_overlap": True}}, "overlap at the start"),
+        ({"gravity": {"method": "tree"}}, "the tree method"),
+    ],
+)
+def test_an_accuracy_by_leapfrog_says_what_gauss_radau_does_not_know(part: dict[str, Any], unknown: str) -> None:
+    scene = scene_of(MOVING, **part, time={"accuracy": 1e-6})
+    chosen = next(part for part in require(scene).parts if part.name == "integrator")
+    assert chosen.why == f"leapfrog: gauss-radau15 does not know {unknown}"
+
+
+@pytest.mark.parametrize(
     ("refinement", "expected"),
     [
         (0.5, "steps 2 times longer than usual; kept to the end"),

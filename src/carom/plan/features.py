@@ -276,7 +276,14 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
         return f"the only integrator that supports {force.name}"
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"
-    return "gauss-radau15 knows no periodic box, tree or overlap at the start"
+    return f"gauss-radau15 does not know {_beyond_gauss_radau(scene)}"
+
+
+def _beyond_gauss_radau(scene: Scene) -> str:
+    """Name the first part of a scene that Gauss–Radau integration with impacts does not know."""
+    if force := pulls.further(scene):
+        return f"the force {force}"
+    return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 
 def _accuracy(scene: Scene) -> Part:
