@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import MIN_PER_TASK
+from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
 from carom.physics.contact.union_find import join, join_shared, root_of
 from carom.physics.parallel.atomics import atomic_load, atomic_max
 from carom.physics.parallel.jit import kernel, long_kernel
@@ -116,7 +116,7 @@ def island_rest_speeds(
     n = len(x)
     parent = np.arange(n)
     for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
             continue
         d2 = 0.0
@@ -192,7 +192,7 @@ def _stand_alone(
 def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
     """Join the islands at the ends of each contact."""
     for c in range(lo, hi):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
             join_shared(parent, i, j)
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import SleepCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
+from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, ends_of
 from carom.physics.contact.law import NORMAL
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import lay
@@ -291,7 +291,7 @@ def _look(
                 change += da * da
             disturbed[i] = moves or change > limit * limit
     for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         if still[i] != still[j]:
             sleeper = i if still[i] else j
             if sleeper < n and calm[sleeper] < 0.0:
@@ -363,7 +363,7 @@ def _fall_asleep(
     parent, restless, pressed = np.arange(n), np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     join_islands(pairs, inverse_mass, parent)
     for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         if impulse[c, NORMAL] > 0.0 and (inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0):
             pressed[root_of(parent, i if inverse_mass[i] > 0.0 else j)] = True
     for i in range(n):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import ends_of
 from carom.physics.parallel.atomics import atomic_replace
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, inner, kernel
@@ -43,7 +44,7 @@ def join_shared(parent: IntArray, i: int, j: int) -> None:
 def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
     """Join the sets of the bodies at the ends of each pair, unless one is fixed."""
     for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
+        i, j = ends_of(pairs, c)
         if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
             join(parent, i, j)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.continuous.event_loop import COLLAPSE_FROM, MAX_IMPACTS, collide
 from carom.physics.contact.continuous.trajectories import ROUNDING, Trajectories
 from carom.physics.contact.law import LAW, material_index
@@ -42,7 +43,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
     for sweep in range(MAX_IMPACTS):
         before = row
         for c in range(count):
-            i, j = pairs[c, 0], pairs[c, 1]
+            i, j = ends_of(pairs, c)
             speed, speeds = _closing(i, j, T)
             if LAW.dissipates(T.materials[material_index(i, j, len(T.x), T.places)]):
                 speeds *= growth
