@@ -132,8 +132,8 @@ class Statics:
     @property
     @named
     def title(self) -> str:
-        """The scene's title; Rerun keeps no empty one."""
-        return str(self.info.get("title", UNTITLED))
+        """The scene's title; an empty one is empty or missing, as Rerun has seen texts under this name or not."""
+        return str(self.info.get("title") or UNTITLED)
 
     @property
     @named
