@@ -98,12 +98,19 @@ const wanted = new URLSearchParams(location.hash.slice(1));
 const time = /^-?\d+$/.test(wanted.get("at")) ? BigInt(wanted.get("at")) : null;
 const moment = /^[\w-]+$/.test(wanted.get("show")) ? wanted.get("show") : null;
 
+// The viewer takes up what it is given in its next frame, and without an event it may not paint one for ever: after a
+// reload on a busy machine it waited for the mouse to move. It repaints when its page is shown.
+function wake() {
+  window.dispatchEvent(new Event("pageshow"));
+}
+
 // Hands a small file to the viewer, without leaving what it shows.
 async function send(viewer, name) {
   const bytes = new Uint8Array(await (await got(name)).arrayBuffer());
   viewer.open_channel(name, name);
   viewer.send_rrd_to_channel(name, bytes);
   viewer.close_channel(name);
+  wake();
   await pause();
 }
 
@@ -111,6 +118,7 @@ async function load(viewer) {
   await send(viewer, `${moment ?? "layout"}.rbl`); // a recording without a layout would be shown with one of the viewer's own
   viewer.add_receiver(new URL("recording.rrd", location.href).href);
   for (let there = false; !there; ) {
+    wake();
     await pause();
     const { recordings, loading } = opened(viewer);
     // refused as long as the recording has no times, and repeated until all of it has come
