@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraints import ends_of
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.intrinsics import lowest_bit
 from carom.physics.parallel.jit import kernel
@@ -134,11 +135,12 @@ def _colour_contacts(
     pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
 ) -> None:
     for c in range(len(pairs)):
-        used[from_front(pairs[c, 0])] = used[from_front(pairs[c, 1])] = np.uint64(0)
+        i, j = ends_of(pairs, c)
+        used[i] = used[j] = np.uint64(0)
     given = len(pairs) - len(order)  # first those that have a colour, then those without
     for k in range(-len(pairs) if given > 0 else 0, len(order)):
         c = from_front(k + len(pairs) if k < 0 else order[k])
-        i, j, colour = from_front(pairs[c, 0]), from_front(pairs[c, 1]), colours[c]
+        (i, j), colour = ends_of(pairs, c), colours[c]
         if k >= 0:
             colour = lowest_bit(~(used[i] | used[j]))  # 64, `OVERFLOW`, if all are used
             colours[c] = colour

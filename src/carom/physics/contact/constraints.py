@@ -79,7 +79,7 @@ PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
     size=2 * CACHE_LINE,
 )
 
-AUDITED = record(  # of a contact whose island may have to give back energy
+MEASURED = record(  # of a contact whose island may have to give back energy
     "slope curvature"  # J, along its impulses
     f" {LEDGER_TERMS}"  # J, its ledger before the audit
 )
@@ -108,7 +108,7 @@ SETTINGS = np.dtype(
         ("settles", "?"),  # whether more iterations follow conjugate gradients that did not converge
         ("keeps_sliding", "?"),  # whether contacts that slid may not stick again
         ("islands_known", "?"),  # whether the bodies' islands are found
-        ("measures", "?"),  # whether the audit writes `AUDITED`
+        ("measures", "?"),  # whether the audit writes `MEASURED`
         ("scaled_back", "?"),  # whether impulses were too large for the energy bound
     ],
     align=True,
@@ -142,7 +142,7 @@ class ConstraintSystem(NamedTuple):
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
-    audited: Records  # (m,) AUDITED
+    measured: Records  # (m,) MEASURED
     recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s

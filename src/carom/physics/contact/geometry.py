@@ -53,7 +53,7 @@ def update_geometry(
 ) -> None:
     """Write normals from i to j, lever arms and overlaps of the contacts [lo, hi)."""
     n = len(x)
-    for c in range(from_front(lo), from_front(hi)):
+    for c in range(from_front(lo), hi):
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if j >= n:
             p = j - n

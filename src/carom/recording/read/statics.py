@@ -15,7 +15,7 @@ from carom.recording.read.entities import Entities
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Store
 from carom.recording.schema import paths
-from carom.scene.schema.heading import UNTITLED
+from carom.scene.schema.heading import called
 from carom.scene.units.system import UnitSystem
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
@@ -133,7 +133,7 @@ class Statics:
     @named
     def title(self) -> str:
         """The scene's title; an empty one is empty or missing, as Rerun has seen texts under this name or not."""
-        return str(self.info.get("title") or UNTITLED)
+        return called(str(self.info.get("title", "")))
 
     @property
     @named

@@ -29,7 +29,7 @@ from carom.recording.source.proximity import Moment, Proximity
 from carom.recording.source.source import LARGEST, Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.names import Names
-from carom.scene.schema.heading import UNTITLED
+from carom.scene.schema.heading import called
 from carom.scene.start import Start
 from carom.scene.units.system import SI, UnitSystem
 
@@ -246,7 +246,7 @@ def header_of_source(
     """
     forces = {GRAVITY.name: setup.constant != 0.0, UNIFORM_FIELD.name: bool(setup.gravity.any())}
     return Header(
-        title=title if title.strip() else UNTITLED,
+        title=called(title),
         description=f"Recorded from {setup.engine}. carom saw its states only, and cannot run it again.",
         scene_toml=f"# Recorded from {setup.engine}: there is no scene of carom.\n",
         seed=0,

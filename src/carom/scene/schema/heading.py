@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import AfterValidator, Field
 
 from carom.scene.schema.quantity import Section
 from carom.scene.schema.time import Time
@@ -13,10 +13,15 @@ from carom.scene.schema.units import Units
 UNTITLED = "Untitled scene"
 
 
+def called(title: str) -> str:
+    """Return a title, or `UNTITLED` in place of a blank one."""
+    return title if title.strip() else UNTITLED
+
+
 class Heading(Section):
     """What a scene is called, its seed, its units and its time."""
 
-    title: str = Field(UNTITLED, description="one line; shown everywhere")
+    title: Annotated[str, AfterValidator(called)] = Field(UNTITLED, description="one line; shown everywhere")
     description: str = Field("", description="what to look for, shown in the recording")
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
         0, description="seed of the random start; 0 or more, below 2**63"
@@ -27,8 +32,3 @@ class Heading(Section):
         '"au, day, solar mass"; SI by default',
     )
     time: Time = Field(Time(), description="the duration, and how the step is chosen")
-
-    @field_validator("title")
-    @classmethod
-    def _called(cls, title: str) -> str:
-        return title if title.strip() else UNTITLED

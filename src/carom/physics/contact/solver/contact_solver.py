@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from carom.physics.aligned import Room, aligned_empty, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import (
-    AUDITED,
     BLOCK_SUMS,
     BODIES_PER_BLOCK,
     BODY_STATE,
     CONTACT,
     CONTACT_STATE,
     ISLAND,
+    MEASURED,
     MIN_PER_TASK,
     PIECE_FINDINGS,
     RECORDED,
@@ -34,11 +34,7 @@ from carom.physics.contact.solver.body_state import active_bodies, gather, scatt
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
 from carom.physics.contact.solver.phases import work
-from carom.physics.contact.solver.position_correction import (
-    audit_corrections,
-    count_contacts,
-    find_push_fractions,
-)
+from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
@@ -101,7 +97,7 @@ class ContactSolver:
         self._small_change = Room(np.float64)
         self._states = Room(CONTACT_STATE)
         self._search = Room(SEARCH)
-        self._audited = Room(AUDITED)
+        self._measured = Room(MEASURED)
         self._recorded = Room(RECORDED)
         self._records = records
         self._normals = Room(columns=3)
@@ -148,7 +144,7 @@ class ContactSolver:
             small_change=self._small_change.take(m),
             states=self._states.take(m),
             search=self._search.take(m),
-            audited=self._audited.take(m),
+            measured=self._measured.take(m),
             recorded=self._recorded.take(m if self._records else 0),
             position=bodies.position,
             velocity=ends.velocity,

@@ -38,10 +38,10 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
     for c in range(lo, hi):
         prefetch_velocities(bodies, pairs, c)
-        contact, state, audited = system.contacts[c], system.states[c], system.audited[c]
+        contact, state, measured = system.contacts[c], system.states[c], system.measured[c]
         if measures:
-            audited.slope = audited.curvature = 0.0
-            copy_terms(state, audited)
+            measured.slope = measured.curvature = 0.0
+            copy_terms(state, measured)
         Jn = contact.normal_impulse
         if Jn == 0.0:
             continue
@@ -60,7 +60,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         state.restitution_loss += lost
         restitution += lost
         if measures:
-            audited.slope, audited.curvature = normal_energies(contact, state, vn)
+            measured.slope, measured.curvature = normal_energies(contact, state, vn)
         if not spins:
             continue
         ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
@@ -73,7 +73,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         friction += lost
         if measures:
             slope, curvature = friction_energies(contact, state, ux, uy, uz)
-            audited.slope += slope
-            audited.curvature += curvature
+            measured.slope += slope
+            measured.curvature += curvature
     found = system.found[piece]
     found.restitution_loss, found.friction_loss, found.stabilisation_gain = restitution, friction, stabilisation

@@ -67,7 +67,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
     turning
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # by `contacts_of`, blocks take 3 % longer
     blocks = whole_blocks(piece, system)
     found = 0.0, np.inf, 0.0
     for block in range(blocks):
