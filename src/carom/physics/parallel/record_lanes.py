@@ -52,7 +52,7 @@ class RecordLanes:
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
-            self._builder.store(rows[k], _line_of(self._builder, self._addresses[k], line), align=CACHE_LINE)
+            self._builder.store(rows[k], line_of(self._builder, self._addresses[k], line), align=CACHE_LINE)
 
         mask.in_each(write)
 
@@ -62,7 +62,7 @@ class RecordLanes:
 
         def add(k: int) -> None:
             for line in lines:
-                place = _line_of(builder, self._addresses[k], line)
+                place = line_of(builder, self._addresses[k], line)
                 builder.store(builder.fadd(builder.load(place, align=CACHE_LINE), rows[k]), place, align=CACHE_LINE)
 
         mask.in_each(add)
@@ -105,7 +105,7 @@ def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[A
     return vectors
 
 
-def _line_of(builder: Any, address: Any, line: int) -> Any:
+def line_of(builder: Any, address: Any, line: int) -> Any:
     """Return the address of a cache line of a record, as that of a vector."""
     return _at(builder, address, line * CACHE_LINE, VECTOR)
 

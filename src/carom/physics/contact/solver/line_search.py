@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
+from carom.physics.contact.solver.repeat_change import repeat_change
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, unowned
 
@@ -68,11 +69,4 @@ def extrapolate(first: int, end: int, system: ConstraintSystem) -> None:
     """Change the velocities of some blocks of bodies by α p and α t, and clear p and t."""
     alpha, active = system.settings[0].alpha, system.active
     for k in range(first * BODIES_PER_BLOCK, min(len(active), end * BODIES_PER_BLOCK)):
-        body = system.bodies[from_front(active[k])]
-        body.vx += alpha * body.dvx
-        body.vy += alpha * body.dvy
-        body.vz += alpha * body.dvz
-        body.wx += alpha * body.dwx
-        body.wy += alpha * body.dwy
-        body.wz += alpha * body.dwz
-        body.dvx = body.dvy = body.dvz = body.dwx = body.dwy = body.dwz = 0.0
+        repeat_change(system.bodies, from_front(active[k]), alpha)
