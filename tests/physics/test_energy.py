@@ -181,7 +181,7 @@ def energies(*totals: float) -> list[Energy]:
 
 def watched(tolerance: float, *found: Energy, contact_gain: float = 0.0, integrator: str = "leapfrog") -> list[Event]:
     watch = EnergyMonitor(tolerance, Names(["a", "b"], []), INTEGRATORS[integrator])
-    return [event for k, energy in enumerate(found) for event in watch.check(k, 0.5 * k, energy, contact_gain, [])]
+    return [event for k, energy in enumerate(found) for event in watch.check(k, 0.5 * k, energy, contact_gain, list)]
 
 
 def test_a_slow_rise_is_warned_of_however_often_it_is_checked() -> None:

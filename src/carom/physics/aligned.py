@@ -89,16 +89,16 @@ def picked(records: NDArray[np.void], places: NDArray[np.int64]) -> NDArray[np.v
 
 
 def columns(records: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return number fields that follow each other in records, which are contiguous, as a view, (m, k)."""
-    first, width = _place_of(records.dtype, names)
-    numbers: NDArray[np.float64] = records.view(np.float64).reshape(len(records), width)
-    return numbers[:, first : first + len(names)]
+    """Return number fields that follow each other in records, as a view, (m, k)."""
+    kind, offset = _place_of(records.dtype, names)
+    numbers: NDArray[np.float64] = records.getfield(kind, offset)
+    return numbers
 
 
 @cache
-def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[int, int]:
-    """Return the position of the first field among the numbers of a record, and how many numbers a record has."""
+def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
+    """Return the type of these fields as one, and its offset in a record in bytes."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields follow each other in this order"
-    return kind.fields[names[0]][1] // 8, kind.itemsize // 8
+    return np.dtype((np.float64, len(names))), kind.fields[names[0]][1]

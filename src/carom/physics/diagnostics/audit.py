@@ -69,9 +69,8 @@ class Audit:
         booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
-        self._suspects: list[Suspects] = []
-        self._last_suspects: Suspects | None = None
-        self._old_suspects: Suspects | None = None  # those before; their arrays are used again
+        self._suspects: Suspects | None = None
+        self._spent: Suspects | None = None  # those of the last check; their arrays are used again
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
@@ -93,8 +92,7 @@ class Audit:
         """Continue the audit of an earlier run."""
         self.ledger = ledger
         self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
-        self._suspects = []
-        self._last_suspects = None
+        self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
         """Take the references of a recorded start that differ from these by rounding; return whether one did.
@@ -122,13 +120,8 @@ class Audit:
         self._momentum.receive(impulse, angular_impulse)
 
     def suspect(self, step: int, contact: ContactPipeline) -> None:
-        """Keep the contacts of the last step for a possible warning."""
-        last = self._last_suspects
-        if last is None or last.step != step:
-            seen = contact.seen.graph, contact.keep_contributions()
-            self._old_suspects, last = last, Suspects.of(step, *seen, self._bodies, self._old_suspects)
-            self._last_suspects = last
-        self._suspects.append(last)
+        """Keep the contacts of a step for a possible warning, before the next step overwrites them."""
+        self._suspects = self._spent = Suspects.of(step, contact, self._bodies, self._spent)
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
         """Return the energy of the present state, given the potential energies of the forces in joules."""
@@ -155,10 +148,18 @@ class Audit:
         extremes.see_momentum(step, time, self.momentum)
         self.step = step
 
-    def check(self, time: float, extremes: Extremes) -> list[Event]:
-        """Check the energy; return the warnings of the energy monitor."""
-        warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, self._suspects)
-        self._suspects = []
+    def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
+        """Check the energy; return the warnings of the energy monitor.
+
+        They list the contacts that were kept, and those of ``contact``, if they may have changed the energy, too.
+        """
+
+        def suspects() -> list[Suspects]:
+            present = Suspects.of(self.step, contact, self._bodies) if contact else None
+            return [found for found in (self._suspects, present) if found]
+
+        warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, suspects)
+        self._suspects = None
         return warnings
 
 

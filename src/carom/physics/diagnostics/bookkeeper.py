@@ -105,7 +105,7 @@ class Bookkeeper:
             self.impulse_audit.begin(self.audit.ledger)
 
     def suspect_contacts(self, step: int) -> None:
-        """Note the present contacts, which are of a step, as those that may have changed the energy."""
+        """Keep the present contacts, which are of a step, as those that may have changed the energy."""
         contact = self._world.contact
         if contact:
             self.audit.suspect(step, contact)
@@ -121,14 +121,12 @@ class Bookkeeper:
         contact = self._world.contact
         if contact:
             self._book_contacts(contact)
-            if checked:
-                self.suspect_contacts(self._world.clock.step)
         else:
             self.activity.see(0, 0.0)
         if self.impulse_audit:
             self._audit_impulses(self.impulse_audit)
         if checked:
-            self.take_stock(potentials, checked)
+            self.take_stock(potentials, checked, contact)
         clock = self._world.clock
         if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
@@ -146,8 +144,11 @@ class Bookkeeper:
         if warning:
             self.log(warning)
 
-    def take_stock(self, potentials: Potentials, checked: bool) -> None:
-        """Compute energy and momentum; ``checked`` says whether to warn of their errors."""
+    def take_stock(self, potentials: Potentials, checked: bool, contact: ContactPipeline | None = None) -> None:
+        """Compute energy and momentum; ``checked`` says whether to warn of their errors.
+
+        A warning lists the present contacts of ``contact``, if given, beside those that were kept.
+        """
         world, clock = self._world, self._world.clock
         try:
             self.audit.take_stock(clock.step, clock.time, potentials, self.extremes)
@@ -155,7 +156,7 @@ class Bookkeeper:
             refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)  # names them
             raise
         if checked:
-            for warning in self.audit.check(clock.time, self.extremes):
+            for warning in self.audit.check(clock.time, self.extremes, contact):
                 self.log(warning)
         world.profile.mark("energy")
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
@@ -30,10 +31,7 @@ MOST_WARNINGS = 100  # of a rise in a run; more would say nothing new
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The contacts of one step, for a warning that may come a step later.
-
-    Each check keeps them and hardly any warns, so only the arrays that the next step overwrites are copied.
-    """
+    """The contacts of one step, for a warning that may come a step later."""
 
     step: int
     graph: CollisionGraph
@@ -45,12 +43,11 @@ class Suspects:
     def of(
         cls,
         step: int,
-        graph: CollisionGraph,
-        contributions: Callable[[], FloatArray],
+        contact: ContactPipeline,
         bodies: Bodies,
         spent: Suspects | None = None,
     ) -> Suspects:
-        """Copy the velocities that a warning shows, into the arrays of ``spent``, which nobody needs any more."""
+        """Copy what the next step overwrites, the velocities into the arrays of ``spent``, which nobody needs."""
         ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
         velocity = np.empty_like(ends.velocity) if spent is None else spent.velocity
         turning = None if spent is None else spent.angular_velocity
@@ -58,7 +55,7 @@ class Suspects:
         if spins:
             turning = np.empty_like(ends.angular_velocity) if turning is None else turning
             turning[:] = ends.angular_velocity
-        return cls(step, graph, contributions, velocity, turning)
+        return cls(step, contact.seen.graph, contact.keep_contributions(), velocity, turning)
 
     def describe(self, names: Names, units: UnitSystem) -> str:
         """List the contacts that added most energy, with the states of their bodies."""
@@ -117,7 +114,7 @@ class EnergyMonitor:
         self.tally = MonitorState()
 
     def check(
-        self, step: int, time: float, energy: Energy, contact_gain: float, suspects: list[Suspects]
+        self, step: int, time: float, energy: Energy, contact_gain: float, suspects: Callable[[], list[Suspects]]
     ) -> list[Event]:
         """Return the warnings of this check.
 
@@ -128,7 +125,8 @@ class EnergyMonitor:
         contact_gain
             Largest energy that impulses of contacts have put in so far, over the energy scale.
         suspects
-            The contacts of the previous and of this step, which a warning lists with the states of their bodies.
+            Returns the contacts of the previous and of this step, which a warning lists with the states of their
+            bodies. Copies of them take as long as all else of a check, and hardly any check warns.
         """
         tally = self.tally
         lowest = tally.lowest or energy
@@ -137,7 +135,7 @@ class EnergyMonitor:
         events = []
         if rose and tally.warnings < MOST_WARNINGS:
             text = _rise(energy, lowest, tally.since, self._units)
-            text = "\n".join([text, *(step.describe(self._names, self._units) for step in suspects)])
+            text = "\n".join([text, *(step.describe(self._names, self._units) for step in suspects())])
             if tally.warnings + 1 == MOST_WARNINGS:
                 text += f"\nThis is warning {MOST_WARNINGS}: further ones are not logged."
             events.append(Event(step, time, "WARN", text, "energy-rise"))
@@ -146,7 +144,7 @@ class EnergyMonitor:
             text = "\n".join(
                 [
                     _gain(energy, contact_gain, self._units),
-                    *(step.describe(self._names, self._units) for step in suspects),
+                    *(step.describe(self._names, self._units) for step in suspects()),
                 ]
             )
             events.append(Event(step, time, "WARN", text, "energy-ledger"))
