@@ -85,13 +85,15 @@ def solver_of(
     box: FloatArray | None = None,
     threads: int = 1,
     sweeps: Sweeps = "auto",
+    records: bool = False,
 ) -> ContactSolver:
     """Give contacts of bodies alone to a solver, given restitution, static and kinetic friction of all or of pairs."""
     no_planes = HalfSpaces([], np.empty((0, 3)), np.empty(0))
     box = np.zeros(3) if box is None else box
     spins = len(bodies.orientation) > 0
     laws = law if isinstance(law, PairCoefficients) else PairCoefficients(np.array([law]), len(bodies))
-    solver = ContactSolver(bodies, no_planes, materials_of(laws), box, spins, Team(threads), sweeps=sweeps)
+    materials, team = materials_of(laws), Team(threads)
+    solver = ContactSolver(bodies, no_planes, materials, box, spins, team, records=records, sweeps=sweeps)
     solver.lay(solve_order_of(pairs, colour_contacts(pairs, bodies.ends.inverse_mass)))
     return solver
 

@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.constraints import RECORDED
 from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -49,6 +51,35 @@ def test_the_kinetic_energy_that_pushes_move_is_in_the_ledger(seed: int, count: 
     before = kinetic_energy_of(bodies)
     ledger, _ = push(bodies, sweeps=3)
     assert kinetic_energy_of(bodies) - before == pytest.approx(ledger[:, STABILISATION].sum(), abs=1e-12 * before)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    count=st.integers(8, 60),
+    fixed=st.integers(0, 5),
+    rest=st.sampled_from([0.5, np.inf]),
+    restitution=st.sampled_from([0.0, 0.5]),
+    sweeps=st.integers(1, 4),
+)
+def test_contacts_pushed_in_blocks_have_the_bits_of_those_pushed_one_by_one(
+    seed: int, count: int, fixed: int, rest: float, restitution: float, sweeps: int
+) -> None:
+    found = []
+    for box in (np.zeros(3), np.full(3, 1e6)):  # in a periodic box there are no blocks; this one has no images nearby
+        bodies = random_bodies(count, seed)
+        bodies.position[:] *= 0.6  # more overlaps
+        bodies.ends.inverse_mass[:fixed] = 0.0
+        pairs = HierarchicalGrid(bodies.radius, np.zeros(3)).pairs(bodies.position)
+        pairs = pairs[pairs[:, 1] >= fixed]  # two fixed bodies are no contact
+        solver = solver_of(bodies, pairs, [restitution, 0.0, 0.0], box, records=True)
+        solver.rest_speed[:] = rest
+        solver.recorded[:] = np.zeros(1, RECORDED)
+        solver.correct_positions(sweeps)
+        given = columns(solver.recorded, ("correction_x", "correction_y", "correction_z"))
+        changed = bodies.position, bodies.velocity, solver.ledger, given
+        found.append([np.ascontiguousarray(numbers).tobytes() for numbers in changed])
+    assert found[0] == found[1]
 
 
 def test_two_overlapping_spheres_touch_after_one_push_and_do_not_bounce() -> None:

@@ -1,7 +1,8 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
 `CONTACT` has the fields that iterations need, in two cache lines; `CONTACT_STATE` has those that only the phases before
-and after need. `BODY_STATE` has the velocities of a body, in two cache lines.
+and after need. `BODY_STATE` has the velocities of a body, in two cache lines, and `PUSHED_BODY` its position and
+velocity, in one.
 """
 
 from __future__ import annotations
@@ -55,6 +56,11 @@ BODY_STATE = record(
     size=2 * CACHE_LINE,
 )
 
+PUSHED_BODY = record(  # during the position correction
+    "x y z radius vx vy vz inverse_mass",  # m, m/s, 1/kg
+    size=CACHE_LINE,
+)
+
 SEARCH = record(  # of the conjugate gradients
     "step_normal step_x step_y step_z"  # N s, s: the change of the impulses
     " direction_normal direction_x direction_y direction_z"  # N s, d
@@ -66,7 +72,8 @@ SEARCH = record(  # of the conjugate gradients
 
 RECORDED = record(  # only for recorded contacts
     "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses by `solver.impacts`
-    " correction_x correction_y correction_z"  # N s, Σ of the changes of momentum by `solver.position_correction`
+    " correction_x correction_y correction_z",  # N s, Σ of the changes of momentum by `solver.position_correction`
+    size=CACHE_LINE,
 )
 
 PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
@@ -144,16 +151,15 @@ class ConstraintSystem(NamedTuple):
     search: Records  # (m,) SEARCH
     measured: Records  # (m,) MEASURED
     recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
-    position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n + p, 3) m/s
     spin: FloatArray  # (n + p, 3) rad/s; no rows without friction
     acceleration: FloatArray  # (n + p, 3) m/s²
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    radius: FloatArray  # (n + p,) m
     box: FloatArray  # (3,) m, zeros in open space
     surface: FloatArray  # (p, 3) normals of the planes
     offset: FloatArray  # (p,) m
     bodies: Records  # (n + p,) BODY_STATE
+    pushed: Records  # (n + p,) PUSHED_BODY
     materials: Records  # (k,) MATERIAL, coefficients by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
     island: IntArray  # (n + p,) workspace
@@ -168,6 +174,12 @@ class ConstraintSystem(NamedTuple):
 def contacts_of(first: int, end: int, system: ConstraintSystem) -> tuple[int, int]:
     """Return the first contact of the pieces [first, end), and the one after the last."""
     return from_front(system.pieces[first, 0]), from_front(system.pieces[end - 1, 1])
+
+
+@inline
+def body_count(system: ConstraintSystem) -> int:
+    """Return n; ends from n on are planes."""
+    return len(system.bodies) - len(system.surface)
 
 
 @inline

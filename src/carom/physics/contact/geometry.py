@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from carom.physics.contact.constraints import ends_of
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.parallel.lanes import where
 from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]
@@ -26,9 +27,8 @@ Records = NDArray[np.void]
 def normal_and_distance(dx: float, dy: float, dz: float) -> tuple[float, float, float, float]:
     """Return the normal of two spheres, (1, 0, 0) if their centres coincide, and the distance of their centres in m."""
     d = np.sqrt(dx * dx + dy * dy + dz * dz)
-    if d > 0.0:
-        return dx / d, dy / d, dz / d, d
-    return 1.0, 0.0, 0.0, d
+    apart = d > 0.0
+    return where(apart, dx / d, 1.0), where(apart, dy / d, 0.0), where(apart, dz / d, 0.0), d
 
 
 @inline

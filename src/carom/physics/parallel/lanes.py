@@ -32,8 +32,19 @@ class Mask:
     def __and__(self, other: Mask) -> Mask:
         return Mask(self.builder, self.builder.and_(self.value, other.value))
 
+    def __or__(self, other: Mask) -> Mask:
+        return Mask(self.builder, self.builder.or_(self.value, other.value))
+
+    def __invert__(self) -> Mask:
+        return Mask(self.builder, self.builder.not_(self.value))
+
     def __bool__(self) -> bool:
         raise TypeError("lanes take no branches: use `where`")
+
+    @property
+    def any(self) -> Any:
+        """A bit: whether a lane is set."""
+        return self.builder.icmp_unsigned("!=", self.builder.bitcast(self.value, BYTE), BYTE(0))
 
     def bit(self, k: int) -> Any:
         """Return the bit of a lane."""
@@ -70,6 +81,15 @@ class Lanes:
 
     def __truediv__(self, other: Lanes | float) -> Lanes:
         return self._joined("fdiv", other)
+
+    def __radd__(self, number: float) -> Lanes:
+        return self._alike(number) + self
+
+    def __rmul__(self, number: float) -> Lanes:
+        return self._alike(number) * self
+
+    def __rtruediv__(self, number: float) -> Lanes:
+        return self._alike(number) / self
 
     def __neg__(self) -> Lanes:
         return Lanes(self.builder, self.builder.fneg(self.value))
@@ -162,6 +182,13 @@ def spread(builder: Any, value: Any) -> Lanes:
 def gathered(builder: Any, values: Sequence[Any]) -> Lanes:
     """Return doubles as lanes."""
     return Lanes(builder, _collected(builder, VECTOR, values))
+
+
+def at_least(builder: Any, numbers: Sequence[Any], least: Any) -> Mask:
+    """Return the lanes whose integers are no less than another one."""
+    kind = ir.VectorType(WORD, WIDTH)
+    vectors = (_collected(builder, kind, values) for values in (numbers, [least] * WIDTH))
+    return Mask(builder, builder.icmp_signed(">=", *vectors))
 
 
 def mask_of(builder: Any, bits: Sequence[Any]) -> Mask:

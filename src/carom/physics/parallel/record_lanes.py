@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, shuffled
+from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, gathered, shuffled
 
 HALF = WIDTH // 2
 
@@ -41,20 +41,30 @@ class RecordLanes:
         line, place = self._place_of(name)
         return self._lines[line][place]
 
+    def field(self, name: str) -> Lanes:
+        """Return a field of a line that was not read; the line is not transposed."""
+        line, place = self._place_of(name)
+        places = [_at(self._builder, at, line * CACHE_LINE + 8 * place, DOUBLE) for at in self._addresses]
+        return gathered(self._builder, [self._builder.load(at) for at in places])
+
     def change(self, **fields: Lanes) -> None:
         """Change fields of lines that were read, not yet in memory."""
         for name, value in fields.items():
             line, place = self._place_of(name)
             self._lines[line][place] = value
 
-    def write(self, line: int, mask: Mask) -> None:
-        """Write a line that was read, in the records of a mask."""
+    def write(self, line: int, mask: Mask | None = None) -> None:
+        """Write a line that was read, in the records of a mask (default: in all)."""
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
             self._builder.store(rows[k], line_of(self._builder, self._addresses[k], line), align=CACHE_LINE)
 
-        mask.in_each(write)
+        if mask is None:
+            for k in range(WIDTH):
+                write(k)
+        else:
+            mask.in_each(write)
 
     def add(self, lines: Sequence[int], fields: Sequence[Lanes], mask: Mask) -> None:
         """Add eight fields to each of some lines in memory, in the records of a mask."""

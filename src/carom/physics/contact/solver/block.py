@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.contact.constraints import BODY_STATE, SETTINGS, ConstraintSystem
+from carom.physics.contact.constraints import SETTINGS, ConstraintSystem
 from carom.physics.parallel.intrinsics import address_in
 from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, Mask, read_flags, spread
+from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
 from carom.physics.parallel.prefetch import AHEAD, fetch_line
 from carom.physics.parallel.record_lanes import RecordLanes
 
@@ -61,6 +61,11 @@ class Block:
         view = self.context.make_array(self.kind_of(name))(self.context, self.builder, self._array(name))
         return self.builder.extract_value(view.shape, 0)
 
+    @property
+    def body_count(self) -> Any:
+        """The number of bodies; ends from it on are planes."""
+        return self.builder.sub(self.count("bodies"), self.count("surface"))
+
     def address(self, name: str, *indices: Any) -> Any:
         """Return the address of an element of an array of the system."""
         return address_in(self.context, self.builder, self.kind_of(name), self._array(name), indices)
@@ -68,6 +73,10 @@ class Block:
     def setting(self, name: str) -> Lanes:
         """Return a double of the settings, in all lanes."""
         return spread(self.builder, self.builder.load(self._setting_at(name, DOUBLE)))
+
+    def number(self, name: str) -> Any:
+        """Return an integer of the settings."""
+        return self.builder.load(self._setting_at(name, WORD))
 
     def flag(self, name: str) -> Any:
         """Return a flag of the settings, as a bit."""
@@ -79,6 +88,11 @@ class Block:
         return self.builder.fcmp_ordered(">", self.setting("drift").lane(0), DOUBLE(0.0))
 
     @property
+    def between_bodies(self) -> Mask:
+        """The contacts of which neither end is a plane."""
+        return ~at_least(self.builder, self.ends[1], self.body_count)
+
+    @property
     def held(self) -> Mask:
         """The contacts that are held."""
         return read_flags(self.builder, self.address("held", self.places[0]))
@@ -87,19 +101,38 @@ class Block:
         """Return the records of the contacts in an array, and read some of their lines."""
         return RecordLanes(self.builder, kind, [self.address(name, place) for place in self.places], lines)
 
-    def bodies(self, lines: Sequence[int]) -> list[RecordLanes]:
-        """Return the records of the bodies i and j, and read some of their lines."""
-        addresses = [[self.address("bodies", body) for body in end] for end in self.ends]
-        return [RecordLanes(self.builder, BODY_STATE, end, lines) for end in addresses]
+    def bodies(self, name: str, kind: np.dtype[np.void], lines: Sequence[int]) -> list[RecordLanes]:
+        """Return the records of the bodies i and j in an array, and read some of their lines."""
+        addresses = [[self.address(name, body) for body in end] for end in self.ends]
+        return [RecordLanes(self.builder, kind, end, lines) for end in addresses]
 
-    def fetch_bodies_ahead(self, lines: Sequence[int]) -> None:
-        """Fetch lines of the bodies of a later block."""
+    def fetch_bodies_ahead(self, name: str, lines: Sequence[int]) -> None:
+        """Fetch lines of the records of the bodies of a later block."""
         last = self.builder.sub(self.count("pairs"), WORD(WIDTH))
         ahead = self.builder.add(self.places[0], WORD(AHEAD))
         for end in self._ends_from(self.builder.select(self.builder.icmp_signed("<", ahead, last), ahead, last)):
             for body in end:
                 for line in lines:
-                    fetch_line(self.builder, self.address("bodies", body), line, to_write=True)
+                    fetch_line(self.builder, self.address(name, body), line, to_write=True)
+
+    def materials(self) -> list[Any]:
+        """Return the addresses of the contacts' coefficients, see `material_index`."""
+        builder, count = self.builder, self.body_count
+        many = builder.icmp_signed(">", self.count("places"), WORD(0))
+        planes = [builder.add(builder.sub(j, count), WORD(1)) for j in self.ends[1]]
+        rows = [builder.select(builder.icmp_signed(">", plane, WORD(0)), plane, WORD(0)) for plane in planes]
+        before = builder.block
+        with builder.if_then(many):
+            known = []
+            for ends in zip(*self.ends, strict=True):
+                parts = [builder.load(self.address("places", end, WORD(part))) for part, end in enumerate(ends)]
+                known.append(builder.add(*parts))
+            looked_up = builder.block
+        joined = [builder.phi(WORD) for _ in rows]
+        for phi, row, other in zip(joined, rows, known, strict=True):
+            phi.add_incoming(row, before)
+            phi.add_incoming(other, looked_up)
+        return [self.address("materials", row) for row in joined]
 
     def apply(
         self,

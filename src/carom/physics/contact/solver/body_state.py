@@ -72,8 +72,8 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
 
 
 @inline
-def prefetch_velocities(bodies: Records, pairs: IntArray, c: int) -> None:
-    """Fetch the velocities of the two bodies of the contact that comes `AHEAD` places after c."""
+def prefetch_ends(bodies: Records, pairs: IntArray, c: int) -> None:
+    """Fetch the first lines of the two bodies of the contact that comes `AHEAD` places after c."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, j, 0)
@@ -81,7 +81,7 @@ def prefetch_velocities(bodies: Records, pairs: IntArray, c: int) -> None:
 
 @inline
 def prefetch_records(bodies: Records, pairs: IntArray, c: int) -> None:
-    """Fetch the same, and their changes in the iteration."""
+    """Fetch the same lines, and those with their changes in the iteration."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, i, 1)

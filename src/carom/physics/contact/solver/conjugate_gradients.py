@@ -15,7 +15,7 @@ spheres.
 
 from __future__ import annotations
 
-from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
@@ -44,7 +44,7 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
     lo, hi = contacts_of(piece, piece + 1, system)
     settings = system.settings[0]
     drift, tolerance, negligible = settings.drift, settings.tolerance, settings.negligible
-    count = len(system.position)
+    count = body_count(system)
     excess = 0.0
     for c in range(lo, hi):
         if not system.held[c]:
@@ -128,7 +128,7 @@ def _step(piece: int, system: ConstraintSystem) -> None:
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
     """Find the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
-    count, places = len(system.position), system.places
+    count, places = body_count(system), system.places
     for c in range(lo, hi):
         search, contact = system.search[c], system.contacts[c]
         search.step_normal = search.step_x = search.step_y = search.step_z = 0.0

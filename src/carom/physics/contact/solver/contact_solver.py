@@ -20,6 +20,7 @@ from carom.physics.contact.constraints import (
     MEASURED,
     MIN_PER_TASK,
     PIECE_FINDINGS,
+    PUSHED_BODY,
     RECORDED,
     SEARCH,
     SETTINGS,
@@ -34,7 +35,12 @@ from carom.physics.contact.solver.body_state import active_bodies, gather, scatt
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
 from carom.physics.contact.solver.phases import work
-from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
+from carom.physics.contact.solver.position_correction import (
+    audit_corrections,
+    count_contacts,
+    find_push_fractions,
+)
+from carom.physics.contact.solver.pushed_body import gather_positions, scatter_positions
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
@@ -106,6 +112,7 @@ class ContactSolver:
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._counts: IntArray | None = None  # (n + p,) contacts of each body and plane, once they are needed
         self._body_states = aligned_empty(count, BODY_STATE)
+        self._pushed = aligned_empty(count, PUSHED_BODY)
         self._island = np.empty(count, dtype=np.int64)
         self._island_sums = np.empty(count, ISLAND)
         self._settings = np.zeros(1, SETTINGS)
@@ -128,7 +135,7 @@ class ContactSolver:
         rounding
             m, of the coordinates; a gap up to this counts as contact.
         """
-        m, bodies, ends, planes = len(order.pairs), self._bodies, self._bodies.ends, self._planes
+        m, ends, planes = len(order.pairs), self._bodies.ends, self._planes
         room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._body_states))
@@ -146,16 +153,15 @@ class ContactSolver:
             search=self._search.take(m),
             measured=self._measured.take(m),
             recorded=self._recorded.take(m if self._records else 0),
-            position=bodies.position,
             velocity=ends.velocity,
             spin=self._spin,
             acceleration=ends.acceleration,
             inverse_mass=ends.inverse_mass,
-            radius=ends.radius,
             box=self._box,
             surface=planes.normal,
             offset=planes.offset,
             bodies=self._body_states,
+            pushed=self._pushed,
             materials=self._materials.rows,
             places=self._materials.places,
             island=self._island,
@@ -257,10 +263,14 @@ class ContactSolver:
         if self._counts is None:
             self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
             count_contacts(system.pairs, self._counts)
-        pushed = (system.pairs, self._counts, system.states, system.island)
         self._settings["islands_known"] = False
-        self._team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, *pushed)
+        team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
+        team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, self._counts, system.states)
+        moving, pushed_in = (bodies.position, ends.velocity), system.island
+        gathered = *moving, ends.radius, ends.inverse_mass, system.pushed, pushed_in
+        team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
         self._work(POSITIONS, system, max_iterations)
+        team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, pushed_in, *moving)
 
     def audit_corrections(self) -> None:
         """Book the work of the position correction, at the accelerations after it."""

@@ -14,7 +14,7 @@ If the iterations did not converge, the audit also measures what the energy boun
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
-from carom.physics.contact.solver.body_state import prefetch_velocities
+from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms
@@ -37,7 +37,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
     kick = settings.kick if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
     for c in range(lo, hi):
-        prefetch_velocities(bodies, pairs, c)
+        prefetch_ends(bodies, pairs, c)
         contact, state, measured = system.contacts[c], system.states[c], system.measured[c]
         if measures:
             measured.slope = measured.curvature = 0.0

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.continuous.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import (
@@ -34,7 +34,7 @@ from carom.physics.contact.law import (
     restitution_at_depth,
     tangential_loss,
 )
-from carom.physics.contact.solver.body_state import prefetch_velocities, push, turn
+from carom.physics.contact.solver.body_state import prefetch_ends, push, turn
 from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inline, long_kernel, unowned
@@ -66,10 +66,10 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
     spins, first, impacts_only = settings.spins, settings.iteration == 0, settings.impacts_only
     records = len(system.recorded) > 0
     bias_rate = settings.bias_rate
-    count, places = len(system.position), system.places
+    count, places = body_count(system), system.places
     largest_change, fastest, any_rests = 0.0, 0.0, False
     for c in range(lo, hi):
-        prefetch_velocities(bodies, pairs, c)
+        prefetch_ends(bodies, pairs, c)
         i, j = ends_of(pairs, c)
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz

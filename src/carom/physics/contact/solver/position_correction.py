@@ -21,29 +21,38 @@ Rejected: the mean of the forces at the start and the end of the step, which is 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import normal_and_distance
-from carom.physics.contact.law import LAW, material_index
+from carom.physics.contact.law import material_index
+from carom.physics.contact.solver.block import whole_blocks
+from carom.physics.contact.solver.body_state import prefetch_ends
+from carom.physics.contact.solver.correct_block import correct_block
+from carom.physics.contact.solver.overlap_push import (
+    ENOUGH,
+    ENOUGH_AS_NEEDED,
+    MAX_SEPARATION,
+    gain_of,
+    part_of_tangent,
+    push_of,
+    rebounds,
+)
+from carom.physics.contact.solver.velocity import velocity_along
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, kernel, long_kernel, unowned
-from carom.physics.parallel.prefetch import AHEAD, prefetch
+from carom.physics.parallel.lanes import WIDTH
 from carom.physics.periodic_box import nearest_image
-from carom.physics.vector import add, between, vector
+from carom.physics.vector import vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 BAUMGARTE = 0.2  # part of the overlap that the bias removes in a step
-# Of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times the energy in
-# the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms).
-MAX_SEPARATION = 0.1
-NEVER = -2  # in place of the iteration in which a body was last pushed
-ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
-ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed and quick ones; the next step has one iteration for them
 
 
 @kernel
@@ -60,10 +69,8 @@ def count_contacts(pairs: IntArray, counts: IntArray) -> None:
 
 
 @long_kernel
-def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records, pushed: IntArray) -> None:
+def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records) -> None:
     """Find the part of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
-
-    Also note that no body was ``pushed`` yet.
 
     Removing whole overlaps pushes each body into the next. A compressed pile then never comes to rest, and in a falling
     stack of 500 balls every other contact keeps an overlap of 0.24 r in place of 0.06 r.
@@ -71,7 +78,6 @@ def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, sta
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
         states[c].push_fraction = 1.0 / min(counts[i], counts[j])
-        pushed[i] = pushed[j] = NEVER
 
 
 @unowned
@@ -87,93 +93,104 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inline
 def _correct(piece: int, system: ConstraintSystem) -> float:
-    """Push the resting contacts of a piece apart; return 1 if an overlap needs another iteration, otherwise 0."""
+    """Push the resting contacts of a piece apart; return 1 if an overlap needs another iteration, otherwise 0.
+
+    Contacts between bodies are corrected in blocks (`correct_block`), the others one by one.
+    """
     lo, hi = contacts_of(piece, piece + 1, system)
-    pairs, x, v = system.pairs, system.position, system.velocity
-    inverse_mass, places = system.inverse_mass, system.places
-    n, last, again = len(x), len(pairs) - 1, 0.0
-    iteration, pushed = system.settings[0].iteration, system.island
-    enough = ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
-    for c in range(lo, hi):
-        i, j = ends_of(pairs, c)
-        if iteration > 0 and max(pushed[i], pushed[j]) < iteration - 1:
-            continue
-        next_i, next_j = ends_of(pairs, from_front(min(last, c + AHEAD)))
-        prefetch(x, next_i, 0)
-        prefetch(x, min(n - 1, next_j), 0)
-        nx, ny, nz, d, reach = _geometry(i, j, system)
-        overlap = reach - d
-        if overlap <= 0.0:
-            continue
-        state = system.states[c]
-        vx, vy, vz = between(v, i, j)
-        vn = vx * nx + vy * ny + vz * nz
-        material = system.materials[material_index(i, j, n, places)]
-        rebounds = LAW.restitution(material, -vn, state.rest_speed) > 0.0
-        if vn > MAX_SEPARATION * state.rest_speed or rebounds:
-            continue
-        if overlap > enough * reach:
-            again = 1.0
-        delta = state.push_fraction * overlap
-        mi = inverse_mass[i] / (inverse_mass[i] + inverse_mass[j])  # parts of the push
-        mj = inverse_mass[j] / (inverse_mass[i] + inverse_mass[j])
-        if mi > 0.0:
-            pushed[i] = iteration
-            add(x, i, -mi * delta, nx, ny, nz)
-        if mj > 0.0:
-            pushed[j] = iteration
-            add(x, j, mj * delta, nx, ny, nz)
-        state.push_x += delta * nx
-        state.push_y += delta * ny
-        state.push_z += delta * nz
-        if j < n:  # a plane absorbs any angular momentum
-            tx, ty, tz = vx - vn * nx, vy - vn * ny, vz - vn * nz
-            _scale_tangential_velocity(c, d / (d + delta) - 1.0, mi, mj, tx, ty, tz, system)
+    n, again = body_count(system), 0.0
+    blocks = whole_blocks(piece, system) if system.box[0] == 0.0 else 0
+    for block in range(blocks):
+        first = lo + block * WIDTH
+        again = correct_block(system, first, again)
+        if len(system.surface) > 0:
+            for c in range(first, first + WIDTH):
+                if ends_of(system.pairs, c)[1] >= n:
+                    again = max(again, _push_apart(c, system))
+    for c in range(lo + blocks * WIDTH, hi):
+        again = max(again, _push_apart(c, system))
     return again
 
 
 @inline
-def _geometry(i: int, j: int, system: ConstraintSystem) -> tuple[float, float, float, float, float]:
-    """Return the normal, the distance of the centres or from the plane, and the distance at which they touch, in m."""
-    x, box, radius, n = system.position, system.box, system.radius, len(system.position)
-    if j >= n:
-        sx, sy, sz = vector(system.surface, j - n)
-        px, py, pz = vector(x, i)
-        return -sx, -sy, -sz, sx * px + sy * py + sz * pz - system.offset[j - n], radius[i]
-    dx, dy, dz = between(x, i, j)
-    if box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
-    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
-    return nx, ny, nz, d, radius[i] + radius[j]
+def _push_apart(c: int, system: ConstraintSystem) -> float:
+    """Push a contact apart if it is at rest; return 1 if its overlap needs another iteration, otherwise 0."""
+    i, j = ends_of(system.pairs, c)
+    iteration, pushed_in, n = system.settings[0].iteration, system.island, body_count(system)
+    if iteration > 0 and max(pushed_in[i], pushed_in[j]) < iteration - 1:
+        return 0.0
+    prefetch_ends(system.pushed, system.pairs, c)
+    state, a, b = system.states[c], system.pushed[i], system.pushed[j]
+    nx, ny, nz, d, reach = _geometry(a, b, j - n, system)
+    overlap = reach - d
+    if overlap <= 0.0:
+        return 0.0
+    vn, tx, ty, tz = velocity_along(nx, ny, nz, a, b)
+    material = system.materials[material_index(i, j, n, system.places)]
+    if vn > MAX_SEPARATION * state.rest_speed or rebounds(material, -vn, state.rest_speed):
+        return 0.0
+    delta, mi, mj, reduced = push_of(state.push_fraction, overlap, a, b)
+    if mi > 0.0:
+        pushed_in[i] = iteration
+        _move(a, -mi * delta, nx, ny, nz)
+    if mj > 0.0:
+        pushed_in[j] = iteration
+        _move(b, mj * delta, nx, ny, nz)
+    state.push_x += delta * nx
+    state.push_y += delta * ny
+    state.push_z += delta * nz
+    if j < n:  # a plane absorbs any angular momentum
+        scale = part_of_tangent(d, delta)
+        if mi > 0.0:
+            _accelerate(a, -mi * scale, tx, ty, tz)
+        if mj > 0.0:
+            _accelerate(b, mj * scale, tx, ty, tz)
+        _book(c, reduced, scale, tx, ty, tz, system)
+    return 1.0 if overlap > _enough(system) * reach else 0.0
 
 
 @inline
-def _scale_tangential_velocity(
-    c: int, scale: float, mi: float, mj: float, tx: float, ty: float, tz: float, system: ConstraintSystem
-) -> None:
-    """Change v_t of two bodies by a part of it, and book the energy.
-
-    Parameters
-    ----------
-    scale
-        d/(d + δ) - 1, the part.
-    mi, mj
-        Part of each body.
-    tx, ty, tz
-        m/s, v_t.
-    """
-    (i, j), v = ends_of(system.pairs, c), system.velocity
-    reduced = 1.0 / (system.inverse_mass[i] + system.inverse_mass[j])
-    system.states[c].stabilisation_gain += 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
-    if mi > 0.0:
-        add(v, i, -mi * scale, tx, ty, tz)
-    if mj > 0.0:
-        add(v, j, mj * scale, tx, ty, tz)
+def _book(c: int, reduced: float, scale: float, tx: float, ty: float, tz: float, system: ConstraintSystem) -> None:
+    """Book the energy, and if contacts are recorded the momentum, that scaling v_t moves."""
+    system.states[c].stabilisation_gain += gain_of(reduced, tx, ty, tz, scale)
     if len(system.recorded) > 0:
         given = system.recorded[c]
         given.correction_x += reduced * scale * tx
         given.correction_y += reduced * scale * ty
         given.correction_z += reduced * scale * tz
+
+
+@inline
+def _enough(system: ConstraintSystem) -> float:
+    """Return the overlap that needs no further iteration, over the sum of radii."""
+    return ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
+
+
+@inline
+def _move(body: Any, s: float, nx: float, ny: float, nz: float) -> None:
+    body.x, body.y, body.z = body.x + s * nx, body.y + s * ny, body.z + s * nz
+
+
+@inline
+def _accelerate(body: Any, s: float, tx: float, ty: float, tz: float) -> None:
+    body.vx, body.vy, body.vz = body.vx + s * tx, body.vy + s * ty, body.vz + s * tz
+
+
+@inline
+def _geometry(a: Any, b: Any, plane: int, system: ConstraintSystem) -> tuple[float, float, float, float, float]:
+    """Return the normal, the distance of the centres or from the plane, and the distance at which they touch, in m.
+
+    ``plane`` is negative between two bodies.
+    """
+    box = system.box
+    if plane >= 0:
+        sx, sy, sz = vector(system.surface, plane)
+        return -sx, -sy, -sz, sx * a.x + sy * a.y + sz * a.z - system.offset[plane], a.radius
+    dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
+    if box[0] > 0.0:
+        dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
+    return nx, ny, nz, d, a.radius + b.radius
 
 
 @long_kernel

@@ -7,7 +7,7 @@ import numpy as np
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import inverse_tangent_mass
-from carom.physics.contact.solver.body_state import prefetch_velocities
+from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inline, unowned
 
@@ -37,7 +37,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
     dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
     largest = 0.0
     for c in range(lo, hi):
-        prefetch_velocities(bodies, pairs, c)
+        prefetch_ends(bodies, pairs, c)
         i, j = ends_of(pairs, c)
         contact, state, body_i, body_j = system.contacts[c], system.states[c], bodies[i], bodies[j]
         Kn = body_i.inverse_mass + body_j.inverse_mass

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.contact.constraints import ConstraintSystem, ends_of
+from carom.physics.contact.constraints import ConstraintSystem, body_count, ends_of
 from carom.physics.contact.law import material_index
 from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
@@ -88,7 +88,7 @@ def _solve_each(
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
-    count, places = len(system.position), system.places
+    count, places = body_count(system), system.places
     change, step_limit, slope = found
     for c in range(lo, hi):
         prefetch_records(bodies, pairs, c)

@@ -11,21 +11,19 @@ from typing import Any
 
 from numba import types
 
-from carom.physics.contact.constraints import CONTACT
+from carom.physics.contact.constraints import BODY_STATE, CONTACT
 from carom.physics.contact.solver.block import CHANGE, VELOCITY, Block
 from carom.physics.contact.solver.body_state import torque_of
 from carom.physics.contact.solver.friction import friction
 from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
 from carom.physics.parallel.intrinsics import instruction
 from carom.physics.parallel.lanes import (
-    WORD,
     Lanes,
     added_in_order,
     either,
     gathered,
     greater,
     in_lanes,
-    mask_of,
     read_doubles,
     spread,
 )
@@ -53,9 +51,9 @@ class _Solution:
 
     def __init__(self, block: Block, *, turns: bool) -> None:
         self._block, self._builder, self._held = block, block.builder, block.held
-        block.fetch_bodies_ahead((VELOCITY, CHANGE))
+        block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
         contact = block.records("contacts", CONTACT, (0, 1))
-        bodies = a, b = block.bodies((VELOCITY,))
+        bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
         alpha = block.setting("alpha")
         vn, *u = in_lanes(relative_velocity)(contact, a, b)
         bias = self._bias(contact, u)
@@ -89,8 +87,7 @@ class _Solution:
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
         """Return the biases c, see `bias_along_arc`; they are those along the normal at planes, and without a drift."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
-        count = block.count("position")
-        between = mask_of(builder, [builder.icmp_signed("<", j, count) for j in block.ends[1]])
+        between = block.between_bodies
 
         def along_arc() -> list[Lanes]:
             arc = in_lanes(bias_along_arc)(bias, contact.arm_i + contact.arm_j, *u, block.setting("drift"))
@@ -116,32 +113,13 @@ class _Solution:
         signature = DOUBLES(*records, types.boolean, *[types.float64] * 4)
         keeps_sliding = block.flag("keeps_sliding")
         found = []
-        for k, row in enumerate(self._material_rows()):
+        for k, material in enumerate(block.materials()):
             slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
-            given = [block.address("states", block.places[k]), block.address("materials", row), slides]
+            given = [block.address("states", block.places[k]), material, slides]
             numbers = [value.lane(k) for value in (normal, *ending)]
             allowed = context.compile_internal(builder, _friction_of_one, signature, [*given, *numbers])
             found.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in found]) for axis in range(3)]
-
-    def _material_rows(self) -> list[Any]:
-        """Return the row of each contact's coefficients, see `material_index`."""
-        builder, block = self._builder, self._block
-        count, many = block.count("position"), builder.icmp_signed(">", block.count("places"), WORD(0))
-        planes = [builder.add(builder.sub(j, count), WORD(1)) for j in block.ends[1]]
-        rows = [builder.select(builder.icmp_signed(">", plane, WORD(0)), plane, WORD(0)) for plane in planes]
-        before = builder.block
-        with builder.if_then(many):
-            known = []
-            for ends in zip(*block.ends, strict=True):
-                parts = [builder.load(block.address("places", end, WORD(part))) for part, end in enumerate(ends)]
-                known.append(builder.add(*parts))
-            looked_up = builder.block
-        joined = [builder.phi(WORD) for _ in rows]
-        for phi, row, other in zip(joined, rows, known, strict=True):
-            phi.add_incoming(row, before)
-            phi.add_incoming(other, looked_up)
-        return joined
 
 
 def _friction_of_one(

@@ -18,7 +18,12 @@ from carom.physics.parallel.lanes import where
 @inline
 def relative_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies, in m/s."""
-    nx, ny, nz = contact.nx, contact.ny, contact.nz
+    return velocity_along(contact.nx, contact.ny, contact.nz, a, b)
+
+
+@inline
+def velocity_along(nx: float, ny: float, nz: float, a: Any, b: Any) -> tuple[float, float, float, float]:
+    """Return v_n and v_t of two bodies, in m/s, for a normal from a to b."""
     ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
     vn = ux * nx + uy * ny + uz * nz
     return vn, ux - vn * nx, uy - vn * ny, uz - vn * nz

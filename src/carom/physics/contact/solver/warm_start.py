@@ -17,7 +17,7 @@ from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
 from carom.physics.contact.pair_order import comes_before
-from carom.physics.contact.solver.body_state import apply_impulse, prefetch_velocities
+from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends
 from carom.physics.parallel.jit import inline, kernel, long_kernel, unowned
 from carom.physics.parallel.prefetch import AHEAD, prefetch_record
 from carom.physics.parallel.thread_team import Team
@@ -144,7 +144,7 @@ def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
     lo, hi = contacts_of(first, end, system)
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     for c in range(lo, hi):
-        prefetch_velocities(bodies, pairs, c)
+        prefetch_ends(bodies, pairs, c)
         i, j = ends_of(pairs, c)
         contact, body_i, body_j = system.contacts[c], bodies[i], bodies[j]
         tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
