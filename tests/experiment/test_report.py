@@ -93,6 +93,12 @@ def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:
     assert not why.endswith(".")  # it stands within a sentence
 
 
+def test_a_report_of_a_run_without_contacts_is_about_its_last_frame(tmp_path: Path) -> None:
+    fall = {"body": [{"position": [0, 0, 0]}], "gravity": {"uniform": [0, 0, -1]}, "time": {"duration": 1.0}}
+    recording = carom.run(Scene.from_dict(fall), tmp_path / "fall.rrd")
+    assert worst_moment(recording) == (1.0, "the last frame")
+
+
 def test_a_report_that_is_not_called_a_zip_is_refused_before_it_is_made(rubble: Recording, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"report.tar: a report is a \.zip"):
         report(rubble, tmp_path / "report.tar")

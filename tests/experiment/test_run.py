@@ -54,6 +54,12 @@ def test_a_missing_folder_and_a_folder_are_refused_before_anything_runs(tmp_path
         carom.run(pair(), tmp_path)
 
 
+def test_a_name_that_the_viewer_would_not_take_for_a_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"run.txt: a recording is an \.rrd"):
+        carom.run(cloud(), tmp_path / "run.txt")
+    assert not list(tmp_path.iterdir())
+
+
 def test_python_seeks_garbage_seldom_during_a_run_and_as_before_after_it(tmp_path: Path) -> None:
     class Watched(Space):
         def run(self, *arguments: Any, **options: Any) -> Iterator[Frame]:

@@ -70,13 +70,10 @@ def not_a_folder(path: Path) -> Path:
 
 def recording_to_write(path: Path | None) -> Path | None:
     """Return the path of a recording to write; refuse a name that the viewer would not take for a recording."""
-    from carom.recording.errors import RecordingError
+    from carom.experiment.output import refuse_name
 
-    if path is not None and path.suffix != ".rrd":
-        with suppress(OSError):  # folders and devices are refused where they are opened
-            if path.exists() and not path.is_file():
-                return path
-        raise RecordingError(f"cannot write {path}: a recording is an .rrd")
+    if path is not None:
+        refuse_name(path)
     return path
 
 

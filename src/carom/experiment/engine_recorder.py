@@ -20,7 +20,7 @@ import numpy as np
 from carom.experiment.closing import closing_of
 from carom.experiment.contact_counts import ONCE_A_STEP
 from carom.experiment.environment import environment
-from carom.experiment.output import claimed_output, refuse_output
+from carom.experiment.output import claimed_output, refuse_name, refuse_output
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar
@@ -122,6 +122,7 @@ class Recorder:
         except UnitError as error:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
+        refuse_name(self.path)
         refuse_output(self.path, force)
         self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)

@@ -24,6 +24,22 @@ def default_output(name: str) -> Path:
     return RECORDINGS / f"{name}.rrd"
 
 
+def refuse_name(path: Path) -> None:
+    """Refuse a name that the viewer would not take for a recording.
+
+    Raises
+    ------
+    RecordingError
+        Naming the path and what would be right.
+    """
+    if path.suffix == ".rrd":
+        return
+    with contextlib.suppress(OSError):  # folders and devices are refused where they are opened
+        if path.exists() and not path.is_file():
+            return
+    raise RecordingError(f"cannot write {_short(path)}: a recording is an .rrd")
+
+
 def refuse_output(path: Path, force: bool) -> None:
     """Refuse an unsuitable path before anything is computed for it.
 

@@ -116,7 +116,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
             what = wording.format(value=value_shown(name, moments[name]["value"], recording.units))
             return moments[name]["time"], f"{what}, {moments[name]['between']}"
-    return recording.moment(), "the fullest moment"
+    moment = recording.moment()
+    return moment, "the last frame" if moment == last else "the frame in which contacts did most"
 
 
 def _warnings(recording: Recording) -> list[tuple[float, str]]:

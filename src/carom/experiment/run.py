@@ -18,7 +18,7 @@ from carom.experiment.environment import environment
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.memory import garbage_sought_seldom
-from carom.experiment.output import claimed_output, default_output
+from carom.experiment.output import claimed_output, default_output, refuse_name
 from carom.experiment.progress_bar import progress_bar
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.error import PhysicsError
@@ -107,6 +107,7 @@ def run(
     loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
     if path is None:
         path = default_output("scene" if isinstance(scene, Scene) else Path(scene).stem)
+    refuse_name(Path(path))
     watchers = [watch] if watch else []
     with (
         claimed_output(Path(path), force) as claim,
