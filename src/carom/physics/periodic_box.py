@@ -6,8 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.parallel.jit import inline
+from carom.physics.vector import Vector
 
 FloatArray = NDArray[np.float64]
+
+
+@inline
+def sizes(box: FloatArray) -> Vector:
+    """Return the size of a box, (3,) m, as numbers; zeros in open space."""
+    return box[0], box[1], box[2]
 
 
 @inline

@@ -12,12 +12,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
 from carom.physics.contact.union_find import join, join_shared, root_of
 from carom.physics.parallel.atomics import atomic_load, atomic_max
 from carom.physics.parallel.jit import kernel, long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image
+from carom.physics.periodic_box import sizes
+from carom.physics.vector import between
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -119,14 +121,8 @@ def island_rest_speeds(
         i, j = ends_of(pairs, c)
         if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
             continue
-        d2 = 0.0
-        for k in range(3):
-            d = x[j, k] - x[i, k]
-            if box[k] > 0.0:
-                d = minimum_image(d, box[k])
-            d2 += d * d
-        near = (radius[i] + radius[j]) * scale + skin
-        if d2 <= near * near:
+        dx, dy, dz = between(x, i, j)
+        if are_near(dx, dy, dz, radius[i] + radius[j], sizes(box), scale, skin):
             join(parent, i, j)
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0

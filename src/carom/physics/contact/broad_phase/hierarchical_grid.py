@@ -12,17 +12,19 @@ Rejected: searching from the smaller bodies always, with each octave in a hashed
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
+from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import inline, kernel, long_kernel
+from carom.physics.parallel.jit import borrowing, inline, kernel
 from carom.physics.parallel.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image, nearest_image
+from carom.physics.periodic_box import sizes
+from carom.physics.vector import between
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -98,7 +100,27 @@ def _room_for(pairs: int) -> IntArray:
         ) from error
 
 
-@long_kernel
+class Scope(NamedTuple):
+    """What a search goes through, and where it leaves pairs."""
+
+    table: Table
+    layout: Layout
+    scale: float
+    skin: float  # m
+    taken: IntArray  # (1,) rows of the buffer that threads have claimed
+    found: IntArray  # (2, k, 2) the buffer
+
+
+class Row(NamedTuple):
+    """Cells of a grid that follow each other along x."""
+
+    first: int
+    end: int
+    y: int
+    z: int
+
+
+@borrowing
 def search(
     lo: int,
     hi: int,
@@ -109,78 +131,109 @@ def search(
     taken: IntArray,
     found: IntArray,
 ) -> None:
-    """Store the pairs of the bodies [lo, hi) of the table."""
-    ends, body, sphere = table
-    origin, box = layout.origin, layout.box
-    periodic = box[0] > 0.0
+    """Store the pairs of the bodies [lo, hi) of the table.
+
+    The functions that this one is made of return the next row of the buffer, and the end of the rows that are claimed.
+    """
+    scope = Scope(table, layout, scale, skin, taken, found)
     m, end, K = 0, 0, 0
     for a in range(lo, hi):
         while a >= layout.grid[K].end:
             K += 1
-        x, y, z, r = sphere[a].x, sphere[a].y, sphere[a].z, sphere[a].radius
-        ox, oy, oz = x - origin[0], y - origin[1], z - origin[2]
         for L in range(layout.grids[0]):
-            if not layout.into[K, L]:
-                continue
-            grid = layout.grid[L]
-            reach = WIDER * ((r + 0.5 * grid.diameter) * scale + skin)
-            nx, ny, nz = grid.nx, grid.ny, grid.nz
-            fx, lx, once_x = _cells_along(ox, reach, grid.kx, nx, periodic)
-            fy, ly, once_y = _cells_along(oy, reach, grid.ky, ny, periodic)
-            fz, lz, once_z = _cells_along(oz, reach, grid.kz, nz, periodic)
-            # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
-            half = K == L and not (periodic and _meets_itself(grid, scale, skin))
-            later = K == L and not half
-            cx, cy, cz = 0, 0, 0
-            if half:
-                cx, cy, cz = cell_of(ox, oy, oz, grid, False)
-                fz = cz
-            wide = lz - fz > NARROW and once_x and once_y and once_z
-            for iz in range(fz, lz):
-                wz = iz % nz if periodic else iz
-                for iy in range(cy if half and iz == cz else fy, ly):
-                    wy = iy % ny if periodic else iy
-                    ix, over = fx, lx
-                    after = a + 1 if later else 0
-                    if half and iz == cz and iy == cy:
-                        ix, after = cx, a + 1
-                    elif wide:
-                        gy, gz = _gap_to_cell(oy, iy, grid.ky), _gap_to_cell(oz, iz, grid.kz)
-                        h2 = reach * reach - gy * gy - gz * gz
-                        if h2 < 0.0:
-                            continue
-                        h = np.sqrt(h2)  # half the chord of the reach in this row
-                        ix = max(fx, math.floor((ox - h) * grid.kx))
-                        over = min(lx, math.floor((ox + h) * grid.kx) + 1)
-                    while ix < over:
-                        wx = ix % nx if periodic else ix
-                        cells = min(over - ix, nx - wx)
-                        if grid.hashed:
-                            cells = min(cells, STRIP - wx % STRIP)
-                        bucket = bucket_of(wx, wy, wz, grid)
-                        for b in range(max(after, ends[bucket]), ends[bucket + cells]):
-                            other = sphere[b]
-                            dx, dy, dz = other.x - x, other.y - y, other.z - z
-                            if periodic:
-                                dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
-                            touch = (r + other.radius) * scale + skin
-                            if dx * dx + dy * dy + dz * dz <= touch * touch:
-                                if grid.hashed:  # another cell may have the same hash
-                                    px, py, pz = other.x - origin[0], other.y - origin[1], other.z - origin[2]
-                                    bx, by, bz = cell_of(px, py, pz, grid, periodic)
-                                    if bz != wz or by != wy or bx < wx or bx >= wx + cells:
-                                        continue
-                                if m == end:
-                                    m = atomic_add(taken, 0, PAIRS_PER_CLAIM)
-                                    end = m + PAIRS_PER_CLAIM
-                                if m < found.shape[1]:
-                                    found[0, m, 0] = min(body[a], body[b])
-                                    found[0, m, 1] = max(body[a], body[b])
-                                m += 1
-                        ix += cells
-                        if half:
-                            after = 0
+            if layout.into[K, L]:
+                m, end = _search_grid(a, K, L, scope, m, end)
     _leave(found, m, end)
+
+
+@inline
+def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tuple[int, int]:
+    """Store the pairs of a body, of grid K, with those of grid L."""
+    sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
+    periodic = scope.layout.box[0] > 0.0
+    ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
+    reach = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
+    fx, lx, once_x = _cells_along(ox, reach, grid.kx, grid.nx, periodic)
+    fy, ly, once_y = _cells_along(oy, reach, grid.ky, grid.ny, periodic)
+    fz, lz, once_z = _cells_along(oz, reach, grid.kz, grid.nz, periodic)
+    # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
+    half = K == L and not (periodic and _meets_itself(grid, scope.scale, scope.skin))
+    later = K == L and not half
+    cx, cy, cz = 0, 0, 0
+    if half:
+        cx, cy, cz = cell_of(ox, oy, oz, grid, False)
+        fz = cz
+    wide = lz - fz > NARROW and once_x and once_y and once_z
+    for iz in range(fz, lz):
+        for iy in range(cy if half and iz == cz else fy, ly):
+            is_own = half and iz == cz and iy == cy
+            first, after = cx if is_own else fx, a + 1 if later or is_own else 0
+            row = Row(first, lx, iy, iz)
+            if wide and not is_own:
+                row = _chord(row, ox, oy, oz, reach, grid)
+            m, end = _search_row(a, row, after, half, grid, scope, m, end)
+    return m, end
+
+
+@inline
+def _chord(row: Row, ox: float, oy: float, oz: float, reach: float, grid: Any) -> Row:
+    """Return the cells of a row within reach of a point, in m from the corner of the grid; none if it is too far."""
+    gy, gz = _gap_to_cell(oy, row.y, grid.ky), _gap_to_cell(oz, row.z, grid.kz)
+    squared = reach * reach - gy * gy - gz * gz
+    if squared < 0.0:
+        return Row(row.first, row.first, row.y, row.z)
+    half = np.sqrt(squared)
+    first, last = math.floor((ox - half) * grid.kx), math.floor((ox + half) * grid.kx)
+    return Row(max(row.first, first), min(row.end, last + 1), row.y, row.z)
+
+
+@inline
+def _search_row(a: int, row: Row, after: int, half: bool, grid: Any, scope: Scope, m: int, end: int) -> tuple[int, int]:
+    """Store the pairs of a body with those in a row of cells, from a place of the table on.
+
+    If only half of the neighbours are searched, that place counts for the first cells of the row only.
+    """
+    periodic = scope.layout.box[0] > 0.0
+    y, z = (row.y % grid.ny, row.z % grid.nz) if periodic else (row.y, row.z)
+    ix = row.first
+    while ix < row.end:
+        x = ix % grid.nx if periodic else ix
+        cells = min(row.end - ix, grid.nx - x)
+        if grid.hashed:
+            cells = min(cells, STRIP - x % STRIP)
+        m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
+        ix += cells
+        if half:
+            after = 0
+    return m, end
+
+
+@inline
+def _search_cells(a: int, row: Row, after: int, grid: Any, scope: Scope, m: int, end: int) -> tuple[int, int]:
+    """Store the pairs of a body with those in cells whose buckets follow each other, from a place of the table on."""
+    (ends, body, sphere), box, found = scope.table, sizes(scope.layout.box), scope.found
+    own, bucket = sphere[a], bucket_of(row.first, row.y, row.z, grid)
+    for b in range(max(after, ends[bucket]), ends[bucket + row.end - row.first]):
+        other = sphere[b]
+        dx, dy, dz = other.x - own.x, other.y - own.y, other.z - own.z
+        near = are_near(dx, dy, dz, own.radius + other.radius, box, scope.scale, scope.skin)
+        if near and (not grid.hashed or _is_in(other, row, grid, scope.layout)):
+            if m == end:
+                m = atomic_add(scope.taken, 0, PAIRS_PER_CLAIM)
+                end = m + PAIRS_PER_CLAIM
+            if m < found.shape[1]:
+                found[0, m, 0], found[0, m, 1] = min(body[a], body[b]), max(body[a], body[b])
+            m += 1
+    return m, end
+
+
+@inline
+def _is_in(sphere: Any, row: Row, grid: Any, layout: Layout) -> bool:
+    """Tell whether a body is in a row of cells; other cells may have the same hash."""
+    origin = layout.origin
+    x, y, z = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
+    bx, by, bz = cell_of(x, y, z, grid, layout.box[0] > 0.0)
+    return bz == row.z and by == row.y and row.first <= bx < row.end
 
 
 @inline
@@ -206,22 +259,16 @@ def _gap_to_cell(o: float, cell: int, density: float) -> float:
     return max(0.0, cell / density - o, o - (cell + 1) / density)
 
 
-@kernel
+@borrowing
 def _all_pairs(
     position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, found: IntArray
 ) -> int:
     """Store the pairs of all bodies; return their number."""
-    m, periodic = 0, box[0] > 0.0
+    m, size = 0, sizes(box)
     for i in range(len(radius)):
         for j in range(i + 1, len(radius)):
-            d2 = 0.0
-            for k in range(3):
-                d = position[j, k] - position[i, k]
-                if periodic:
-                    d = minimum_image(d, box[k])
-                d2 += d * d
-            touch = (radius[i] + radius[j]) * scale + skin
-            if d2 <= touch * touch:
+            dx, dy, dz = between(position, i, j)
+            if are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin):
                 found[m, 0], found[m, 1] = i, j
                 m += 1
     return m
