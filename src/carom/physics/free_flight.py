@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.solver.contact_solver import TOUCHING
+from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.activity import remembered
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few

@@ -14,7 +14,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.islands import largest_values
-from carom.physics.contact.solver.contact_solver import TOUCHING
+from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
 from carom.scene.schema import Contact

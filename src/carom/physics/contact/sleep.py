@@ -28,7 +28,7 @@ from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, ends_of
 from carom.physics.contact.law import NORMAL
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
-from carom.physics.contact.solver.contact_solver import lay
+from carom.physics.contact.solver.begin_contacts import begin_contacts
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.contact.union_find import join_islands, root_of
@@ -242,7 +242,7 @@ class Sleepers:
         k, around = len(pairs), self._around
         contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
         shapes = (around.position, around.radius, around.box, around.surface, around.offset)
-        lay(0, k, pairs, *shapes, contacts, states, 0.0, normals)
+        begin_contacts(0, k, pairs, *shapes, contacts, states, 0.0, normals)
         impulses_of(contacts)[:] = force
         statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)
         self.contacts = SleepingContacts(

@@ -1,4 +1,4 @@
-"""The contact solver: it owns the records of the contacts and runs the solver's phases on them."""
+"""The contact solver: it runs the phases on the contacts of each step."""
 
 from __future__ import annotations
 
@@ -8,43 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.aligned import Room, aligned_empty, columns
+from carom.physics.aligned import Room, columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import (
-    BLOCK_SUMS,
-    BODIES_PER_BLOCK,
-    BODY_STATE,
-    CONTACT,
-    CONTACT_STATE,
-    ISLAND,
-    MEASURED,
-    MIN_PER_TASK,
-    PIECE_FINDINGS,
-    PUSHED_BODY,
-    RECORDED,
-    SEARCH,
-    SETTINGS,
-    SHARED_FROM,
-    ConstraintSystem,
-)
+from carom.physics.contact.constraints import MIN_PER_TASK, SETTINGS, SHARED_FROM, ConstraintSystem
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.islands import Islands
 from carom.physics.contact.law import Materials
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
+from carom.physics.contact.solver.begin_contacts import begin_contacts
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
 from carom.physics.contact.solver.phases import work
-from carom.physics.contact.solver.position_correction import (
-    audit_corrections,
-    count_contacts,
-    find_push_fractions,
-)
+from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.pushed_body import gather_positions, scatter_positions
 from carom.physics.contact.solver.warm_start import impulses_of
+from carom.physics.contact.solver.workspace import Workspace
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.diagnostics.ledger import clear_terms, terms_of
-from carom.physics.parallel.jit import entry_of, inline, kernel, long_kernel
+from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.parallel.jit import entry_of, kernel
 from carom.physics.parallel.thread_team import ALONE, Team
 from carom.scene.half_space import HalfSpaces
 from carom.scene.schema.contact import Sweeps
@@ -53,10 +35,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
 REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # small changes end these
-CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 
 class ContactSolver:
@@ -91,30 +71,17 @@ class ContactSolver:
         records: bool = False,
         sweeps: Sweeps | int = "auto",
     ) -> None:
-        count = len(bodies.ends.velocity)
         self._bodies = bodies
         self._planes = planes
-        self._materials = materials
         self._box = box
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
-        self._contacts = Room(CONTACT), Room(CONTACT)
-        self._held = Room(np.bool_)
-        self._small_change = Room(np.float64)
-        self._states = Room(CONTACT_STATE)
-        self._search = Room(SEARCH)
-        self._measured = Room(MEASURED)
-        self._recorded = Room(RECORDED)
-        self._records = records
+        self._workspace = Workspace(bodies, planes, materials, box, self._spin, records)
         self._normals = Room(columns=3)
-        self._islands = Islands(count, team)
+        self._islands = Islands(len(bodies.ends.velocity), team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._counts: IntArray | None = None  # (n + p,) contacts of each body and plane, once they are needed
-        self._body_states = aligned_empty(count, BODY_STATE)
-        self._pushed = aligned_empty(count, PUSHED_BODY)
-        self._island = np.empty(count, dtype=np.int64)
-        self._island_sums = np.empty(count, ISLAND)
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
         self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
@@ -135,46 +102,15 @@ class ContactSolver:
         rounding
             m, of the coordinates; a gap up to this counts as contact.
         """
-        m, ends, planes = len(order.pairs), self._bodies.ends, self._planes
-        room = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]
         if order is not self.order:
-            self._active = active_bodies(order.pairs, len(self._body_states))
+            self._active = active_bodies(order.pairs, len(self._bodies.ends.velocity))
             self._counts = None
         self.order = order
         self._settings["independent"], self._settings["islands_known"] = order.independent, False
-        self._system = ConstraintSystem(
-            pairs=order.pairs,
-            pieces=order.pieces,
-            edges=order.edges,
-            contacts=room.take(m),
-            held=self._held.take(m),
-            small_change=self._small_change.take(m),
-            states=self._states.take(m),
-            search=self._search.take(m),
-            measured=self._measured.take(m),
-            recorded=self._recorded.take(m if self._records else 0),
-            velocity=ends.velocity,
-            spin=self._spin,
-            acceleration=ends.acceleration,
-            inverse_mass=ends.inverse_mass,
-            box=self._box,
-            surface=planes.normal,
-            offset=planes.offset,
-            bodies=self._body_states,
-            pushed=self._pushed,
-            materials=self._materials.rows,
-            places=self._materials.places,
-            island=self._island,
-            islands=self._island_sums,
-            active=self._active,
-            found=np.empty(len(order.pieces), PIECE_FINDINGS),
-            sums=np.empty(-(-len(self._active) // BODIES_PER_BLOCK), BLOCK_SUMS),
-            settings=self._settings,
-        )
-        if self._records:
-            self._system.recorded.view(np.float64)[:] = 0.0
-        self.found_normals = self._normals.take(m)
-        self._team.divide(m, MIN_PER_TASK, lay, *self._geometry(), rounding, self.found_normals)
+        self._system = self._workspace.system(order, self._active, self._settings, keep)
+        self.found_normals = self._normals.take(len(order.pairs))
+        begun = *self._geometry(), rounding, self.found_normals
+        self._team.divide(len(order.pairs), MIN_PER_TASK, begin_contacts, *begun)
 
     @property
     def contacts(self) -> Records:
@@ -370,46 +306,3 @@ class ContactSolver:
 def _gather_rest_speeds(place: IntArray, states: Records, found: FloatArray) -> None:
     for c in range(len(place)):
         found[c] = states[place[c]].rest_speed
-
-
-@long_kernel
-def lay(
-    lo: int,
-    hi: int,
-    pairs: IntArray,
-    x: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    surface: FloatArray,
-    offset: FloatArray,
-    contacts: Records,
-    states: Records,
-    rounding: float,
-    normals: FloatArray,
-) -> None:
-    """Clear the records of the contacts [lo, hi), find their geometry, and note whether they touch."""
-    for first in range(lo, hi, CACHED_CONTACTS):
-        end = min(hi, first + CACHED_CONTACTS)
-        for c in range(first, end):
-            _clear(contacts[c], states[c])
-        update_geometry(first, end, pairs, x, radius, box, surface, offset, contacts, states)
-        for c in range(first, end):
-            contact, state = contacts[c], states[c]
-            normals[c, 0], normals[c, 1], normals[c, 2] = contact.nx, contact.ny, contact.nz
-            overlap = state.overlap
-            state.found_overlap = max(0.0, overlap)
-            reach = contact.arm_i + contact.arm_j + overlap
-            state.apart = overlap < -(TOUCHING * reach + rounding)
-
-
-@inline
-def _clear(contact: Any, state: Any) -> None:
-    """Clear the fields that `update_geometry` does not write."""
-    contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
-    contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
-    contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
-    state.rest_speed = state.approach_speed = 0.0
-    state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
-    clear_terms(state)
-    state.push_x = state.push_y = state.push_z = state.push_fraction = 0.0
-    state.biased = False
