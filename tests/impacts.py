@@ -85,5 +85,7 @@ def _strike(bodies: Bodies, space: Space, i: int, j: int, n: FloatArray, since_k
         r1_vec, r2_vec = n * b1.radius, -n * b2.radius
         v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
         v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
-        CollisionContext(b1, b2, n, r1_vec, r2_vec, v2 - v1, 0.0).resolve(*pair_coefficients(space.scene).of(i, j))
+        law = pair_coefficients(space.scene).of(i, j)
+        context = CollisionContext(b1, b2, n, r1_vec, r2_vec, v2 - v1, 0.0)
+        context.resolve(law.restitution, law.static_friction, law.kinetic_friction)
     bodies.velocity[:] -= change

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,18 @@ def test_a_bullet_of_a_million_radii_a_second_is_not_stepped_over() -> None:
     met = (10.0 - math.sqrt(4e-6 - 1e-8)) / 1000.0
     # the gap is a difference of coordinates of 10 m: round-off 2e-15 m at 1000 m/s, and 2e-18 s of the clock
     assert exact.time == pytest.approx([met], abs=1e-16)
+
+
+def test_the_exact_course_asks_the_law_how_a_contact_rebounds(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fading(material: Any, approach: float, rest_speed: float) -> float:
+        return float(material.restitution / (1.0 + approach))
+
+    law = SimpleNamespace(restitution=fading)
+    monkeypatch.setattr("carom.experiment.work_precision.event_driven_reference.LAW", law)
+    bodies = [{"position": [x, 0, 0], "velocity": [-0.2 * x, 0, 0], "radius": 1.0, "mass": 1.0} for x in (-5.0, 5.0)]
+    scene = scene_of(bodies, gravity={"constant": 0.0}, contact={"restitution": 0.9}, time={"duration": 8.0})
+    rebound = course(scene).trajectory.velocity[-1, 1, 0]
+    assert rebound == pytest.approx(0.9 / (1.0 + 2.0), rel=1e-12)  # they meet at 2 m/s and leave at e · 1 m/s each
 
 
 @pytest.mark.slow

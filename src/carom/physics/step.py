@@ -225,7 +225,7 @@ class KickDriftStepper:
         if self._damping and damped:
             before = self._world.bodies.ends.velocity.copy()
             contact.hold(damped.held_kick, dt, share, self._damping.against())
-            if len(contact.held):
+            if len(contact.ledger_apart):
                 self._exchange_energy(self._damping.lost_in_hold(damped, before))
         else:
             contact.hold(kick, dt, share)

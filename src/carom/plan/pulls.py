@@ -37,7 +37,7 @@ def damping(scene: Scene) -> Part | None:
 def further(scene: Scene) -> str:
     """Name the first modelled force besides gravity, uniform fields and drag; empty if there is none.
 
-    Gauss–Radau, Wisdom–Holman, exact solutions, other engines and periodic boxes know these three only.
+    Gauss–Radau, Wisdom–Holman, exact solutions, other engines and periodic boxes refuse any other force.
     """
     known = (GRAVITY, UNIFORM_FIELD, DRAG)
     return next((kind.name for kind in FORCES if kind not in known and part(kind, scene).modelled), "")

@@ -25,6 +25,7 @@ from scipy.integrate import DOP853, OdeSolution
 
 from carom.experiment.work_precision.trajectory import Trajectory
 from carom.physics.bodies import Bodies
+from carom.physics.contact.law import LAW
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from carom.plan.pulls import further
@@ -289,7 +290,10 @@ class _Solver:
         r1_vec, r2_vec = normal * b1.radius, -normal * b2.radius
         v1 = b1.velocity + np.cross(b1.angular_velocity, r1_vec)
         v2 = b2.velocity + np.cross(b2.angular_velocity, r2_vec)
-        CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0).resolve(*self._coefficients.of(i, j))
+        material = self._coefficients.of(i, j)
+        e = LAW.restitution(material, -float((v2 - v1) @ normal), 0.0)
+        impact = CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0)
+        impact.resolve(e, material.static_friction, material.kinetic_friction)
         self._met.setdefault((i, j), self._time)
         self._struck.append(self._time)
 

@@ -98,9 +98,9 @@ SETTINGS = np.dtype(
     [
         ("independent", "i8"),  # number of colours, from the first on, whose contacts share no moving body
         ("iteration", "i8"),  # number of iterations before this one
-        ("dt", "f8"),  # s, the step
+        ("dt", "f8"),  # s, the step for which the rest speeds were found; before a drift, the previous one
         ("drift", "f8"),  # s, the drift to come; 0 after the last kick
-        ("kick", "f8"),  # s, the kick just done
+        ("share", "f8"),  # s, part of the drift for which the work of the forces is already booked
         ("bias_rate", "f8"),  # 1/s, Baumgarte: separation speed for each metre of overlap
         ("alpha", "f8"),  # α, of the line search and of conjugate gradients
         ("beta", "f8"),  # β of conjugate gradients, weight of the last direction in the next one
@@ -160,9 +160,10 @@ class ConstraintSystem(NamedTuple):
     offset: FloatArray  # (p,) m
     bodies: Records  # (n + p,) BODY_STATE
     pushed: Records  # (n + p,) PUSHED_BODY
+    pushed_in: IntArray  # (n + p,) iteration in which the position correction last pushed each; `NEVER` if none did
     materials: Records  # (k,) MATERIAL, coefficients by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
-    island: IntArray  # (n + p,) workspace
+    island: IntArray  # (n + p,) workspace, the root of each one's island
     islands: Records  # (n + p,) ISLAND, workspace
     active: IntArray  # (b,) bodies and planes with a contact
     found: Records  # (k,) PIECE_FINDINGS

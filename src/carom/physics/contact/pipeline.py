@@ -55,7 +55,7 @@ Records = NDArray[np.void]
 # Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
 # with five and 1.32 with three, which leave four times the overlap after 3 s (benchmarks/heap.py, 1000 spheres).
 MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "as-needed": 8, "quick": 4}
-NOTHING_HELD: FloatArray = np.zeros((0, 3))
+NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
 
 class ContactPipeline:
@@ -121,7 +121,7 @@ class ContactPipeline:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self._hold = ImpulseCache.empty()
+        self._impulses = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         self._fell_asleep = False  # whether contacts of this step sleep from the next one on
         self._slept = NO_SLEEPERS  # contacts that slept in this step
@@ -131,7 +131,7 @@ class ContactPipeline:
             self._sleepers.forget()
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.held = NOTHING_HELD  # J, the ledger of the first kick, in sums over pieces
+        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that no contact of it keeps
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self.counts_impacts = True  # whether they include impacts during the drift; a look ahead needs no statistics
@@ -144,7 +144,7 @@ class ContactPipeline:
         """A copy of the state that the next step needs; None if no contact can last."""
         if not self._lasts:
             return None
-        hold, sleepers = self._hold, self._sleepers
+        hold, sleepers = self._impulses, self._sleepers
         pairs, rest_speed, impulse = self._found.pairs, self._solver.rest_speeds_by_pair(), hold.impulse
         if sleepers is None:
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
@@ -156,7 +156,7 @@ class ContactPipeline:
     def borne(self) -> FloatArray:
         """(n + p,) m/s², the part of each acceleration that contacts bore in the last kick; empty if none did."""
         inverse_mass = self._bodies.ends.inverse_mass
-        by_awake = borne(self._hold, inverse_mass)
+        by_awake = borne(self._impulses, inverse_mass)
         if not (self._sleepers and self._sleepers.any) or self._fell_asleep:
             return by_awake
         slept = self._sleepers.contacts
@@ -179,7 +179,7 @@ class ContactPipeline:
         self._order_contacts(memory.pairs, memory.dt)
         self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
         self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
-        self._hold = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
+        self._impulses = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
     def begin(self, dt: float) -> None:
         """Find the contacts at the start of a run whose first step is about dt s."""
@@ -201,7 +201,7 @@ class ContactPipeline:
         """
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.held = NOTHING_HELD
+        self.ledger_apart = NO_ENTRIES
         self._first_kick = kick
         self._leave_out_sleepers()
         if self._guard:
@@ -210,7 +210,7 @@ class ContactPipeline:
             if self.tap:  # its step begins; the entries are those of the previous step, which are booked
                 self._solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
-            self.held = self._solver.audited
+            self.ledger_apart = self._solver.audited
             if self.tap:
                 self.tap.see_hold(self._found.pairs, self._solver)
 
@@ -230,13 +230,13 @@ class ContactPipeline:
     @property
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step and nothing is held as the next one begins."""
-        touches = len(self._found) or self.statistics.contacts or len(self._hold.pairs)
+        touches = len(self._found) or self.statistics.contacts or len(self._impulses.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     @property
     def holds(self) -> bool:
         """Whether contacts are held as the next step begins."""
-        return len(self._hold.pairs) > 0
+        return len(self._impulses.pairs) > 0
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
@@ -246,7 +246,7 @@ class ContactPipeline:
 
     def rest(self) -> None:
         """Note steps in which nothing touched, after a step that was quiet."""
-        self.held, self.impacts, self.statistics = NOTHING_HELD, NO_IMPACTS, NO_CONTACTS
+        self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
         self._seen.rest(self._found)
 
     def begin_batch(self) -> None:
@@ -297,11 +297,11 @@ class ContactPipeline:
             Gets the times that the parts take.
         """
         if self._guard and self._guard.has_stopped:
-            self.held = np.concatenate((self.held, self._guard.work()))
+            self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
         if len(self._found):
             self._resolve(dt, kick, profile)
         else:
-            self._hold = ImpulseCache.empty()
+            self._impulses = ImpulseCache.empty()
         self._seen.begin(self._found, self._slept, self.impacts, dt)
         self.statistics = self._solver.statistics() if len(self._found) else NO_CONTACTS
         if len(self._slept.pairs):
@@ -322,11 +322,11 @@ class ContactPipeline:
     def fall_asleep(self, dt: float) -> None:
         """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.fall_asleep(self._found.pairs, self._hold, dt)
+        lost = self._sleepers.fall_asleep(self._found.pairs, self._impulses, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
-            self.held = np.concatenate((self.held, self._lost))
+            self.ledger_apart = np.concatenate((self.ledger_apart, self._lost))
 
     def _leave_out_sleepers(self) -> None:
         """Begin a step without the contacts of what fell asleep after the last one."""
@@ -379,7 +379,7 @@ class ContactPipeline:
         if sleepers.all and not sleepers.is_disturbed():
             return empty_graph().pairs
         pairs = self._near.find(dt)
-        self._hold, self._lost = sleepers.wake(pairs, self._hold, self._first_kick, dt)
+        self._impulses, self._lost = sleepers.wake(pairs, self._impulses, self._first_kick, dt)
         if self.tap and len(self._lost):
             self.tap.see_waking()
         self._slept = sleepers.contacts
@@ -389,7 +389,7 @@ class ContactPipeline:
         """Begin the contacts of a step of dt s: order them, lay out their records, find their rest speeds."""
         if not np.array_equal(pairs, self._found.pairs):  # a pile at rest keeps its contacts, and thus their order
             self._found = OrderedContacts.of(pairs, self._bodies, self._contact.colouring)
-        self._solver.lay(self._found.order, self._hold.contacts, self._near.rounding)
+        self._solver.lay(self._found.order, self._impulses.contacts, self._near.rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s
         self.sweeps = 0
@@ -411,7 +411,7 @@ class ContactPipeline:
             self.sweeps = max(self.sweeps, held)
             profile.mark("resting")
         else:
-            self._hold = ImpulseCache.empty()
+            self._impulses = ImpulseCache.empty()
         if self.sweeps >= self._most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
@@ -426,9 +426,9 @@ class ContactPipeline:
         """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._found.pairs
         place = solver.order.place
-        self._hold.carry_to(pairs, place, kick, solver.contacts, self._team)
+        self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
-            self._hold = ImpulseCache(pairs, place, solver.contacts, kick)
+            self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, against)
 
     @property

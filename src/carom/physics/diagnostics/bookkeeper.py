@@ -174,8 +174,8 @@ class Bookkeeper:
     def _book_contacts(self, contact: ContactPipeline) -> None:
         """Book the contacts of the step."""
         clock = self._world.clock
-        if len(contact.held):
-            self.audit.book(contact.held)
+        if len(contact.ledger_apart):
+            self.audit.book(contact.ledger_apart)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
                 graph = contact.seen.graph

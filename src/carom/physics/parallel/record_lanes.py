@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, gathered, shuffled
+from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, gathered, shuffled, spread
 
 HALF = WIDTH // 2
 
@@ -76,6 +76,14 @@ class RecordLanes:
                 builder.store(builder.fadd(builder.load(place, align=CACHE_LINE), rows[k]), place, align=CACHE_LINE)
 
         mask.in_each(add)
+
+    def add_to(self, mask: Mask, **fields: Lanes) -> None:
+        """Add to named fields of a cache line in memory, in the records of a mask; the others keep their bits."""
+        (line,) = {self._place_of(name)[0] for name in fields}
+        row = [spread(self._builder, DOUBLE(-0.0))] * WIDTH  # adding -0.0 changes no bit
+        for name, value in fields.items():
+            row[self._place_of(name)[1]] = value
+        self.add((line,), row, mask)
 
     def _place_of(self, name: str) -> tuple[int, int]:
         """Return the line of a field, and its place in the line."""

@@ -176,6 +176,17 @@ def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves:
     anew
         Whether octaves share grids differently than before; bodies then have to be sorted anew.
     """
+    anew = _share_grids(extent, scale, skin, octaves, layout)
+    _number_buckets(extent, scale, skin, layout)
+    _choose_searches(layout)
+    return anew
+
+
+@inline
+def _share_grids(
+    extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout
+) -> bool:
+    """Give each octave a grid, its own or that of the next larger one; return whether that has changed."""
     count, cells, anew = 0, 0.0, False
     for L in range(len(octaves)):
         octave = octaves[L]
@@ -188,8 +199,14 @@ def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves:
         layout.grid[count - 1].end = octave.end
     anew = anew or layout.grids[0] != count
     layout.grids[0] = count
+    return anew
+
+
+@inline
+def _number_buckets(extent: tuple[float, float, float], scale: float, skin: float, layout: Layout) -> None:
+    """Cut the grids into cells, and give each grid its buckets: one for each cell, or those of a hash."""
     bucket = 0
-    for L in range(count):
+    for L in range(layout.grids[0]):
         grid = layout.grid[L]
         bodies, width = grid.end - grid.begin, grid.diameter * scale + skin
         room = ROOM * bodies + STRIP
@@ -209,6 +226,12 @@ def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves:
         else:
             bucket += int(cells)
         grid.end_bucket = bucket
+
+
+@inline
+def _choose_searches(layout: Layout) -> None:
+    """Choose for each two grids whose bodies search the other."""
+    count = layout.grids[0]
     for large in range(count):
         layout.into[large, large] = True
         upper = layout.grid[large]
@@ -218,7 +241,6 @@ def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves:
             down = (upper.end - upper.begin) * rows
             layout.into[large, small] = down < (lower.end - lower.begin) * UPWARDS
             layout.into[small, large] = not layout.into[large, small]
-    return anew
 
 
 @kernel

@@ -45,7 +45,7 @@ def put(i: int, size: int, queue: IntArray, body: Records) -> int:
     size
         Number of bodies in the queue now.
     """
-    k = body[i].queue_place
+    k, placed = body[i].queue_place, i
     if body[i].impact_time == np.inf:
         if k < 0:
             return size
@@ -53,11 +53,11 @@ def put(i: int, size: int, queue: IntArray, body: Records) -> int:
         body[i].queue_place = -1
         if k == size:
             return size
-        i = queue[size]
+        placed = queue[size]  # the last body of the heap fills the gap
     elif k < 0:
         k = size
         size += 1
-    while k > 0 and is_sooner(i, queue[(k - 1) // 2], body):
+    while k > 0 and is_sooner(placed, queue[(k - 1) // 2], body):
         queue[k] = queue[(k - 1) // 2]
         body[queue[k]].queue_place = k
         k = (k - 1) // 2
@@ -65,11 +65,11 @@ def put(i: int, size: int, queue: IntArray, body: Records) -> int:
         child = 2 * k + 1
         if child + 1 < size and is_sooner(queue[child + 1], queue[child], body):
             child += 1
-        if not is_sooner(queue[child], i, body):
+        if not is_sooner(queue[child], placed, body):
             break
         queue[k] = queue[child]
         body[queue[k]].queue_place = k
         k = child
-    queue[k] = i
-    body[i].queue_place = k
+    queue[k] = placed
+    body[placed].queue_place = k
     return size

@@ -199,14 +199,13 @@ class ContactSolver:
         if self._counts is None:
             self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
             count_contacts(system.pairs, self._counts)
-        self._settings["islands_known"] = False
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, self._counts, system.states)
-        moving, pushed_in = (bodies.position, ends.velocity), system.island
-        gathered = *moving, ends.radius, ends.inverse_mass, system.pushed, pushed_in
+        moving = bodies.position, ends.velocity
+        gathered = *moving, ends.radius, ends.inverse_mass, system.pushed, system.pushed_in
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
         self._work(POSITIONS, system, max_iterations)
-        team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, pushed_in, *moving)
+        team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, system.pushed_in, *moving)
 
     def audit_corrections(self) -> None:
         """Book the work of the position correction, at the accelerations after it."""
@@ -238,7 +237,7 @@ class ContactSolver:
     def hold(
         self,
         dt: float,
-        kick: float,
+        share: float,
         drift: float,
         bias_rate: float,
         max_iterations: int,
@@ -250,8 +249,11 @@ class ContactSolver:
 
         Parameters
         ----------
-        dt, kick
-            s, lengths of the step and of the kick.
+        dt
+            s, the step for which the rest speeds were found; before a drift, the previous one.
+        share
+            s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
+            there is drag.
         drift
             s, length of the drift that follows; 0 after the last kick.
         bias_rate
@@ -262,7 +264,7 @@ class ContactSolver:
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         settings = self._settings
-        settings["dt"], settings["kick"], settings["drift"] = dt, kick, drift
+        settings["dt"], settings["share"], settings["drift"] = dt, share, drift
         settings["bias_rate"] = bias_rate
         system = self._system
         if against is not None:

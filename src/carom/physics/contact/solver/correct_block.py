@@ -14,17 +14,17 @@ from carom.physics.contact.solver.block import Block
 from carom.physics.contact.solver.overlap_push import (
     ENOUGH,
     ENOUGH_AS_NEEDED,
-    MAX_SEPARATION,
     gain_of,
-    part_of_tangent,
     push_of,
+    relative_change_of_vt,
+    separates,
 )
 from carom.physics.contact.solver.pushed_body import NEVER
 from carom.physics.contact.solver.velocity import velocity_along
 from carom.physics.parallel.intrinsics import instruction
 from carom.physics.parallel.lanes import DOUBLE, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
 
-AMOUNTS = 1  # line of `CONTACT_STATE` with its ledger and its pushes
+AMOUNTS = 1  # line of `CONTACT_STATE` that has the ledger, the pushes and the flags
 
 
 @instruction
@@ -35,9 +35,9 @@ def correct_block(typing: Any, system: Any, first: Any, again: Any) -> Any:
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        found = cgutils.alloca_once_value(builder, args[2])  # type: ignore[no-untyped-call]
-        _Correction(Block(context, builder, system, *args[:2])).correct(found)
-        return builder.load(found)
+        result = cgutils.alloca_once_value(builder, args[2])  # type: ignore[no-untyped-call]
+        _Correction(Block(context, builder, system, *args[:2])).correct(result)
+        return builder.load(result)
 
     return types.float64(system, types.intp, types.float64), generate
 
@@ -48,8 +48,11 @@ class _Correction:
     def __init__(self, block: Block) -> None:
         self._block, self._builder = block, block.builder
 
-    def correct(self, again: Any) -> None:
-        """Push the contacts that the last iteration touched, overlap and are at rest; write 1 at an address."""
+    def correct(self, result: Any) -> None:
+        """Push apart the contacts that overlap, are at rest, and have an end that the last iteration pushed.
+
+        Store 1 at the address ``result`` if one of them needs another iteration.
+        """
         visited = self._visited()
         with self._builder.if_then(visited.any):
             self._block.fetch_bodies_ahead("pushed", (0,))
@@ -61,7 +64,7 @@ class _Correction:
             with self._builder.if_then(overlaps.any):
                 pushed = self._push(overlap, overlaps)
                 with self._builder.if_then((pushed & (overlap > self._enough * reach)).any):
-                    self._builder.store(DOUBLE(1.0), again)
+                    self._builder.store(DOUBLE(1.0), result)
 
     def _visited(self) -> Mask:
         """Return the contacts between bodies of which the last iteration pushed an end; all of them in the first."""
@@ -69,60 +72,61 @@ class _Correction:
         iteration = block.number("iteration")
         is_first = builder.icmp_signed("==", iteration, WORD(0))
         since = builder.select(is_first, WORD(NEVER), builder.sub(iteration, WORD(1)))
-        last = [[builder.load(block.address("island", body)) for body in end] for end in block.ends]
+        last = [[builder.load(block.address("pushed_in", body)) for body in end] for end in block.ends]
         i, j = (at_least(builder, end, since) for end in last)
         return (i | j) & block.between_bodies
 
     def _push(self, overlap: Lanes, overlaps: Mask) -> Mask:
-        """Push the contacts at rest among those that overlap; return them.
+        """Push apart the contacts at rest among those that overlap; return them.
 
-        The others are written, too, with what they hold: a branch for each contact would often be mispredicted. Bodies
-        that do not move are not, since threads may share them.
+        Contacts that are not pushed are written, too, with unchanged bits: a branch for each would often be
+        mispredicted. Fixed bodies are not written, since pieces of other threads may share them.
         """
         a, b, block, n, d = self._a, self._b, self._block, self._n, self._d
         states = block.records("states", CONTACT_STATE, (AMOUNTS,))
         rest_speed = states.field("rest_speed")
         vn, *t = in_lanes(velocity_along)(*n, a, b)
-        pushed: Mask = overlaps & ~(vn > MAX_SEPARATION * rest_speed) & ~self._rebound(-vn, rest_speed)
+        pushed: Mask = overlaps & ~in_lanes(separates)(vn, rest_speed, self._restitution(-vn, rest_speed))
 
         def of_pushed(amount: Lanes) -> Lanes:
             return amount.where(pushed, block.nothing)
 
         delta, mi, mj, reduced = in_lanes(push_of)(states.push_fraction, overlap, a, b)
-        scale = in_lanes(part_of_tangent)(d, delta)
+        sigma = in_lanes(relative_change_of_vt)(d, delta)
         for body, ends, part, by in ((a, block.ends[0], mi, -mi), (b, block.ends[1], mj, mj)):
-            shift = [of_pushed(by * delta * along) for along in n]
-            change = [of_pushed(by * scale * along) for along in t]
-            body.add((0,), [*shift, block.nothing, *change, block.nothing], part > 0.0)
-            self._note(ends, pushed, part > 0.0)
+            moves = part > 0.0
+            x, y, z = (of_pushed(by * delta * along) for along in n)
+            vx, vy, vz = (of_pushed(by * sigma * along) for along in t)
+            body.add_to(moves, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+            self._note(ends, pushed, moves)
         states.change(
             push_x=states.push_x + of_pushed(delta * n[0]),
             push_y=states.push_y + of_pushed(delta * n[1]),
             push_z=states.push_z + of_pushed(delta * n[2]),
-            stabilisation_gain=states.stabilisation_gain + of_pushed(in_lanes(gain_of)(reduced, *t, scale)),
+            stabilisation_gain=states.stabilisation_gain + of_pushed(in_lanes(gain_of)(reduced, *t, sigma)),
         )
         states.write(AMOUNTS)
         with self._builder.if_then(self._builder.icmp_signed(">", block.count("recorded"), WORD(0))):
-            given = [reduced * scale * along for along in t]
+            x, y, z = (reduced * sigma * along for along in t)
             recorded = block.records("recorded", RECORDED, ())
-            recorded.add((0,), [block.nothing] * 4 + given + [block.nothing], pushed)
+            recorded.add_to(pushed, correction_x=x, correction_y=y, correction_z=z)
         return pushed
 
-    def _rebound(self, approach: Lanes, rest_speed: Lanes) -> Mask:
-        """Return the contacts that the law makes rebound."""
+    def _restitution(self, approach: Lanes, rest_speed: Lanes) -> Lanes:
+        """Return the restitution of each contact by the law."""
         builder, context, block = self._builder, self._block.context, self._block
         signature: Any = types.float64(block.kind_of("materials").dtype, types.float64, types.float64)
         found = []
         for k, material in enumerate(block.materials()):
             given = [material, approach.lane(k), rest_speed.lane(k)]
-            found.append(context.compile_internal(builder, _restitution, signature, given))
-        return gathered(builder, found) > 0.0
+            found.append(context.compile_internal(builder, _restitution_of_one, signature, given))
+        return gathered(builder, found)
 
-    def _note(self, bodies: list[Any], pushed: Mask, moving: Mask) -> None:
-        """Note the iteration in which moving bodies were pushed."""
+    def _note(self, ends: list[Any], pushed: Mask, moving: Mask) -> None:
+        """Note the iteration in which moving ends were pushed."""
         builder, block = self._builder, self._block
         iteration = block.number("iteration")
-        places = [block.address("island", body) for body in bodies]
+        places = [block.address("pushed_in", end) for end in ends]
         notes = [builder.select(pushed.bit(k), iteration, builder.load(place)) for k, place in enumerate(places)]
         moving.in_each(lambda k: builder.store(notes[k], places[k]))
 
@@ -134,6 +138,6 @@ class _Correction:
         return spread(builder, builder.select(self._block.flag("as_needed"), as_needed, by_rounding))
 
 
-def _restitution(material: Any, approach: float, rest_speed: float) -> float:
-    """Call the law; Numba compiles functions of Python into generated code, but no kernels."""
+def _restitution_of_one(material: Any, approach: float, rest_speed: float) -> float:
+    """Call the law: ``compile_internal`` takes a plain function of Python, not a kernel."""
     return LAW.restitution(material, approach, rest_speed)

@@ -34,7 +34,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, measures = settings.spins, settings.measures
-    kick = settings.kick if settings.drift > 0.0 else 0.0
+    share = settings.share if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
     for c in range(lo, hi):
         prefetch_ends(bodies, pairs, c)
@@ -49,7 +49,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         body_i, body_j = bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
+        kx, ky, kz = (a[j, 0] - a[i, 0]) * share, (a[j, 1] - a[i, 1]) * share, (a[j, 2] - a[i, 2]) * share
         kn = kx * nx + ky * ny + kz * nz
         if state.biased:  # without the bias v_n' would be 0; the bias put in the rest
             lost = -Jn * (0.5 * state.normal_before - kn)

@@ -1,26 +1,31 @@
-"""The push that removes an overlap of bodies at rest; see `position_correction`.
+"""The push that removes the overlap of a contact at rest; see `position_correction`.
 
-These formulas take doubles or lanes.
+The formulas take doubles or lanes.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from carom.physics.contact.law import LAW
 from carom.physics.parallel.jit import inline
 
 # Of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times the energy in
 # the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms).
 MAX_SEPARATION = 0.1
 ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
-ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed and quick ones; the next step has one iteration for them
+ENOUGH_AS_NEEDED = 1e-5  # with sweeps as needed or quick; what is left is pushed in the next step
 
 
 @inline
-def rebounds(material: Any, approach: float, rest_speed: float) -> bool:
-    """Tell whether a contact that closes at a speed in m/s is an impact that rebounds; not for lanes."""
-    return LAW.restitution(material, approach, rest_speed) > 0.0
+def separates(vn: float, rest_speed: float, e: float) -> bool:
+    """Tell whether a contact clears itself, and is not pushed: it separates, or rebounds with e.
+
+    Parameters
+    ----------
+    vn, rest_speed
+        m/s
+    """
+    return (vn > MAX_SEPARATION * rest_speed) | (e > 0.0)
 
 
 @inline
@@ -31,12 +36,12 @@ def push_of(fraction: float, overlap: float, a: Any, b: Any) -> tuple[float, flo
 
 
 @inline
-def part_of_tangent(d: float, delta: float) -> float:
-    """Return d/(d + δ) - 1, the change of v_t over v_t."""
+def relative_change_of_vt(d: float, delta: float) -> float:
+    """Return σ = d/(d + δ) - 1, the relative change of v_t."""
     return d / (d + delta) - 1.0
 
 
 @inline
-def gain_of(reduced: float, tx: float, ty: float, tz: float, scale: float) -> float:
-    """Return the energy in J that scaling v_t by 1 + ``scale`` puts in."""
-    return 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * scale * (2.0 + scale)
+def gain_of(reduced: float, tx: float, ty: float, tz: float, sigma: float) -> float:
+    """Return ½ μ v_t² σ (2 + σ), the energy in J that scaling v_t by 1 + σ puts in."""
+    return 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * sigma * (2.0 + sigma)

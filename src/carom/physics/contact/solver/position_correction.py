@@ -12,8 +12,8 @@ bias instead, `BAUMGARTE` of the overlap per step.
 Only contacts at rest are pushed. An impact separates by its rebound, and pushing it would take tangential energy from a
 gas at every collision.
 
-The ledger books the change of the energy: the scaling exactly, at the velocities of the half kick, and the potential as
-the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
+The ledger books the change of the energy: the scaling exactly, at the velocities after the first kick, and the
+potential as the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
 
 Rejected: the mean of the forces at the start and the end of the step, which is of the next order. In the collapse of
 500 boulders both have errors of 10⁻⁶ of the energy scale.
@@ -28,18 +28,17 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import normal_and_distance
-from carom.physics.contact.law import material_index
+from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.correct_block import correct_block
 from carom.physics.contact.solver.overlap_push import (
     ENOUGH,
     ENOUGH_AS_NEEDED,
-    MAX_SEPARATION,
     gain_of,
-    part_of_tangent,
     push_of,
-    rebounds,
+    relative_change_of_vt,
+    separates,
 )
 from carom.physics.contact.solver.velocity import velocity_along
 from carom.physics.parallel.index import from_front
@@ -85,7 +84,8 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     """Push the resting contacts of some pieces apart once; note whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
-    Later iterations visit only contacts of which the last one pushed an end; the others still do not overlap.
+    Later iterations visit only contacts of which the last one pushed an end. The others are as they were when they
+    needed no push: they do not overlap, or are not at rest.
     """
     for piece in range(first, end):
         system.found[piece].residual = _correct(piece, system)
@@ -116,7 +116,7 @@ def _correct(piece: int, system: ConstraintSystem) -> float:
 def _push_apart(c: int, system: ConstraintSystem) -> float:
     """Push a contact apart if it is at rest; return 1 if its overlap needs another iteration, otherwise 0."""
     i, j = ends_of(system.pairs, c)
-    iteration, pushed_in, n = system.settings[0].iteration, system.island, body_count(system)
+    iteration, pushed_in, n = system.settings[0].iteration, system.pushed_in, body_count(system)
     if iteration > 0 and max(pushed_in[i], pushed_in[j]) < iteration - 1:
         return 0.0
     prefetch_ends(system.pushed, system.pairs, c)
@@ -127,7 +127,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         return 0.0
     vn, tx, ty, tz = velocity_along(nx, ny, nz, a, b)
     material = system.materials[material_index(i, j, n, system.places)]
-    if vn > MAX_SEPARATION * state.rest_speed or rebounds(material, -vn, state.rest_speed):
+    if separates(vn, state.rest_speed, LAW.restitution(material, -vn, state.rest_speed)):
         return 0.0
     delta, mi, mj, reduced = push_of(state.push_fraction, overlap, a, b)
     if mi > 0.0:
@@ -140,24 +140,24 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
     state.push_y += delta * ny
     state.push_z += delta * nz
     if j < n:  # a plane absorbs any angular momentum
-        scale = part_of_tangent(d, delta)
+        sigma = relative_change_of_vt(d, delta)
         if mi > 0.0:
-            _accelerate(a, -mi * scale, tx, ty, tz)
+            _accelerate(a, -mi * sigma, tx, ty, tz)
         if mj > 0.0:
-            _accelerate(b, mj * scale, tx, ty, tz)
-        _book(c, reduced, scale, tx, ty, tz, system)
+            _accelerate(b, mj * sigma, tx, ty, tz)
+        _book(c, reduced, sigma, tx, ty, tz, system)
     return 1.0 if overlap > _enough(system) * reach else 0.0
 
 
 @inline
-def _book(c: int, reduced: float, scale: float, tx: float, ty: float, tz: float, system: ConstraintSystem) -> None:
+def _book(c: int, reduced: float, sigma: float, tx: float, ty: float, tz: float, system: ConstraintSystem) -> None:
     """Book the energy, and if contacts are recorded the momentum, that scaling v_t moves."""
-    system.states[c].stabilisation_gain += gain_of(reduced, tx, ty, tz, scale)
+    system.states[c].stabilisation_gain += gain_of(reduced, tx, ty, tz, sigma)
     if len(system.recorded) > 0:
         given = system.recorded[c]
-        given.correction_x += reduced * scale * tx
-        given.correction_y += reduced * scale * ty
-        given.correction_z += reduced * scale * tz
+        given.correction_x += reduced * sigma * tx
+        given.correction_y += reduced * sigma * ty
+        given.correction_z += reduced * sigma * tz
 
 
 @inline

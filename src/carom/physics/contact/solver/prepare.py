@@ -34,7 +34,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
-    dt, drift, kick, bias_rate = settings.dt, settings.drift, settings.kick, settings.bias_rate
+    dt, drift, share, bias_rate = settings.dt, settings.drift, settings.share, settings.bias_rate
     largest = 0.0
     for c in range(lo, hi):
         prefetch_ends(bodies, pairs, c)
@@ -52,7 +52,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         if drift > 0.0:
             bias = max(0.0, gap) / drift
             # a resting contact closes no faster than this kick and half the drift's fall can cause
-            fastest = rest_speed * ((kick + 0.5 * drift) / dt)
+            fastest = rest_speed * ((share + 0.5 * drift) / dt)
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
             fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # impacts of touching pairs are resolved

@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-NEVER = -2  # in place of the iteration in which a body was last pushed
+NEVER = -2  # of a body that was not pushed; less than any iteration - 1
 
 
 @long_kernel
@@ -32,7 +32,7 @@ def gather_positions(
     for k in range(lo, hi):
         b = from_front(active[k])
         body = bodies[b]
-        if b < len(x):
+        if b < len(x):  # planes have no position
             body.x, body.y, body.z = vector(x, b)
         body.vx, body.vy, body.vz = vector(v, b)
         body.radius, body.inverse_mass = radius[b], inverse_mass[b]

@@ -11,8 +11,9 @@ later iterations can take back what earlier ones overdid. The totals start from 
 the ratio of the lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
 (`line_search`).
 
-After the last kick c = 0: contacts must not close. After the first kick bodies may close by c dt, so that they touch at
-the end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of the centres,
+After the last kick, contacts that touch must not close (c = 0; c < 0 with Baumgarte's bias), and an open one may close
+by its gap in the next step (c = gap/dt). After the first kick bodies may close by c dt, so that they touch at the end
+of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of the centres,
 
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 

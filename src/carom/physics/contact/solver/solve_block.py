@@ -39,9 +39,10 @@ def solve_block(typing: Any, system: Any, first: Any, found: Any, turning: Any) 
     """Solve the contacts of a block; return what `solve` ``found`` with theirs. ``turning`` is as in `solve`."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        block = _Solution(Block(context, builder, system, *args[:2]), turns=len(turning) > 0)
+        solution = _Solution(Block(context, builder, system, *args[:2]))
+        solution.solve(turns=len(turning) > 0)
         before = [builder.extract_value(args[2], k) for k in range(3)]
-        return context.make_tuple(builder, signature.return_type, block.found(*before))
+        return context.make_tuple(builder, signature.return_type, solution.found(*before))
 
     return DOUBLES(system, first, found, turning), generate
 
@@ -49,8 +50,12 @@ def solve_block(typing: Any, system: Any, first: Any, found: Any, turning: Any) 
 class _Solution:
     """Generates the code that solves a block."""
 
-    def __init__(self, block: Block, *, turns: bool) -> None:
+    def __init__(self, block: Block) -> None:
         self._block, self._builder, self._held = block, block.builder, block.held
+
+    def solve(self, *, turns: bool) -> None:
+        """Change the impulses of the contacts that are held, and the velocities of their bodies."""
+        block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
         contact = block.records("contacts", CONTACT, (0, 1))
         bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
@@ -125,5 +130,5 @@ class _Solution:
 def _friction_of_one(
     state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, ...]:
-    """Call `friction`; Numba compiles functions of Python into generated code, but no kernels."""
+    """Call `friction`: ``compile_internal`` takes a plain function of Python, not a kernel."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)

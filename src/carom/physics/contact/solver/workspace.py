@@ -68,6 +68,7 @@ class Workspace:
         self._recorded = Room(RECORDED)
         self._bodies = aligned_empty(count, BODY_STATE)
         self._pushed = aligned_empty(count, PUSHED_BODY)
+        self._pushed_in = np.empty(count, dtype=np.int64)
         self._island = np.empty(count, dtype=np.int64)
         self._islands = np.empty(count, ISLAND)
 
@@ -109,6 +110,7 @@ class Workspace:
             offset=self._planes.offset,
             bodies=self._bodies,
             pushed=self._pushed,
+            pushed_in=self._pushed_in,
             materials=self._materials.rows,
             places=self._materials.places,
             island=self._island,
