@@ -97,6 +97,12 @@ def test_scenes_are_compared_key_by_key(tmp_path: Path) -> None:
     assert found.environment["version.carom"] == ("0.1.0", "0.2.0") and "threads" not in found.environment
 
 
+def test_a_quantity_is_the_same_with_its_unit_and_without(tmp_path: Path) -> None:
+    texts = [f"[units]\nlength = 'cm'\n[time]\nduration = {end}\n[[body]]\n[[body]]\n" for end in ("0.1", "'0.1 s'")]
+    a, b = (record(tmp_path / f"{k}.rrd", frames=5, scene_toml=text) for k, text in enumerate(texts))
+    assert diff(a, b).scene == {}
+
+
 def test_a_missing_key_is_told_from_one_that_is_none() -> None:
     assert differing({"a": 1}, {"a": 1}) == {}
     assert differing({"a": 1}, {}) == {"a": (1, None)}

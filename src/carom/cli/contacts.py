@@ -117,10 +117,10 @@ def _table(
 ) -> pa.Table:
     """Ask the recording, and keep the contacts of the bodies."""
     from carom.recording.errors import RecordingError
-    from carom.recording.read.body_names import body_number
+    from carom.recording.read.body_names import shown_body
     from carom.recording.read.contact_tables import of_body
 
-    numbers = [body_number(recording, body) for body in bodies]
+    numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
     from carom.cli.replaying import replaying

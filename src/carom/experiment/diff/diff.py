@@ -63,6 +63,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     curve = matched.curve()
     divergence = divergence_of(curve)
     scene = differing(_scene(a), _scene(b))
+    scene = {key: values for key, values in scene.items() if key not in _written_otherwise(a, b, scene)}
     defaults = _defaults(a, b, scene)
     return Diff(
         paths=(a.path, b.path),
@@ -124,6 +125,16 @@ def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any
             scene = _validated(recording)
             defaults |= {key: value for key in missing if (value := _value(scene, key)) is not None}
     return defaults
+
+
+def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> set[str]:
+    """Return the keys with the same value, written with a unit in one scene and without, or another, in the other."""
+    with_unit = [key for key, values in differing.items() if None not in values and any(type(v) is str for v in values)]
+    if not with_unit:
+        return set()
+    scenes = _validated(a), _validated(b)
+    found = {key: tuple(_value(scene, key) for scene in scenes) for key in with_unit}
+    return {key for key, (first, second) in found.items() if first is not None and first == second}
 
 
 def _validated(recording: Recording) -> Scene | None:

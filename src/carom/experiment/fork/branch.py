@@ -76,6 +76,7 @@ def start_of(branch: Branch) -> Start:
     """
     recording = Recording.open(branch.path)
     recording.refuse_overlay()
+    recording.refuse_some_bodies()
     original = recorded_scene(recording)
     _refuse_state(branch.overrides)
     scene = continued_scene(recording, original, list(branch.overrides)) if branch.overrides else original

@@ -114,6 +114,8 @@ def clip(
                 if chunk.entity_path == paths.CHECKPOINT and not exact:
                     continue
                 kept = chunk if selection is None else selection.of(chunk)
+                if not kept.batch.num_rows:
+                    continue
                 writer.send(kept)
                 if chunk.entity_path == paths.IMPACTS:
                     numbers.append(np.array(kept.batch[IMPACT].to_numpy()))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from carom.recording.errors import RecordingError
+from carom.scene.names import bodies_called, body_called
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -39,6 +40,23 @@ def body_number(recording: Recording, body: int | str) -> int:
     if text.isascii() and text.isdigit() and int(text) < len(names):
         return int(text)
     raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
+
+
+def shown_body(recording: Recording, body: int | str) -> int:
+    """Return the number of a body that the recording shows; see `body_number`.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such body, several have this name, or it is a clip of others.
+    """
+    number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
+    if number not in shown:
+        raise RecordingError(
+            f"{recording.path} does not show {body_called(number, names[number])}: "
+            f"it is a clip of {bodies_called(shown, names)}"
+        )
+    return number
 
 
 def split_at_commas(text: str, names: Iterable[str]) -> list[str]:

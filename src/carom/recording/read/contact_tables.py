@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +13,9 @@ from carom.physics.contact.contact_table import MODES
 from carom.recording.errors import DamageError
 
 FloatArray = NDArray[np.float64]
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
+
 IntArray = NDArray[np.int64]
 
 SCHEMA = pa.schema(
@@ -66,6 +69,15 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
         return table
     own = (table["i"].to_numpy() == body) | (table["j"].to_numpy() == body)
     return table.filter(pa.array(own))
+
+
+def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
+    """Keep the rows of bodies that a recording shows, among each other or with planes."""
+    n = int(recording.info["bodies"])
+    if len(recording.shown) == n:
+        return table
+    i, j = table["i"].to_numpy(), table["j"].to_numpy()
+    return table.filter(pa.array(np.isin(i, recording.shown) & (np.isin(j, recording.shown) | (j >= n))))
 
 
 def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import IMPACT_MODE
 from carom.recording.errors import DamageError, RecordingError
-from carom.recording.read.contact_tables import check_pairs, modes, table_of, table_of_rows
+from carom.recording.read.contact_tables import check_pairs, modes, of_shown, table_of, table_of_rows
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.rrd.messages import Chunk
@@ -46,7 +46,7 @@ def _replayed(recording: Recording, at: float, watch: Watcher | None) -> pa.Tabl
     window = Window(recording, goal, contacts=True, watch=watch)
     for frame in window.frames(goal):
         if frame.time >= goal and frame.contact_rows is not None:
-            return table_of_rows(frame.contact_rows, window.source)
+            return of_shown(table_of_rows(frame.contact_rows, window.source), recording)
     when = recording.units.text(at, TIME, ".9g")
     raise RecordingError(f"{recording.path} ends before {when} when it is run again; its bits are not the same")
 

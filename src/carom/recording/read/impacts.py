@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.errors import DamageError, RecordingError
-from carom.recording.read.body_names import body_number
-from carom.recording.read.contact_tables import check_pairs, modes, of_body, table_of, table_of_rows
+from carom.recording.read.body_names import shown_body
+from carom.recording.read.contact_tables import check_pairs, modes, of_body, of_shown, table_of, table_of_rows
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.read.tables import Column, flat
@@ -43,7 +43,7 @@ def impacts(
 ) -> pa.Table:
     """Return the impacts of an interval; see `Recording.impacts`."""
     first, last = _interval(recording, start, end)
-    number = None if body is None else body_number(recording, body)
+    number = None if body is None else shown_body(recording, body)
     if recording.records_contacts and not replay:
         with reading(recording.path):
             return of_body(_recorded(recording, first, last), number)
@@ -155,12 +155,14 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+        if not chunk.batch.num_rows:  # of a clip by a version before 25 November 2026
+            continue
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
         if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):
             raise DamageError(f"rows of /{paths.IMPACTS} that are not in the order of their numbers")
         before = int(numbers[-1])
         time = _times(recording, chunk)
-        if len(time) and time[0] <= last and time[-1] >= first:
+        if time[0] <= last and time[-1] >= first:
             table = _table(recording, chunk, time)
             found.append(table.filter(pa.array((time >= first) & (time <= last))))
     told = impacts_until(recording, int(recording.fingerprints()[STEP][-1].as_py()))
@@ -209,5 +211,5 @@ def _replayed(recording: Recording, first: float, last: float, watch: Watcher | 
             break
     rows = np.concatenate(found)
     inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
-    table = table_of_rows(rows[inside], window.source)
+    table = of_shown(table_of_rows(rows[inside], window.source), recording)
     return table.replace_schema_metadata({"source": window.source, "left_out": str(left_out)})

@@ -29,6 +29,8 @@ def moment(recording: Recording, at: float | None) -> float:
                 f"{recording.units.text(at, TIME, '.9g')} is not in it"
             )
         return at
+    if len(recording.shown) < int(recording.info["bodies"]):
+        return _moment_of_shown(recording, float(times[-1]))
     impact = float(recording.closing.get("moments.impact.time", np.nan))
     if times[0] <= impact <= times[-1]:
         return impact
@@ -43,6 +45,14 @@ def moment(recording: Recording, at: float | None) -> float:
     if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
         return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
     return float(times[-1])
+
+
+def _moment_of_shown(recording: Recording, last: float) -> float:
+    """Return the moment of a clip of some bodies: their impact of the largest impulse on record, or the last frame."""
+    if not recording.records_contacts:
+        return last
+    found = recording.impacts()
+    return float(found["time"][int(np.argmax(found["normal_impulse"].to_numpy()))].as_py()) if len(found) else last
 
 
 def tolerance(time: float) -> float:

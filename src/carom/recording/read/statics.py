@@ -117,6 +117,11 @@ class Statics:
         if self.is_overlay:
             raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
 
+    def refuse_some_bodies(self) -> None:
+        """Raise RecordingError if it is a clip of some bodies only."""
+        if len(self.shown) < int(self.info["bodies"]):
+            raise RecordingError(f"{self.path} is a clip that does not show all bodies; take the whole recording")
+
     @property
     @named
     def engine(self) -> str:

@@ -53,7 +53,12 @@ def summary(recording: Recording) -> dict[str, Any]:
         found["materials"] = materials.described
     if clip:
         steps = clip["first_step"], found["steps"]
-        inside = {name: moment for name, moment in found["moments"].items() if steps[0] <= moment["step"] <= steps[1]}
+        shown = set(recording.shown)
+        inside = {
+            name: moment
+            for name, moment in found["moments"].items()
+            if steps[0] <= moment["step"] <= steps[1] and shown.issuperset(moment["bodies"])
+        }
         return found | {"clip": clip, "moments": inside}
     for section in ("energy", "momentum", "angular_momentum", "contacts"):
         found[section] |= _below(recording.closing, section)

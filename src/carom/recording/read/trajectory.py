@@ -9,13 +9,12 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
-from carom.recording.read.body_names import body_number
+from carom.recording.read.body_names import body_number, shown_body
 from carom.recording.read.body_states import AXES, state_table
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
-from carom.scene.names import bodies_called, body_called
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
@@ -79,13 +78,7 @@ def _recorded(recording: Recording, number: int, steps: IntArray, times: FloatAr
 def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
     """Return the drawn positions of a body, (k, 3) m; NaN where there are none."""
     shown = recording.shown
-    if number not in shown:
-        names = recording.bodies.name
-        raise RecordingError(
-            f"{recording.path} does not show {body_called(number, names[number])}: "
-            f"it is a clip of {bodies_called(shown, names)}"
-        )
-    place, position = shown.index(number), np.full((len(steps), 3), np.nan)
+    place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
     entries = [
         entry
         for entry in recording.store.entries

@@ -109,7 +109,8 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
 def entry_of(chunk: Chunk, message: Message) -> Entry:
     """Make the index entry of a decoded chunk."""
     first = last = None
-    if STEP in chunk.batch.schema.names and chunk.batch.num_rows:
+    timelines = {column.name for column in chunk.batch.schema if _kind(column) == b"index"}
+    if STEP in timelines and chunk.batch.num_rows:  # the exact start of a clip has a component of that name
         ends = pc.min_max(chunk.batch[STEP])
         first, last = ends["min"].as_py(), ends["max"].as_py()
     return Entry(chunk.entity_path, chunk.is_static, chunk.batch.num_rows, first, last, message.offset, message.length)

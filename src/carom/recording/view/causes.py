@@ -13,7 +13,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -62,8 +61,7 @@ class Causes:
 def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     """Write a recording for the viewer. RecordingError if it cannot be written."""
     radius, clock = recording.bodies.radius, Clock(float(recording.info["time_scale"]))
-    if len(recording.shown) != len(radius):
-        raise RecordingError(f"{recording.path} is a clip that does not show all bodies; take the whole recording")
+    recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
     inside = _shown(causes)
     outside = np.setdiff1d(np.arange(len(radius)), inside)

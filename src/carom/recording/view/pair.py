@@ -8,9 +8,8 @@ import numpy as np
 
 from carom.physics.frame import Frame
 from carom.recording.errors import RecordingError
-from carom.recording.read.body_names import body_number, split_at_commas
+from carom.recording.read.body_names import shown_body, split_at_commas
 from carom.recording.read.recording import Recording
-from carom.scene.names import bodies_called, body_called
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +32,9 @@ def named_pair(recording: Recording, text: str) -> Pair:
     given = split_at_commas(text, recording.bodies.name)
     if len(given) != 2 or not all(given):
         raise RecordingError(f"bodies {text}: expected two bodies with a comma between them, such as 0,1")
-    first, second = (body_number(recording, part) for part in given)
+    first, second = (shown_body(recording, part) for part in given)
     if first == second:
         raise RecordingError(f"bodies {text}: this is one body; give two")
-    for body in (first, second):
-        if body not in recording.shown:
-            names = recording.bodies.name
-            raise RecordingError(
-                f"{recording.path} does not show {body_called(body, names[body])}: "
-                f"it is a clip of {bodies_called(recording.shown, names)}"
-            )
     return Pair(min(first, second), max(first, second))
 
 
