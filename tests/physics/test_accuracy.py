@@ -469,6 +469,25 @@ def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monk
     assert compared == [1, 2, 3], "the first cannot tell an order, and one of the others may be chance"
 
 
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-3, 1e-4])
+def test_a_look_ahead_goes_on_while_steps_are_too_long_to_keep_an_accuracy_at_all(accuracy: float) -> None:
+    speed = math.sqrt(1.9 / 0.1)  # at the pericentre of a = 1, e = 0.9
+    scene = scene_of(
+        [
+            {"mass": 0.7, "radius": 1e-3, "position": [-0.03, 0, 0], "velocity": [0, -0.3 * speed, 0]},
+            {"mass": 0.3, "radius": 1e-3, "position": [0.07, 0, 0], "velocity": [0, 0.7 * speed, 0]},
+        ],
+        time={"duration": 16.0 * math.pi, "accuracy": accuracy, "integrator": "leapfrog"},
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+    )
+    space = run_to_the_end(scene)  # eight orbits
+    assert space.scene.promise is not None and space.scene.promise.horizon is None
+    away = space.state.position - [[-0.03, 0.0, 0.0], [0.07, 0.0, 0.0]]
+    assert math.sqrt(float(np.mean(np.sum(away * away, axis=1)))) / 0.1 < 100 * accuracy
+    assert space.energy().relative_error < accuracy
+
+
 def test_a_look_ahead_does_not_end_at_a_step_that_is_longer_than_it_needs_by_chance() -> None:
     balls = [(0.0, 1.0, 0.0), (0.05, 1.5, 0.0), (0.5, 0.5, -0.3)]  # they come to rest; runs of 2 and 4 differ by most
     scene = scene_of(

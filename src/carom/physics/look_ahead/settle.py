@@ -54,7 +54,9 @@ SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
 MARGIN = 2.0  # factor from the extrapolated to the expected error; without it, a horizon was late
 MOST_WORK = 2e6  # `TrialRun.work` of the finest run ahead, some seconds; the run itself takes up to eight times as long
 MOST_IDLE = 3  # halvings in a row that hardly change the distance, see `stays`
-MOST_ENOUGH = 2  # comparisons in a row after which shorter steps would hardly extend the promise; one may be chance
+# Comparisons in a row after which shorter steps would hardly extend a promise; one may be chance. Where none is kept at
+# all, steps may still be too long to tell.
+MOST_ENOUGH = 2
 DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
 # Distance from the truth over that of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases;
 # with 1.3, errors exceeded the request before the horizon in 11 of 235, by up to a fifteenth of the time.
@@ -188,7 +190,7 @@ class _LookAhead:
             farthest = COARSER if given_up else FARTHEST
             chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy, farthest)
             idle = idle + 1 if stays(self._times, apart, kept) else 0
-            enough = 0 if chosen >= 0 or len(apart) < TRIED else enough + 1
+            enough = 0 if chosen >= 0 or len(apart) < TRIED or kept == 0.0 else enough + 1
             too_much = given_up or fine.work > MOST_WORK
             if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or too_much:
                 break

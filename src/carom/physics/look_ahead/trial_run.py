@@ -46,8 +46,13 @@ class TrialRun:
 
     @property
     def work(self) -> float:
-        """Cost of all its steps, extrapolated from those so far; a step costs its bodies and a fixed number more."""
+        """Cost of all its steps, extrapolated from those so far; a step costs its bodies and a fixed number more.
+
+        Steps of a free flight, which one kernel takes, cost as much as one body at most.
+        """
         steps = self._simulation.step * len(self.times) / max(len(self._positions), 1)
+        if self._simulation.is_free_flight:
+            return steps
         more = BODIES_PER_STEP if self.rests_from == math.inf else BODIES_PER_HELD_STEP
         return steps * (self._simulation.scene.count + more)
 
