@@ -166,6 +166,25 @@ def test_a_ball_at_rest_on_a_floor_books_nothing(dt: float, wind: list[float]) -
     assert abs(frame.velocity).max() <= 1e-14 and space.extremes.warned == ()
 
 
+@pytest.mark.parametrize("tau", [0.1, 1.0])
+def test_the_impulses_of_a_ball_at_rest_are_its_weight_over_the_kicks(tau: float) -> None:
+    h, weight = 0.1, 20.0
+    scene = scene_of(
+        [{"position": [0.0, 0.0, 1.0], "radius": 1.0, "mass": 2.0}],
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -10.0]},
+        drag={"relaxation_time": tau},
+        contact={"restitution": 0.0},
+        time={"duration": 2.0, "fixed_dt": h},
+    )
+    space = Space(scene, record_contacts=True)
+    frame = list(space.run())[-1]
+    decay, phi1, phi2 = exponentials(h / tau)
+    kicks = h * phi2 + h * (phi1 - decay * phi2 / phi1)
+    assert frame.contact_rows is not None
+    assert frame.contact_rows["normal_impulse"] == pytest.approx([weight * kicks], rel=1e-12)  # rounding of 20 steps
+
+
 def test_a_wind_alone_presses_a_ball_to_a_floor() -> None:
     ball = {"radius": 1.0, "position": [0, 0, 1.0], "mass": 1.0}
     drag = {"relaxation_time": 0.3, "medium_velocity": [0.0, 0.0, -3.0]}
