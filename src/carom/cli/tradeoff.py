@@ -55,14 +55,14 @@ LimitOption = Annotated[
 COLUMNS = {
     "position": "position",
     "velocity": "velocity",
-    "impact": "impacts",
+    "impact": "impact time",
     "missed": "missed",
     "energy": "energy",
     "energy_gain": "gain",
     "momentum": "momentum",
     "overlap": "overlap",
     "sinking": "sinking",
-    "impacts": "count",
+    "impacts": "impact count",
     "size": "size",
     "dispersion": "dispersion",
 }

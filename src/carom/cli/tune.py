@@ -11,7 +11,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
-from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, LimitOption, RepeatsOption, opened, ran, table_of
+from carom.cli.tradeoff import COLUMNS, PIPE_WIDTH, STOPPED, LimitOption, RepeatsOption, opened, ran, table_of
 
 if TYPE_CHECKING:
     from carom.experiment.work_precision.tradeoff import Study
@@ -111,7 +111,8 @@ def _lines(tuning: Tuning) -> list[str]:
         lines.append(f"It is {tuning.speed:.2g} times as fast as the scene as written ({written.cost:.3g} s{but}).")
     kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
     lines.append(f"It keeps {', '.join(kept)}.")
-    worse = [f"{name} {after:.2g} (was {before:.2g})" for name, (before, after) in tuning.worse().items()]
+    changes = tuning.worse().items()
+    worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes]
     if worse:
         lines.append(f"Worse than as written: {', '.join(worse)}.")
     if (passed := tuning.passed_over) is not None:
