@@ -85,7 +85,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
             only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
             yield "judged", f"{only}; the others are no free spheres"
     if clip:
-        few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}"
+        of_all = "energies, momenta and numbers of contacts are those of all bodies"
+        few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"
         yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
     yield "outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else "")
     steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else counted(summary["steps"], "step")
