@@ -122,7 +122,8 @@ class Recording(FrameTables):
     ) -> pa.Table:
         """Return the impacts of an interval in order of time.
 
-        Where they are not recorded, the steps are run again.
+        Where they are not recorded, the steps are run again. A clip has those of the step that its first frame ends,
+        too, and a clip of some bodies only those among these or with planes.
 
         Parameters
         ----------
@@ -145,7 +146,7 @@ class Recording(FrameTables):
         Raises
         ------
         RecordingError
-            If there is no such body, nothing of the interval is recorded, or it cannot be run again.
+            If there is no such body or it is not shown, nothing of the interval is recorded, or it cannot be run again.
         """
         check_times(start=start, end=end)
         return impacts(self, start, end, body, replay=replay, watch=watch)
