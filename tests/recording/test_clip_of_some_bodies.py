@@ -8,6 +8,7 @@ import pytest
 
 import carom
 from carom.experiment.fork.branch import Branch, start_of
+from carom.experiment.why.question import question_of
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError
@@ -60,6 +61,11 @@ def test_a_replay_of_a_clip_is_asked_about_its_bodies_only(struck: Path) -> None
 def test_a_clip_is_refused_questions_about_bodies_that_it_does_not_show(struck: Path) -> None:
     with pytest.raises(RecordingError, match='does not show body 2 "C": it is a clip of'):
         Recording.open(struck).impacts(body="C")
+
+
+def test_a_clip_says_that_it_does_not_show_the_bodies_of_an_event(struck: Path) -> None:
+    with pytest.raises(RecordingError, match='"impact" names no two bodies that this clip shows'):
+        question_of(Recording.open(struck), None, None, "impact")
 
 
 def test_a_clip_opens_at_the_impact_of_its_own_bodies(struck: Path) -> None:

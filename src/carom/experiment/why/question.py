@@ -62,12 +62,10 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
 def _of_event(recording: Recording, event: str) -> Question:
     found = named_event(recording, event)
     time, pair = found.time, found.pair
-    when = recording.units.text(time, TIME, ".9g")
+    when, count = recording.units.text(time, TIME, ".9g"), len(recording.bodies.mass)
     if pair is None or (pair.j is None and pair.plane is None):
-        raise RecordingError(
-            f'the event "{event}" names no two bodies; ask about one with --body, at t = {when} with --at'
-        )
-    count = len(recording.bodies.mass)
+        which = "no two bodies" if len(recording.shown) == count else "no two bodies that this clip shows"
+        raise RecordingError(f'the event "{event}" names {which}; ask about one with --body, at t = {when} with --at')
     j = pair.j if pair.j is not None else count + (pair.plane or 0)
     bodies = (pair.i,) if j >= count else (pair.i, j)
     text = f"Why do {names_of(recording).pair((pair.i, j))} touch at t = {when}?"
