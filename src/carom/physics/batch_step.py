@@ -191,6 +191,11 @@ class BatchStepper:
         return due
 
     @property
+    def is_free_flight(self) -> bool:
+        """False: the integrator takes its steps in batches of its own."""
+        return False
+
+    @property
     def has_solution(self) -> bool:
         """Whether `between` returns something."""
         return self._took_last

@@ -17,7 +17,6 @@ from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.free_flight import can_fly
 from carom.physics.integrators.batch import batch_integrator_of
 from carom.physics.parallel.cores import cores
 from carom.physics.parallel.thread_team import Team
@@ -209,7 +208,7 @@ class Simulation:
     @property
     def is_free_flight(self) -> bool:
         """Whether one kernel takes all steps between frames and checks, since nothing can touch."""
-        return self._contact is None and isinstance(self._stepper, KickDriftStepper) and can_fly(self._world)
+        return self._stepper.is_free_flight
 
     def stop(self) -> None:
         """Let `run` end after the current step, with a last frame; any thread may call it."""

@@ -62,8 +62,9 @@ def diff(a: Recording, b: Recording) -> Diff:
     matched = FrameAlignment(a, b)
     curve = matched.curve()
     divergence = divergence_of(curve)
-    scene = differing(_scene(a), _scene(b))
-    scene = {key: values for key, values in scene.items() if key not in _written_otherwise(a, b, scene)}
+    written = differing(_scene(a), _scene(b))
+    same = _written_otherwise(a, b, written)
+    scene = {key: values for key, values in written.items() if key not in same}
     defaults = _defaults(a, b, scene)
     return Diff(
         paths=(a.path, b.path),
@@ -129,7 +130,8 @@ def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any
 
 def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> set[str]:
     """Return the keys with the same value, written with a unit in one scene and without, or another, in the other."""
-    with_unit = [key for key, values in differing.items() if None not in values and any(type(v) is str for v in values)]
+    both = {key: values for key, values in differing.items() if None not in values}
+    with_unit = [key for key, values in both.items() if any(isinstance(value, str) for value in values)]
     if not with_unit:
         return set()
     scenes = _validated(a), _validated(b)

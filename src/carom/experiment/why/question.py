@@ -64,7 +64,7 @@ def _of_event(recording: Recording, event: str) -> Question:
     time, pair = found.time, found.pair
     when, count = recording.units.text(time, TIME, ".9g"), len(recording.bodies.mass)
     if pair is None or (pair.j is None and pair.plane is None):
-        which = "no two bodies" if len(recording.shown) == count else "no two bodies that this clip shows"
+        which = "no two bodies" if recording.shows_all else "no two bodies that this clip shows"
         raise RecordingError(f'the event "{event}" names {which}; ask about one with --body, at t = {when} with --at')
     j = pair.j if pair.j is not None else count + (pair.plane or 0)
     bodies = (pair.i,) if j >= count else (pair.i, j)

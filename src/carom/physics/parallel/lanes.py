@@ -20,6 +20,7 @@ from carom.physics.parallel.jit import inline
 
 WIDTH = 8  # doubles in a cache line
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
+NOTHING = DOUBLE(-0.0)  # adding it keeps all bits, those of -0.0, too
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
 
 

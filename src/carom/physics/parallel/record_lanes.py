@@ -13,7 +13,19 @@ import numpy as np
 from llvmlite import ir
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.lanes import BYTE, DOUBLE, VECTOR, WIDTH, WORD, Lanes, Mask, gathered, shuffled, spread
+from carom.physics.parallel.lanes import (
+    BYTE,
+    DOUBLE,
+    NOTHING,
+    VECTOR,
+    WIDTH,
+    WORD,
+    Lanes,
+    Mask,
+    gathered,
+    shuffled,
+    spread,
+)
 
 HALF = WIDTH // 2
 
@@ -80,7 +92,7 @@ class RecordLanes:
     def add_to(self, mask: Mask, **fields: Lanes) -> None:
         """Add to named fields of a cache line in memory, in the records of a mask; the others keep their bits."""
         (line,) = {self._place_of(name)[0] for name in fields}
-        row = [spread(self._builder, DOUBLE(-0.0))] * WIDTH  # adding -0.0 changes no bit
+        row = [spread(self._builder, NOTHING)] * WIDTH
         for name, value in fields.items():
             row[self._place_of(name)[1]] = value
         self.add((line,), row, mask)

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.recording.read.contact_tables import join_some
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
@@ -71,9 +72,7 @@ class Selection:
 
     def _joins(self, ends: IntArray) -> NDArray[np.bool_]:
         """Tell which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
-        pairs = ends.reshape(-1, 2)
-        kept = np.isin(pairs, self._numbers)
-        return np.asarray(kept[:, 0] & (kept[:, 1] | (pairs[:, 1] >= self._bodies_in_all)))
+        return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
     def _bodies(self, chunk: Chunk) -> Chunk:
         """Keep some values of lists with one value per body, and other lists unchanged."""

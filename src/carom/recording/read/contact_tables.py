@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -73,11 +73,16 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
 
 def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
     """Keep the rows of bodies that a recording shows, among each other or with planes."""
-    n = int(recording.info["bodies"])
-    if len(recording.shown) == n:
+    if recording.shows_all:
         return table
-    i, j = table["i"].to_numpy(), table["j"].to_numpy()
-    return table.filter(pa.array(np.isin(i, recording.shown) & (np.isin(j, recording.shown) | (j >= n))))
+    pairs = np.stack([table["i"].to_numpy(), table["j"].to_numpy()], axis=1)
+    return table.filter(pa.array(join_some(pairs, recording.shown, int(recording.info["bodies"]))))
+
+
+def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> NDArray[np.bool_]:
+    """Tell which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
+    among = np.isin(pairs, chosen)
+    return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
 
 
 def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:

@@ -82,7 +82,7 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     first = int(recording.fingerprints()[STEP][0].as_py())
     steps = np.concatenate([np.empty(0, np.int64), *_steps(recording)])
     recorded = int(np.count_nonzero(steps <= step))
-    if len(recording.shown) < int(recording.info["bodies"]):
+    if not recording.shows_all:
         return RecordedImpacts(recorded)
     before = 0 if first == 0 else count_at(recording, first) - int(np.count_nonzero(steps <= first))
     count = count_at(recording, step) - before

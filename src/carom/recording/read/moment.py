@@ -29,7 +29,7 @@ def moment(recording: Recording, at: float | None) -> float:
                 f"{recording.units.text(at, TIME, '.9g')} is not in it"
             )
         return at
-    if len(recording.shown) < int(recording.info["bodies"]):
+    if not recording.shows_all:
         return _moment_of_shown(recording, float(times[-1]))
     impact = float(recording.closing.get("moments.impact.time", np.nan))
     if times[0] <= impact <= times[-1]:

@@ -102,6 +102,12 @@ class Statics:
 
     @property
     @named
+    def shows_all(self) -> bool:
+        """Whether it shows all bodies of its run; a clip may show some."""
+        return len(self.shown) == int(self.info["bodies"])
+
+    @property
+    @named
     def is_partial(self) -> bool:
         """Whether it is a clip without the exact states, and without the bodies that it does not show."""
         return bool(self.clip.get("partial", False))
@@ -119,7 +125,7 @@ class Statics:
 
     def refuse_some_bodies(self) -> None:
         """Raise RecordingError if it is a clip of some bodies only."""
-        if len(self.shown) < int(self.info["bodies"]):
+        if not self.shows_all:
             raise RecordingError(f"{self.path} is a clip that does not show all bodies; take the whole recording")
 
     @property

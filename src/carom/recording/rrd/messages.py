@@ -36,7 +36,12 @@ class Chunk:
     @property
     def is_static(self) -> bool:
         """Whether it is static: on no timeline."""
-        return not any(_kind(column) == b"index" for column in self.batch.schema)
+        return not self.timelines
+
+    @property
+    def timelines(self) -> list[str]:
+        """Names of the timelines."""
+        return [column.name for column in self.batch.schema if _kind(column) == b"index"]
 
     @property
     def components(self) -> list[str]:
@@ -109,8 +114,7 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
 def entry_of(chunk: Chunk, message: Message) -> Entry:
     """Make the index entry of a decoded chunk."""
     first = last = None
-    timelines = {column.name for column in chunk.batch.schema if _kind(column) == b"index"}
-    if STEP in timelines and chunk.batch.num_rows:  # the exact start of a clip has a component of that name
+    if STEP in chunk.timelines and chunk.batch.num_rows:  # the exact start of a clip has a component of that name
         ends = pc.min_max(chunk.batch[STEP])
         first, last = ends["min"].as_py(), ends["max"].as_py()
     return Entry(chunk.entity_path, chunk.is_static, chunk.batch.num_rows, first, last, message.offset, message.length)
@@ -145,8 +149,7 @@ def _check(chunk: Chunk) -> None:
             raise DamageError(f"a timeline {column.name} of type {column.type}")
         if kind == b"data" and not pa.types.is_list(column.type):
             raise DamageError(f"a component of /{chunk.entity_path} of type {column.type}")
-    indices = {column.name for column in batch.schema if _kind(column) == b"index"}
-    if STEP in indices and SIM_TIME not in indices:
+    if STEP in chunk.timelines and SIM_TIME not in chunk.timelines:
         raise DamageError(f"rows of /{chunk.entity_path} with steps, but without {SIM_TIME}")
     if len(set(batch.schema.names)) < len(batch.schema.names):
         raise DamageError(f"a component of /{chunk.entity_path} twice")

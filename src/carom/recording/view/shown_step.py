@@ -81,7 +81,7 @@ def shown_step(
     last = row if row is not None else max(0, int(np.searchsorted(times, goal)) - 1)
     position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
-    if len(recording.shown) != int(recording.info["bodies"]):
+    if not recording.shows_all:
         return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)

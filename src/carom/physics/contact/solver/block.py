@@ -14,7 +14,7 @@ import numpy as np
 from carom.physics.contact.constraints import SETTINGS, ConstraintSystem
 from carom.physics.parallel.intrinsics import address_in
 from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import BYTE, DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
+from carom.physics.parallel.lanes import BYTE, DOUBLE, NOTHING, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
 from carom.physics.parallel.prefetch import AHEAD, fetch_line
 from carom.physics.parallel.record_lanes import RecordLanes
 
@@ -46,7 +46,7 @@ class Block:
         self._kind, self._system = kind, system
         self.places = [builder.add(first, WORD(k)) for k in range(WIDTH)]
         self.ends = self._ends_from(first)
-        self.nothing = spread(builder, DOUBLE(-0.0))  # adding it keeps all bits, those of -0.0, too
+        self.nothing = spread(builder, NOTHING)
 
     def kind_of(self, name: str) -> Any:
         """Return Numba's type of an array of the system."""
