@@ -88,6 +88,18 @@ def test_other_parameters_act_from_the_fork_on(gas: Path, tmp_path: Path) -> Non
     assert Recording.open(tmp_path / "both.rrd").is_overlay
 
 
+def test_rounding_of_drawn_positions_before_a_fork_parts_is_not_taken_for_growth(tmp_path: Path) -> None:
+    ball = {"radius": 0.5, "position": [0, 0, 20.5], "velocity": [1, 0, 0]}
+    thrown = {"body": [ball], "plane": [{}], "gravity": {"constant": 0.0, "uniform": [0, 0, -9.81]}}
+    scene = Scene.from_dict({**thrown, "contact": {"restitution": 0.9}, "time": {"duration": 5.0}})
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    start = start_of(Branch(recording.path, 1.0, ("contact.restitution=0.5",)))  # it bounces at 2 s, once
+    found = fork(start, tmp_path / "both.rrd", None, 0).diff
+    assert found.divergence is None or not found.divergence.is_exponential, "the velocities differ by a constant"
+    assert found.curve.differs.any() and not found.curve.differs.all()
+    assert (found.curve.rms <= found.curve.floor)[~found.curve.differs].all(), "their bits are the same"
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [

@@ -80,6 +80,20 @@ def test_the_steps_that_are_run_again_are_shown_without_their_events(bounce: Rec
     assert rows_of(paths.BODIES, rows) and not rows_of(paths.EVENTS, rows)
 
 
+def test_the_phase_of_a_step_that_is_run_again_lasts_until_the_next_frame(bounce: Recording) -> None:
+    shown = presentation(bounce, bounce.moment())
+    rows = list(shown.supplement.rows)
+    states = dict(zip(bounce.phases()["step"].to_pylist(), bounce.phases()["state"].to_pylist(), strict=True))
+    recorded = bounce.fingerprints()["step"].to_numpy()
+    following = int(recorded[recorded > bounce.closing["moments.impact.step"]][0])
+    as_recorded = [state for step, state in states.items() if step <= following][-1]
+    steps = [step for found in rows_of(paths.PHASE, rows) for step in found.steps.tolist()]
+    shown_states = dict(zip(steps, values_of(paths.PHASE, "state", rows), strict=True))
+    assert shown_states[bounce.closing["moments.impact.step"]] == ["colliding"]
+    assert shown_states[following] == [as_recorded] == ["free"]
+    assert following in [step for found in rows_of(paths.DT_LIMIT, rows) for step in found.steps.tolist()]
+
+
 def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with_the_reason(
     bounce: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

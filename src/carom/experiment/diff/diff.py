@@ -95,8 +95,7 @@ def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve
     pairs = (Pair(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step)))
-    seen = np.where(curve.rms > curve.floor, curve.rms, np.nan)
-    series = {"rms": seen, "energy": np.abs(curve.energy)}
+    series = {"rms": np.where(curve.seen, curve.rms, np.nan), "energy": np.abs(curve.energy)}
     write_overlay(out, a, b, pairs, len(matched), series, text)
 
 

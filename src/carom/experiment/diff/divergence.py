@@ -36,6 +36,11 @@ class Curve:
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
 
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Which frames show a difference: other bits, and more than rounding explains, (k,)."""
+        return self.differs & (self.rms > self.floor)
+
 
 @dataclass(frozen=True, slots=True)
 class Divergence:
@@ -65,7 +70,7 @@ class Verdict:
 
 def divergence_of(curve: Curve) -> Divergence | None:
     """Fit the growing part of a curve: from the first visible difference to the largest below saturation."""
-    seen = np.flatnonzero((curve.rms > curve.floor) & np.isfinite(curve.rms))
+    seen = np.flatnonzero(curve.seen & np.isfinite(curve.rms))
     if len(seen) == 0:
         return None
     saturated = np.flatnonzero(curve.rms >= _SATURATED * curve.size)
@@ -92,9 +97,9 @@ def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI)
         return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
-    jump = float(curve.rms[first]) if curve.rms[first] > curve.floor[first] else 0.0
+    jump = float(curve.rms[first]) if curve.seen[first] else 0.0
     allowed = _allowed(curve, divergence, first)
-    how = _grows(divergence, units)
+    how = _grows(curve, divergence, units)
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
     seen = apart if jump else f"less than the {resolved} that the recording resolves"
     if first == 0:
@@ -110,7 +115,7 @@ def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI)
         )
     if divergence is None:
         largest = units.text(float(np.max(curve.rms[first:])), LENGTH, ".1e")
-        text = f"small: {seen} at {when}, at most {largest} later; {how}, so where it comes from cannot be told"
+        text = f"small: {seen} at {when}, at most {largest} later; {how}; its cause is therefore unknown"
         return Verdict("small", text, first, jump, allowed)
     kind = "chaos" if divergence.is_exponential else "drift"
     return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
@@ -131,9 +136,12 @@ def rate_text(rate: float, error: float, units: UnitSystem) -> str:
     return f"{units.shown(rate, RATE):.3g} ± {units.shown(error, RATE):.1g}{f' /{unit}' if unit else ''}"
 
 
-def _grows(divergence: Divergence | None, units: UnitSystem) -> str:
+def _grows(curve: Curve, divergence: Divergence | None, units: UnitSystem) -> str:
     if divergence is None:
-        return "it does not grow tenfold"
+        return (
+            f"no rate of growth: that takes {_POINTS} frames over which it grows tenfold, all below a tenth of the "
+            f"system's size ({units.text(_SATURATED * curve.size, LENGTH, '.2g')})"
+        )
     if divergence.is_exponential:
         return (
             f"it grows by e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, "

@@ -71,7 +71,7 @@ class FrameAlignment:
             if exact[0] is not None and exact[1] is not None:
                 return exact[0], self._near(exact[0], exact[1]), 0.0
         one, other = self._a.positions.drawn(self._a.step[i]), self._b.positions.drawn(self._b.step[j])
-        rounding = _SINGLE * min(_rms(one - self._a.origin), _rms(other - self._b.origin))
+        rounding = _rounding(one - self._a.origin) + _rounding(other - self._b.origin)
         if part < 1.0:
             earlier = self._near(other, self._b.positions.drawn(self._b.step[j - 1]))
             rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
@@ -156,6 +156,12 @@ class _Frames:
     def energy(self, frame: int) -> float:
         """Total energy in J; NaN where that piece of the recording is missing."""
         return float(self._energy.get(self.step[frame], np.nan))
+
+
+def _rounding(drawn: FloatArray) -> float:
+    """Bound the rms rounding of positions in single precision (m); 0 where one is no number."""
+    rms = _rms(drawn)
+    return 0.5 * _SINGLE * rms if np.isfinite(rms) else 0.0
 
 
 def _rms(vectors: FloatArray) -> float:

@@ -42,8 +42,7 @@ class Continuation:
         self.origin = recording.origin  # (3,) m
         self.clock = Clock(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
-        states = {paths.PHASE: recording.phases(), paths.DT_LIMIT: recording.dt_limits()}
-        self.last_state = {path: _last(table, step) for path, table in states.items()}
+        self.last_state = recording.states_at(step)
 
     @cached_property
     def impacts(self) -> RecordedImpacts:
@@ -85,8 +84,3 @@ def _closes(chunk: Chunk) -> pa.BooleanArray:
     texts = tables.flat(chunk, "TextLog:text", tables.EVENTS["TextLog:text"]).to_pylist()
     kinds = tables.optional_text(chunk, "kind").to_pylist()
     return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())
-
-
-def _last(table: pa.Table, step: int) -> str:
-    rows = np.flatnonzero(table[STEP].to_numpy() <= step)
-    return str(table["state"][int(rows[-1])]) if len(rows) else ""

@@ -81,6 +81,14 @@ class FrameTables(Statics):
         """Columns step, sim_time, state: a row where what limits dt changes."""
         return self._states(paths.DT_LIMIT)
 
+    def states_at(self, step: int) -> dict[str, str]:
+        """Return the states of `phases` and `dt_limits` after a step, by entity; empty before the first."""
+        found = {}
+        for path, table in ((paths.PHASE, self.phases()), (paths.DT_LIMIT, self.dt_limits())):
+            rows = np.flatnonzero(table[STEP].to_numpy() <= step)
+            found[path] = str(table["state"][int(rows[-1])]) if len(rows) else ""
+        return found
+
     @named
     def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
         """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""

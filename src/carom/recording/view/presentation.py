@@ -30,8 +30,8 @@ from carom.recording.view.request import Request
 from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.trails import Trails, has_trails
-from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.rows import Rows
+from carom.recording.write.encoder import BatchEncoder, state_rows
+from carom.recording.write.rows import Index, Rows
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
@@ -190,3 +190,15 @@ def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Ro
     for rows in encoder.rows(step.added):
         if rows.path not in _ONCE and len(rows.steps):
             yield rows
+    yield from _states_after(recording, step.added[-1].step)
+
+
+def _states_after(recording: Recording, step: int) -> Iterator[Rows]:
+    """Yield the recorded states at the first frame after a step; frames have rows of them only where they change."""
+    table = recording.fingerprints()
+    later = np.flatnonzero(table[STEP].to_numpy() > step)
+    if len(later):
+        row = int(later[0])
+        frame = Index(table[STEP].to_numpy()[row : row + 1], table["time"].to_numpy()[row : row + 1])
+        for path, state in recording.states_at(int(frame.steps[0])).items():
+            yield state_rows(path, frame, [state])

@@ -334,9 +334,7 @@ class BatchEncoder:
                 self._last_state[path] = state(frame)
                 changed.append(frame)
         if changed:
-            names = [state(frame) for frame in changed]
-            columns = list(rr.StateChange.columns(state=names))
-            yield frame_rows(path, Index.of(changed), columns, sum(map(len, names)))
+            yield state_rows(path, Index.of(changed), [state(frame) for frame in changed])
 
     def _momenta(self, index: Index, batch: Sequence[Frame]) -> Rows:
         linear = [np.nan if f.momentum_error is None else f.momentum_error for f in batch]
@@ -371,6 +369,11 @@ def _events(batch: Sequence[Frame]) -> Iterable[Rows]:
     events = [event for frame in batch for event in frame.events]
     if events:
         yield event_rows(events)
+
+
+def state_rows(path: str, index: Index, states: Sequence[str]) -> Rows:
+    """Return one row for each change of a state, such as the phase."""
+    return frame_rows(path, index, list(rr.StateChange.columns(state=states)), sum(map(len, states)))
 
 
 def event_rows(events: Sequence[Event]) -> Rows:
