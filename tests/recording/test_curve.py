@@ -49,7 +49,7 @@ def test_a_curve_is_flat_if_it_is_constant_between_its_ends(values: list[float],
 
 def test_a_curve_without_a_finite_value_is_zero() -> None:
     curve = Curve.of(np.arange(3.0), np.full(3, np.nan))
-    assert curve.is_zero
+    assert curve.largest == 0.0
     assert curve.range() == (np.inf, -np.inf)
 
 

@@ -71,6 +71,12 @@ def test_a_plot_without_a_legend_has_none_to_make_room_for() -> None:
     assert place.range == pytest.approx((0.0, 2.0))
 
 
+def test_a_curve_that_is_constant_but_for_rounding_is_shown_as_a_level_line() -> None:
+    energy = np.where(TIME < 5.0, 0.5, np.nextafter(0.5, 0.0))
+    place = place_legend([], [Curve.of(TIME, energy)], PLOT)
+    assert place.range == pytest.approx((0.0, 1.0))
+
+
 def test_the_axis_is_left_to_the_viewer_while_nothing_is_known() -> None:
     assert place_legend(["one", "two"], [], PLOT).range is None
 

@@ -11,6 +11,8 @@ import pytest
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, recorded
+from carom.recording.view.curve import Curve
+from carom.recording.view.plot_views import shown_series
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 
@@ -45,6 +47,15 @@ def test_the_curves_of_a_plot_have_different_colours() -> None:
         colours = [series.colour for series in SERIES if series.plot == plot]
         assert len(set(colours)) == len(colours), plot.title
         assert set(colours) <= set(LINES.values()), "others are not legible in both themes"
+
+
+def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() -> None:
+    header, time, losses = Merry(20).header, np.arange(3.0), PLOTS[1][0]
+    known = {series.path: Curve.of(time, np.zeros(3)) for series in recorded(header)}
+    known["energy/total"] = Curve.of(time, np.array([0.5, 0.5, 0.4]))
+    for size, shown in ((1e-16, []), (0.1, ["restitution"])):
+        known["energy/ledger/restitution"] = Curve.of(time, np.array([0.0, -size, size]))
+        assert [series.legend for series in shown_series(header, losses, known)] == shown
 
 
 def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:

@@ -54,9 +54,9 @@ class Curve:
             self._last, self._begun = later[-1:], True
 
     @property
-    def is_zero(self) -> bool:
-        """Whether all values are 0, or there are none."""
-        return not (np.any(self._low) or np.any(self._high))
+    def largest(self) -> float:
+        """The largest absolute value; 0 if there is none."""
+        return max(float(np.abs(self._low).max(initial=0.0)), float(np.abs(self._high).max(initial=0.0)))
 
     @property
     def is_flat(self) -> bool:

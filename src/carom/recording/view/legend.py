@@ -21,6 +21,7 @@ from carom.recording.view.curve import Curve
 _ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
 _LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
 _PAD = 0.05  # of the range of the values, left free above and below
+_FLAT = 1e-9  # of a value; a smaller range is rounding, and is not shown enlarged
 _LARGEST = 0.75  # of the plot's height; a larger legend would leave too little room for the curves
 
 
@@ -47,7 +48,8 @@ def place_legend(legends: Sequence[str], curves: Sequence[Curve], plot: Area) ->
     low, high = _union(curves)
     if not high >= low:
         return Place(rrb.Corner2D.LeftTop, None)
-    pad = _PAD * (high - low) or abs(high) or 1.0
+    size = max(abs(low), abs(high))
+    pad = _PAD * (high - low) if high - low > _FLAT * size else size or 1.0
     bottom, top = low - pad, high + pad
     if not legends:
         return Place(rrb.Corner2D.LeftTop, (bottom, top))

@@ -16,6 +16,7 @@ from carom.recording.view.legend import place_legend
 
 Curves = Mapping[str, Curve]  # by the paths of the series
 
+_ROUNDING = 1e-12  # of the largest energy; a curve of smaller ones shows rounding errors
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
 
 
@@ -27,7 +28,8 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     header
         Of the recording; it says which series there are.
     curves
-        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0 are left out.
+        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0, or at energies that
+        are rounding errors, are left out.
     row
         The area of all columns together.
     """
@@ -47,14 +49,22 @@ def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
-    """Return the series of a plot that are recorded and, if the curves are known, do not stay at 0."""
-    series = [series for series in recorded(header) if series.plot == plot]
-    return series if curves is None else [each for each in series if _speaks(each, curves)]
+    """Return the series of a plot that are recorded and, if the curves are known, show something."""
+    every = list(recorded(header))
+    series = [each for each in every if each.plot == plot]
+    if curves is None:
+        return series
+    energies = (curves[each.path].largest for each in every if each.unit == "J" and each.path in curves)
+    negligible = _ROUNDING * max(energies, default=0.0)
+    return [each for each in series if _speaks(each, curves, negligible)]
 
 
-def _speaks(series: Series, curves: Curves) -> bool:
+def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
+    """Tell whether a series shows something; ``negligible`` is an energy in J."""
     curve = curves.get(series.path)
-    return curve is not None and not curve.is_zero and not (series.flat_is_dull and curve.is_flat)
+    if curve is None or curve.largest <= (negligible if series.unit == "J" else 0.0):
+        return False
+    return not (series.flat_is_dull and curve.is_flat)
 
 
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
