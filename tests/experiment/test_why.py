@@ -249,3 +249,35 @@ def test_the_work_of_a_floor_is_what_friction_does(friction: float, tmp_path: Pa
     (cause,) = why(recording, Question((0,), None, 0.3, "")).accounts[0].causes
     speed = 7.0 - friction * 9.81 * 0.3
     assert cause.work == pytest.approx(0.5 * 2.0 * (speed**2 - 7.0**2), rel=1e-12, abs=1e-12)  # rounding of 49 J
+
+
+def test_a_ball_that_slips_until_it_rolls_loses_two_sevenths_of_its_energy_to_its_contact(tmp_path: Path) -> None:
+    scene = scene_of(
+        [{"position": [0, 0, 0.1], "velocity": [4, 0, 0], "radius": 0.1, "mass": 2.0}],
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0, 0, -9.81]},
+        contact={"restitution": 0.0, "static_friction": 0.3, "kinetic_friction": 0.2},
+        time={"duration": 1.0, "fixed_dt": 0.001},
+    )
+    (cause,) = why(recorded(scene, tmp_path), Question((0,), None, 1.0, "")).accounts[0].causes
+    assert cause.kind == "contact"
+    assert cause.energy_lost == pytest.approx(2.0 * 4.0**2 / 7.0, rel=1e-9)  # rounding of 1000 steps
+
+
+def test_only_what_the_recording_lists_as_an_impact_is_called_one(tmp_path: Path) -> None:
+    bodies = [
+        {"position": [0, 0, 0.2], "radius": 0.2, "mass": 5.0},
+        {"position": [0, 0, 0.8], "radius": 0.1, "mass": 1.0},
+    ]
+    scene = scene_of(
+        bodies,
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0, 0, -9.81]},
+        contact={"restitution": 0.3},
+        time={"duration": 1.0},
+    )
+    recording = recorded(scene, tmp_path)
+    causes = why(recording, Question((0,), None, 1.0, ""), start=0.0).accounts[0].causes
+    kinds = [cause.kind for cause in causes]
+    assert kinds.count("impact") == len(recording.impacts(body=0)) > 0
+    assert "stop" in kinds, "the last bounces are below the rest speed"

@@ -163,7 +163,7 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
             {
                 "with": cause.partner,
                 "name": names.of(cause.partner),
-                "kind": "contact" if cause.holds else "impact",
+                "kind": cause.kind,
                 "first": cause.first,
                 "last": cause.last,
                 "step": cause.step,
@@ -227,10 +227,9 @@ def _speed(velocity: FloatArray, units: UnitSystem) -> str:
 
 
 def _contacts_text(account: Account) -> str:
-    impacts = sum(not cause.holds for cause in account.causes)
-    contacts = len(account.causes) - impacts
-    counts = [f"{n} {what}{'' if n == 1 else 's'}" for n, what in ((impacts, "impact"), (contacts, "contact")) if n]
-    return f"{' and '.join(counts)} gave it"
+    kinds = [cause.kind for cause in account.causes]
+    counts = [counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds]
+    return f"{', '.join(counts)} gave it"
 
 
 def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
@@ -248,9 +247,9 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     for column in (*(units.labelled(*each) for each in measured), "of the speed"):
         table.add_column(column, justify="right", no_wrap=True)
     for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_CAUSES]:
-        lost = "" if cause.energy_lost is None else f"{units.shown(cause.energy_lost, ENERGY):.4g}"
         impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
-        numbers = (f"{impulse:.4g}", f"{work:+.4g}", lost, f"{cause.share:.1%}")
+        lost = units.shown(cause.energy_lost, ENERGY)
+        numbers = (f"{impulse:.4g}", f"{work:+.4g}", f"{lost:.4g}", f"{cause.share:.1%}")
         time = f"{units.shown(cause.moment, TIME):.9g}"
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     print_whole(table)
@@ -275,7 +274,7 @@ def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
 
 def _kind(cause: Cause, units: UnitSystem) -> str:
     if not cause.holds:
-        return "impact"
+        return cause.kind
     return f"contact for {units.text(cause.last - cause.first, TIME, '.3g')}"
 
 

@@ -15,7 +15,10 @@ Rows = NDArray[np.void]
 
 @dataclass(slots=True)
 class Cause:
-    """An impact, or a contact that held for some steps in a row."""
+    """An impact, a stop, or a contact that held for some steps in a row.
+
+    A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
+    """
 
     partner: int  # the other end; from n on planes and walls
     holds: bool  # whether it is a contact at rest
@@ -24,12 +27,19 @@ class Cause:
     step: int  # the last one
     impulse: FloatArray  # (3,) N s, on the body
     size: float  # N s, Σ |J|
-    work: float  # J, on the body
+    work: float  # J, on the motion of the body's centre
     moment: float  # s, to look at: of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
-    energy_lost: float | None = None  # J, of an impact
+    energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction
     share: float = 0.0  # of the velocity; those of an account, with its start and the forces, sum to 1
+
+    @property
+    def kind(self) -> str:
+        """What it was: "impact", "stop" or "contact"."""
+        if self.holds:
+            return "contact"
+        return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, gap: int) -> bool:
         """Whether an earlier contact with the same partner is a part of this one, `gap` steps before."""
@@ -40,6 +50,7 @@ class Cause:
         self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
         self.size, self.work = self.size + earlier.size, self.work + earlier.work
         self.share += earlier.share
+        self.energy_lost += earlier.energy_lost
         if earlier.hardest > self.hardest:
             self.hardest, self.moment = earlier.hardest, earlier.moment
 
@@ -63,6 +74,7 @@ class Account:
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
+    _lost: dict[int, float] = field(default_factory=dict)  # J, by partner, in the step, without impacts
 
     @classmethod
     def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
@@ -96,6 +108,8 @@ class Account:
         impacts
             (k,) `CONTACT_ROW`, of this step.
         """
+        is_whole = len(rows) == len(impulses_on(self.body, step.impulses))
+        self._lost = self._lost_at_rest(step.contacts, impacts) if is_whole else {}
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         now = self._velocity_after(step, rows, first + last if late else first)
@@ -116,6 +130,18 @@ class Account:
         if change > 0.0:
             self.forces_share += self.start_share * change / (change + had)
             self.start_share *= had / (change + had)
+
+    def _lost_at_rest(self, contacts: Rows, impacts: Rows) -> dict[int, float]:
+        """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
+        lost: dict[int, float] = {}
+        for rows, sign in ((contacts, 1.0), (impacts, -1.0)):
+            for row in impulses_on(self.body, rows):
+                lost[self._other(row)] = lost.get(self._other(row), 0.0) + sign * _loss(row)
+        return lost
+
+    def _other(self, row: np.void) -> int:
+        """Return the other end of a contact."""
+        return int(row["i"]) if row["j"] == self.body else int(row["j"])
 
     def _undo(self, rows: Rows, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
         """Undo impulses that act together; return the velocity before them.
@@ -149,9 +175,13 @@ class Account:
         return now
 
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:
-        partner = int(row["i"]) if row["j"] == self.body else int(row["j"])
+        partner = self._other(row)
         time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
+        if not holds:
+            self._find_impact(cause, impacts)
+        if cause.kind != "impact":  # the last part of the step has all that was lost in it
+            cause.energy_lost = self._lost.pop(partner, 0.0)
         known = self._held.get(partner)
         if holds and known is not None and known[0].takes(cause, known[1] - step):
             known[0].join(cause)
@@ -159,14 +189,20 @@ class Account:
             return
         if holds:
             self._held[partner] = cause, step
-        else:
-            low, high = min(self.body, partner), max(self.body, partner)
-            own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
-            if len(own):  # a pair may meet several times at one moment
-                met = own[int(np.argmin(np.abs(_sizes(own) - size)))]
-                cause.approach_speed = float(met["approach_speed"])
-                cause.energy_lost = float(met["restitution_loss"] + met["friction_loss"])
         self.causes.append(cause)
+
+    def _find_impact(self, cause: Cause, impacts: Rows) -> None:
+        """Add what is known of a cause if it was an impact."""
+        low, high = min(self.body, cause.partner), max(self.body, cause.partner)
+        own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
+        if len(own):  # a pair may meet several times at one moment
+            met = own[int(np.argmin(np.abs(_sizes(own) - cause.size)))]
+            cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
+
+
+def _loss(row: np.void) -> float:
+    """Return the energy that a contact took out, in J."""
+    return float(row["restitution_loss"] + row["friction_loss"])
 
 
 def _sizes(impacts: Rows) -> FloatArray:

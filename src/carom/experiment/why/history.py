@@ -49,6 +49,7 @@ class Step:
     after: FloatArray  # (n, 3) m/s, and at its end
     impulses: Rows  # (k,) `IMPULSE`, in order
     kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies asked about
+    contacts: Rows  # (m,) `CONTACT_ROW`, the contacts of these bodies
 
 
 @dataclass(slots=True)
@@ -85,7 +86,8 @@ class History:
                 kicks = [kick[list(bodies)] for kick in space.kicks()]
                 touching = frame.contact_rows if frame.contact_rows is not None else history.impacts
                 rows = _impulses(space, touching)
-                history.steps.append(Step(frame.step, frame.time, began, before, frame.velocity, rows, kicks))
+                own = touching[np.isin(touching["i"], bodies) | np.isin(touching["j"], bodies)]
+                history.steps.append(Step(frame.step, frame.time, began, before, frame.velocity, rows, kicks, own))
                 if frame.impacts is not None and len(frame.impacts):
                     found.append(frame.impacts)
                 before, began = frame.velocity, frame.time
