@@ -79,7 +79,7 @@ def test_the_first_impact_that_differs_is_said_and_by_how_much(tmp_path: Path) -
         (["run.rrd", "nothing.rrd"], "no recording at nothing.rrd"),
         (["taken.rrd", "run.rrd"], "taken.rrd is not a recording"),
         (["run.rrd", "run.rrd", "-o", "taken.rrd"], "exists; give --force"),
-        (["run.rrd", "run.rrd", "-o", "run.rrd", "--force"], "is one of the two recordings"),
+        (["run.rrd", "run.rrd", "-o", "run.rrd", "--force"], "is the recording itself"),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(

@@ -9,6 +9,7 @@ import pytest
 
 from carom.scene.schema import Scene
 from command import carom
+from examples import cloud
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
 SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")
@@ -114,3 +115,16 @@ def test_where_none_keeps_the_limit_it_says_so_and_which_is_nearest(tmp_path: Pa
 def test_a_limit_that_is_none_is_one_message(limit: str, said: str, tmp_path: Path) -> None:
     done = carom("tune", "figure-eight", "--error", limit, cwd=tmp_path)
     assert done.returncode == 2 and said in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("tool", [("tune", "--error", "energy=1"), ("shrink", "--while", "contacts.impacts > 0")])
+@pytest.mark.parametrize(
+    ("output", "said"), [("mine.toml", "is the scene or recording itself"), ("x.rrd", "a scene is a .toml")]
+)
+def test_a_scene_made_of_another_replaces_neither_it_nor_a_recording(
+    tool: tuple[str, ...], output: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.toml").write_text(scene := cloud(3).toml)
+    done = carom(tool[0], "mine.toml", *tool[1:], "-o", output, "--force", cwd=tmp_path)
+    assert done.returncode == 2 and said in done.stderr
+    assert [path.read_text() for path in tmp_path.iterdir()] == [scene]

@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 
 import carom
 from carom.experiment.estimate import MARKS, Estimate, estimate, flight_seconds
-from carom.experiment.outlook import look_ahead
+from carom.experiment.outlook import estimate_steps
 from carom.experiment.run import header_of, recording_space, run
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
@@ -136,6 +136,13 @@ def test_the_cost_leaves_out_what_the_first_step_loads(monkeypatch: pytest.Monke
     assert shares["adaptive-step"] is not None and shares["adaptive-step"] < 0.8  # 0.9 with the wait
 
 
+def test_no_fewer_steps_are_foreseen_than_the_longest_step_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.experiment.outlook.LOOK_SECONDS", 0.1)
+    million_years = 3.15576e13
+    scene = cloud(10, gravity={"constant": 1e-9}, time={"duration": million_years, "max_dt": 1.0})
+    assert estimate_steps(scene, 1e-5).fewest >= 0.999 * million_years
+
+
 def test_a_bundled_scene_that_is_forced_says_so() -> None:
     scene = Scene.load("elastic-gas", ["model.force=friction"])
     costs = {part.name: part for part in estimate(scene).parts}
@@ -146,10 +153,10 @@ def test_a_bundled_scene_that_is_forced_says_so() -> None:
 def test_steps_where_nothing_touches_cost_what_they_do_in_a_run_that_takes_many_in_one_call() -> None:
     short = {"duration": 0.2, "max_dt": 1e-4}
     apart = scene_of([{}, {"position": [9, 0, 0]}], gravity={"constant": 0.0}, time=short)
-    found = look_ahead(apart, 1.0, flight_seconds=1e-12)
+    found = estimate_steps(apart, 1.0, flight_seconds=1e-12)
     assert found.seconds <= 1e-12 * found.steps * (1.0 + 1e-9)
     lying = scene_of([{"position": [0, 0, 1]}], plane=[{}], gravity=FALLING, **SHORT)
-    found = look_ahead(lying, 1.0, flight_seconds=1e-12)
+    found = estimate_steps(lying, 1.0, flight_seconds=1e-12)
     assert found.seconds > 1e-9 * found.steps, "a contact ends such a call"
 
 
@@ -218,7 +225,7 @@ def test_the_steps_of_a_bundled_scene_are_foreseen_to_a_factor_of_two(name: str)
     space = Space(scene)
     for _ in space.run():
         pass
-    found = look_ahead(scene, 1e-5)
+    found = estimate_steps(scene, 1e-5)
     assert found.fewest <= space.step <= found.most
     assert 0.5 < found.steps / space.step < 2.0
 
@@ -229,5 +236,5 @@ def test_the_steps_of_a_bundled_scene_are_foreseen_to_a_factor_of_two(name: str)
     [("rubble-collision", 1239), ("planet-with-gravel", 1955), ("marbles-in-a-box", 4039), ("cloud-collapse", 2125)],
 )
 def test_the_steps_of_a_large_bundled_scene_are_foreseen_to_a_factor_of_two(name: str, steps: int) -> None:
-    found = look_ahead(Scene.load(name), 1e-2)
+    found = estimate_steps(Scene.load(name), 1e-2)
     assert 0.5 < found.steps / steps < 2.0

@@ -14,10 +14,11 @@ import pyarrow as pa
 import pytest
 
 import carom
-from carom.experiment.resume import resumable_run, resume
+from carom.experiment.resume import claimed_target, resumable_run, resume
 from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.plan.auto import integrator
+from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -151,6 +152,20 @@ def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Pa
         resumable_run(recording)
     with pytest.raises(RecordingError, match="`carom clip` makes it shorter"):
         resumable_run(recording, until=0.2)
+
+
+def test_a_clip_of_some_bodies_cannot_be_resumed(tmp_path: Path) -> None:
+    whole = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+    clip(whole.path, tmp_path / "few.rrd", 0.0, 0.2, bodies=[0, 1])
+    with pytest.raises(RecordingError, match="does not show all bodies"):
+        resumable_run(Recording.open(tmp_path / "few.rrd"), until=0.4)
+
+
+def test_a_resumed_run_is_written_into_an_rrd_only(tmp_path: Path) -> None:
+    whole = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+    refused = pytest.raises(RecordingError, match=r"a recording is an \.rrd")
+    with refused, claimed_target(whole.path, tmp_path / "x.txt", False):
+        pass
 
 
 def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repaired(tmp_path: Path) -> None:

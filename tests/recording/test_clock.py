@@ -22,6 +22,13 @@ def test_picoseconds_are_told_apart() -> None:
     assert len(np.unique(shown)) == 1000
 
 
+@pytest.mark.parametrize("step", [1e-12, 0.9e-6])
+def test_impacts_within_a_short_step_have_times_of_six_digits(step: float) -> None:
+    clock = Clock.fitting(1e4 * step, step)
+    times = step * np.linspace(1.0, 2.0, 1001)
+    np.testing.assert_allclose(clock.nanoseconds(times) * 1e-9 * clock.scale, times, atol=1e-6 * step, rtol=0.0)
+
+
 def test_a_long_duration_counts_for_more_than_a_short_step() -> None:
     assert Clock.fitting(1e5, 1e-12).nanoseconds([1e5])[0] < 2**63
     assert Clock.fitting(1e12, 1e-12).scale > 1

@@ -62,6 +62,22 @@ def test_a_file_without_its_footer_gets_one_and_loses_nothing(run_file: Path, re
     assert len(fixed.layout()) == len(whole.layout()) > 0
 
 
+@pytest.mark.parametrize("cut", [1, 31, 32, 500])
+def test_a_file_that_lost_a_part_of_its_footer_loses_nothing_else(cut: int, run_file: Path, tmp_path: Path) -> None:
+    os.truncate(run_file, run_file.stat().st_size - cut)
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert (done.frames, done.lost, done.added) == (100, [], ["footer"])
+
+
+@pytest.mark.parametrize("count", [1, 700])
+def test_of_a_file_with_bytes_after_its_end_only_these_are_lost(count: int, run_file: Path, tmp_path: Path) -> None:
+    run_file.write_bytes(run_file.read_bytes() + os.urandom(count))
+    done = repair(run_file, tmp_path / "fixed.rrd")
+    assert done.frames == 100
+    (lost,) = done.lost
+    assert lost.startswith(f"the last {count} byte") and lost.endswith("(bytes after its end)")
+
+
 @pytest.mark.parametrize("part", [0.3, 0.6, 0.9])
 def test_a_file_torn_inside_a_message_keeps_everything_before(
     part: float, run_file: Path, recorded: Path, tmp_path: Path

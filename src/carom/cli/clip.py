@@ -54,7 +54,7 @@ def clip(
     from dataclasses import asdict
 
     from carom.cli.units import bytes_text
-    from carom.experiment.output import refuse_output
+    from carom.experiment.output import refuse_itself, refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
@@ -66,7 +66,7 @@ def clip(
         recording = Recording.open(source)
         units, names = recording.units, recording.bodies.name
         interval = _interval(*(simulated_or_none(time, units) for time in (start, end, around, window)))
-        _refuse_itself(file, path)
+        refuse_itself(path, file)
         refuse_output(path, force)
         made = cut(source, path, *interval, bodies=_numbers(source, bodies))
     if as_json:
@@ -113,10 +113,3 @@ def _numbers(file: Path, bodies: str | None) -> list[int] | None:
         return None
     recording = Recording.open(file)
     return [body_number(recording, part) for part in split_at_commas(bodies, recording.bodies.name)]
-
-
-def _refuse_itself(file: Path, path: Path) -> None:
-    from carom.recording.errors import RecordingError
-
-    if path.exists() and file.exists() and path.samefile(file):
-        raise RecordingError(f"{path} is the recording itself; choose another file with -o")

@@ -42,14 +42,13 @@ def diff(
     """
     from carom.experiment.diff.diff import diff as compare
     from carom.experiment.diff.diff import overlay
-    from carom.experiment.output import refuse_output
-    from carom.recording.errors import RecordingError
+    from carom.experiment.output import refuse_itself, refuse_output
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
     if output is not None:
-        if any(output.exists() and path.exists() and output.samefile(path) for path in (a, b)):
-            raise RecordingError(f"{output} is one of the two recordings; choose another file with -o")
+        for path in (a, b):
+            refuse_itself(output, path)
         refuse_output(output, force)
     recordings = Recording.open(a), Recording.open(b)
     found = compare(*recordings)

@@ -81,9 +81,8 @@ def fork(
     """
     from carom.experiment.error import ExperimentError
     from carom.experiment.fork.branch import Branch, start_of
-    from carom.experiment.output import refuse_output
+    from carom.experiment.output import refuse_itself, refuse_output
     from carom.recording.edit.bundle import opened
-    from carom.recording.errors import RecordingError
     from carom.recording.read.recording import Recording
 
     ulps = _ulps(perturb)
@@ -100,8 +99,7 @@ def fork(
     target = output or file.with_name(f"{file.stem}-fork.rrd")
     refuse_output(target, force)
     with opened(file) as path:
-        if target.exists() and target.samefile(path):
-            raise RecordingError(f"{target} is the recording itself; choose another file with -o")
+        refuse_itself(target, path)
         branch = Branch(path, simulated(at, Recording.open(path).units), tuple(overrides or ()))
         start = start_of(branch)
         if seeds == 1:

@@ -89,7 +89,7 @@ def shrink(
     """
     from dataclasses import asdict
 
-    from carom.experiment.output import refuse_output
+    from carom.experiment.output import refuse_scene_output
     from carom.experiment.shrink.condition import condition_from
     from carom.experiment.shrink.result import earlier, key_of
     from carom.experiment.shrink.source import source_of
@@ -99,6 +99,7 @@ def shrink(
         raise typer.BadParameter("give one of --while and --while-command", param_hint="--while-command")
     asked = condition_from(condition) if while_command is None else CommandShows(while_command)
     path = output or Path(f"{Path(source).stem}-small.toml")
+    refuse_scene_output(path, source, force=True)
     given = source_of(source, list(overrides or []))
     key = key_of(given.scene.toml, asked.text)
     known = None if force else earlier(path, key)
@@ -114,7 +115,7 @@ def shrink(
     if known:
         given, reducer.before = source_of(str(path), []), known.before
     else:
-        refuse_output(path, force)
+        refuse_scene_output(path, source, force)
     result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}

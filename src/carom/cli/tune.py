@@ -61,12 +61,12 @@ def tune(
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """
-    from carom.experiment.output import refuse_output
+    from carom.experiment.output import refuse_scene_output
     from carom.experiment.work_precision.tune import limits, stopped, tuned, write
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
-    refuse_output(path, force)
+    refuse_scene_output(path, scene, force)
     study, settings = opened(scene, vary, folder, overrides, threads, new_study, limit, ADVICE)
     found: list[Tuning] = []
     finished = ran(lambda tell: found.append(tuned(study, asked, repeats, tell, settings)), quiet=as_json)

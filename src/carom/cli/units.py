@@ -24,6 +24,8 @@ def simulated_text(seconds: float, units: UnitSystem) -> str:
 def count_text(count: int) -> str:
     """Write an estimated number in three digits."""
     about = float(f"{count:.3g}")
+    if about >= 1e9:
+        return f"{about:.3g}"
     return f"{about / 1e6:.3g} million" if about >= 1e6 else f"{about:.0f}"
 
 

@@ -61,18 +61,16 @@ def why(
     made.
     """
     from carom.cli.replaying import replaying
-    from carom.experiment.output import refuse_output
+    from carom.experiment.output import refuse_itself, refuse_output
     from carom.experiment.why.picture import write_answer
     from carom.experiment.why.question import question_of
     from carom.experiment.why.why import why as answer_to
     from carom.recording.edit.bundle import opened
-    from carom.recording.errors import RecordingError
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
     if output is not None:
-        if output.exists() and file.exists() and output.samefile(file):
-            raise RecordingError(f"{output} is the recording itself; choose another file with -o")
+        refuse_itself(output, file)
         refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.experiment.outlook import look_ahead
+from carom.experiment.outlook import estimate_steps
 from carom.experiment.run import header_of, recording_space
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
@@ -121,7 +121,7 @@ def estimate(scene: Scene) -> Estimate:
     scene = space.scene  # with the step that its accuracy takes
     flight = flight_seconds(space)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
-    outlook = look_ahead(scene, each, flight)
+    outlook = estimate_steps(scene, each, flight)
     steps = outlook.steps
     interval = frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
+from carom.plan.auto import integrator
+from carom.plan.step_limits import step_limits
 from carom.scene.schema import Scene
 
 STRIDES = 8.0, 64.0  # times the steps of the scene; the longer if the shorter would take too long
@@ -29,7 +31,7 @@ class Outlook:
     limits: dict[str, float]  # share of the steps that each limit sets, the largest first
 
 
-def look_ahead(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
+def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
     """Estimate the steps of a run.
 
     Parameters
@@ -82,6 +84,8 @@ def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: floa
     half, lately = rates[len(rates) // 2 :], rates[-max(1, len(rates) // 4) :]
     steps = counted + rest * sum(lately) / len(lately)
     fewest, most = (counted + rest * min(half)) / LIKELY, (counted + rest * max(half)) * LIKELY
+    if not integrator(scene).controls_error:
+        fewest = max(fewest, min(steps, duration / step_limits(scene).max_dt))
     shares = {limit: count / total for limit, count in space.foreseen.items()}
     return Outlook(
         steps=_whole(steps),

@@ -40,6 +40,32 @@ def refuse_name(path: Path) -> None:
     raise RecordingError(f"cannot write {_short(path)}: a recording is an .rrd")
 
 
+def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
+    """Refuse to replace what an output is made from, even where files may be replaced.
+
+    Raises
+    ------
+    RecordingError
+        If both are one file; ``what`` it is.
+    """
+    if path.exists() and source.exists() and path.samefile(source):
+        raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
+
+
+def refuse_scene_output(path: Path, source: str, force: bool) -> None:
+    """Refuse an unsuitable path of a scene that is made from another.
+
+    Raises
+    ------
+    RecordingError
+        Naming the path and what would be right.
+    """
+    if path.suffix != ".toml" and not path.is_dir():
+        raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml")
+    refuse_itself(path, Path(source), "scene or recording")
+    refuse_output(path, force)
+
+
 def refuse_output(path: Path, force: bool) -> None:
     """Refuse an unsuitable path before anything is computed for it.
 

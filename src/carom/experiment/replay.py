@@ -14,12 +14,11 @@ import numpy as np
 from carom.experiment.environment import versions
 from carom.experiment.frame_check import FrameCheck
 from carom.experiment.mismatch import Mismatch, Value
-from carom.experiment.output import claimed_output, refuse_output
+from carom.experiment.output import claimed_output, refuse_itself, refuse_output
 from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header
@@ -132,8 +131,7 @@ def replay(
     """
     if dense is not None:
         refuse_output(dense, force)
-        if dense.resolve() == recording.path.resolve():
-            raise RecordingError(f"{dense}: is the recording itself; name another file with -o")
+        refuse_itself(dense, recording.path)
     recording.require_frames()
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from carom.experiment.continued_scene import continued_scene
 from carom.experiment.environment import environment
-from carom.experiment.output import claimed_output, refuse_output
+from carom.experiment.output import claimed_output, refuse_name, refuse_output
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
@@ -58,6 +58,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     SceneError, RecordingError
         If there is nothing to do, or no checkpoint to resume from.
     """
+    recording.refuse_some_bodies()
     scene, path = recorded_scene(recording), recording.path
     cut = scene.time.duration
     recording.require_frames()
@@ -97,6 +98,8 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     RecordingError
         If a file is in the way, or another process writes it.
     """
+    if output is not None:
+        refuse_name(output)
     in_place = output is None or output.resolve() == source.resolve()
     target = source if output is None else output
     if under_way(target).resolve() == source.resolve():

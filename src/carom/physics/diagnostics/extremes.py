@@ -91,10 +91,11 @@ class Extremes:
         """Return the extremes of contacts and energy as events, in order of time."""
         known = self.named(names)
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
+        deepest = 0.0 if overlap is None else 100.0 * overlap.value
         approach = "" if known.impact is None else units.text(known.impact.value, ENERGY, ".4g")
         wordings = (
             (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
-            (overlap, "Deepest overlap of the run, {value:.3%} of the smaller radius"),
+            (overlap, f"Deepest overlap of the run, {deepest:.3g}% of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
             (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
         )

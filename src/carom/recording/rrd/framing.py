@@ -114,6 +114,12 @@ def read_footer(file: BinaryIO) -> bytes | None:
     return body
 
 
+def is_footer(file: BinaryIO, at: int) -> bool:
+    """Tell whether a stream footer begins at an offset."""
+    file.seek(at)
+    return file.read(STREAM_FOOTER)[20:28] == _FOOTER_MAGIC
+
+
 class MessageSplitter:
     """Cuts a stream of bytes, fed in pieces of any size, into whole messages.
 

@@ -10,7 +10,7 @@ from typing import BinaryIO
 from carom.recording.errors import DamageError, TornFooterError
 from carom.recording.rrd import framing
 from carom.recording.rrd.arrow_stream import LARGEST
-from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_HEADER, Message
+from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_FOOTER, STREAM_HEADER, Message
 from carom.recording.rrd.index import Container, Index
 from carom.recording.rrd.messages import RECORDING, Entry, Store, read_body
 
@@ -107,8 +107,15 @@ class _Pass:
                 continue
             at = message.end
             if message.kind == END:
+                self._end(at)
                 break
         self._found.stores = self._index.stores()
+
+    def _end(self, at: int) -> None:
+        """Count what follows the footer, which begins at an offset, as lost."""
+        more = self._size - (at + STREAM_FOOTER)
+        if more > 0:
+            self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))
 
     def _message(self, at: int) -> Message:
         """Decode and index the message at an offset. Raises DamageError if there is none."""
@@ -118,7 +125,7 @@ class _Pass:
 
     def _body(self, message: Message) -> bytes:
         if message.kind == END:
-            if self._size - message.end != framing.STREAM_FOOTER:
+            if self._size - message.end >= STREAM_FOOTER and not framing.is_footer(self._file, message.end):
                 raise DamageError("an end in the middle")
             return b""
         if message.length > LARGEST:

@@ -14,8 +14,8 @@ from carom.recording.errors import RecordingError
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
-_COARSEST = 1.0e-7  # s; a step shorter than 100 ns would be rounded by more than half a per cent
-_FINE = 1.0e-6  # s, length of the shortest step after scaling, if it needs scaling
+_COARSEST = 1.0e-6  # s; in a shorter step, impacts would have times of less than three digits
+_FINE = 1.0e-3  # s, length of the shortest step after scaling, if it needs scaling: times in it have six digits
 
 
 @dataclass(frozen=True, slots=True)

@@ -114,13 +114,15 @@ class DurableSink:
                     self._write_whole(self._piece[:size])
 
     def _write_whole(self, piece: memoryview) -> None:
-        """Write the messages that a piece completes."""
+        """Write the messages that a piece completes; keep any error, since the pipe must be drained after it, too."""
         try:
             self._add(piece)
             while self._splitter.pass_on(self._write):
                 pass
         except MemoryError:
             self.error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+        except Exception as error:
+            self.error = OSError(errno.EIO, f"{type(error).__name__}: {error}")
 
     def _add(self, piece: memoryview) -> None:
         """Add a piece to those that wait; without memory for it, once more with that kept for it."""
@@ -144,7 +146,8 @@ class DurableSink:
                     self._use_reserve()
                     continue
                 os.ftruncate(self._file, self.written)  # the file ends with a whole message
-                self.error = error
+                # without the traceback, whose frame keeps `rest` and with it the splitter's memory
+                self.error = error.with_traceback(None)
                 return
         self.written += len(message)
         self.messages += 1

@@ -1,0 +1,39 @@
+"""The sink writes whole messages, and drains its pipe whatever happens to the file."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_HEADER
+
+LIMITED = """
+import os, resource, sys
+from pathlib import Path
+from carom.recording.write.durable_sink import DurableSink
+stream, size = Path(sys.argv[1]).read_bytes(), int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+sink = DurableSink(Path(sys.argv[3]), 0)
+with open(sink.entry, "wb") as entry:
+    sink.opened()
+    entry.write(stream)
+sink.close()
+print(sink.error.strerror)
+"""
+
+
+@pytest.mark.parametrize("limit", [5_000, 1_500_000])
+def test_after_a_write_that_failed_the_rest_of_the_pipe_is_drained(run_file: Path, tmp_path: Path, limit: int) -> None:
+    content, entry = run_file.read_bytes(), Recording.open(run_file).store.entries[-1]
+    message = content[entry.offset - MESSAGE_HEADER : entry.offset + entry.length]
+    stream = tmp_path / "stream"
+    stream.write_bytes(content[:STREAM_HEADER] + message * (5_000_000 // len(message)))  # the pipe holds 1 MB
+    command = [sys.executable, "-c", LIMITED, str(stream), str(limit), str(tmp_path / "x.rrd")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "File too large\n", "")
+    size = (tmp_path / "x.rrd").stat().st_size
+    assert size <= limit and (size - STREAM_HEADER) % len(message) == 0, "whole messages"
