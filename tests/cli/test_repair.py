@@ -41,6 +41,21 @@ def test_in_place_keeps_the_torn_file_beside_it(run_file: Path, tmp_path: Path) 
     assert {path.name for path in tmp_path.iterdir()} == {"run.rrd", "run.rrd.torn"}
 
 
+def test_in_place_leaves_an_earlier_repair_alone_and_replaces_an_earlier_torn_file_by_force_only(
+    run_file: Path, tmp_path: Path
+) -> None:
+    torn = tear(run_file)
+    (tmp_path / "run-repaired.rrd").write_bytes(b"an earlier repair")
+    (tmp_path / "run.rrd.torn").write_bytes(b"an earlier torn file")
+    done = carom("repair", "run.rrd", "--in-place", cwd=tmp_path)
+    assert done.returncode == 2 and "move it away, or give --force to replace it" in " ".join(done.stderr.split())
+    assert run_file.read_bytes() == torn
+    assert carom("repair", "run.rrd", "--in-place", "--force", cwd=tmp_path).returncode == 0
+    assert Recording.open(run_file).finished and (tmp_path / "run.rrd.torn").read_bytes() == torn
+    assert (tmp_path / "run-repaired.rrd").read_bytes() == b"an earlier repair"
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path: Path) -> None:
     before = tear(run_file)
     with Claim(run_file):

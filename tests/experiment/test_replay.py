@@ -80,7 +80,7 @@ def test_a_recording_with_drag_keeps_its_losses_and_replays_from_any_checkpoint(
 def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
     sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
     whole = carom.run(cloud(), tmp_path / "whole.rrd")
-    result = replay(sparse, 1.0, 2.0, dense=tmp_path / "dense.rrd")
+    result = replay(sparse, 1.0, 2.2, dense=tmp_path / "dense.rrd")  # between two recorded frames
     dense = Recording.open(tmp_path / "dense.rrd")
     assert result.same and result.dense == dense.path
     rows = zip(*(whole.fingerprints()[name].to_pylist() for name in ("step", "fingerprint")), strict=True)
@@ -89,7 +89,9 @@ def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
     assert steps == list(range(steps[0], steps[-1] + 1)), "every step"
     assert dense.fingerprints()["fingerprint"].to_pylist() == [expected[step] for step in steps]
     times = dense.fingerprints()["time"].to_pylist()
-    assert min(times) < 1.0 + 0.02 and 2.0 - 0.25 < max(times) <= 2.0
+    assert min(times) < 1.0 + 0.02 and 2.2 - 0.02 < max(times) <= 2.2, "no step is longer than 0.02 s"
+    summary = dense.summary()
+    assert (summary["first_step"], summary["begin"]) == (steps[0], times[0])
 
 
 def test_a_dense_recording_of_a_window_replays(tmp_path: Path) -> None:

@@ -395,6 +395,11 @@ def test_values_of_a_sweep_have_units() -> None:
         values_of("1 km:5 m:3")
 
 
+def test_vectors_and_quoted_texts_with_commas_are_one_value_each() -> None:
+    assert texts_of("[0, 0, -1],[0, 0, -2]") == ["[0, 0, -1]", "[0, 0, -2]"]
+    assert texts_of("'a, b'") == ["'a, b'"]
+
+
 def test_a_scene_without_units_imports_no_library_of_units() -> None:
     program = (
         "import sys; from carom.scene.schema import Scene; Scene.load('cloud-collapse'); "

@@ -163,20 +163,17 @@ def _names(recording: Recording) -> Any:
 
 
 def _write(table: pa.Table, path: Path) -> None:
-    """Write a file under a temporary name, and rename it."""
     import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
     from carom.recording.errors import RecordingError
+    from carom.recording.write.whole_file import whole_file
 
-    part = path.with_name(f".{path.name}.part")
     try:
-        (pc.write_csv if path.suffix == ".csv" else pq.write_table)(table, part)
-        part.replace(path)
+        with whole_file(path) as part:
+            (pc.write_csv if path.suffix == ".csv" else pq.write_table)(table, part)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
     say(f"{path} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
 
 

@@ -89,8 +89,9 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"
         yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
     yield "outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else "")
-    steps = f"steps {clip['first_step']} to {summary['steps']}" if clip else counted(summary["steps"], "step")
-    length = summary["sim_time"] - (clip["from"] if clip else 0.0)
+    first, last = summary["first_step"], summary["steps"]
+    steps = counted(last, "step") if first == 0 and not clip else f"steps {first} to {last}"
+    length = summary["sim_time"] - summary["begin"]
     yield "length", f"{counted(summary['frames'], 'frame')}, {steps}, {units.text(length, TIME)} simulated"
 
 

@@ -31,13 +31,15 @@ def repair(
     from carom.experiment.output import refuse_output
     from carom.recording.edit.repair import repair as mend
     from carom.recording.edit.repair import units_of
+    from carom.recording.errors import RecordingError
     from carom.recording.read.recording import Recording
     from carom.recording.write.claim import Claim
 
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")
-    for written in (path, torn) if in_place else (path,):
-        refuse_output(written, force)
+    if in_place and torn.exists() and not force:
+        raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
+    refuse_output(path, force or in_place)
     with Claim(file) if in_place else nullcontext():  # a run under way looks like one that was killed
         done = mend(file, path)
         if in_place and done.path is not None:
@@ -63,6 +65,8 @@ def _path(file: Path, output: Path | None, in_place: bool) -> Path:
 
     if in_place and output is not None:
         raise RecordingError("give --in-place or -o, not both")
+    if in_place:
+        return file.with_name(f".{file.stem}.repaired.rrd")
     path = output or file.with_name(f"{file.stem}-repaired.rrd")
     if path.exists() and file.exists() and path.samefile(file):
         raise RecordingError(f"{path} is the damaged recording itself; choose another file or give --in-place")

@@ -56,6 +56,7 @@ def new(
     force: ForceOption = False,
 ) -> None:
     """Write a scene file to start from, with comments on the most important keys."""
+    from carom.recording.write.whole_file import whole_file, write_whole
     from carom.scene.bundled import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
     from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
@@ -74,9 +75,10 @@ def new(
         if there.exists() and not force:
             raise SceneError(f"{there}: exists; give --force to replace it")
     try:
-        path.write_text(text, encoding="utf-8")
         for file in data:
-            path.with_name(file.name).write_bytes(file.read_bytes())
+            with whole_file(path.with_name(file.name)) as part:
+                part.write_bytes(file.read_bytes())
+        write_whole(path, text)
     except OSError as error:
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
     written = " and ".join(str(each) for each in (path, *(path.with_name(file.name) for file in data)))

@@ -138,5 +138,7 @@ def _replacing(folder: Path) -> Iterator[Path]:
                 old.rename(folder)
             raise
         shutil.rmtree(old, ignore_errors=True)
+    except OSError as error:
+        raise RecordingError(f"cannot write {folder}: {error.strerror}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)

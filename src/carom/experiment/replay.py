@@ -19,6 +19,7 @@ from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
+from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header
@@ -175,6 +176,8 @@ def _run_again(
     try:
         for frame in space.run(schedule=schedule):
             watch(space.status)
+            if frame.time > run.end:  # a step beyond the window
+                break
             run.see(frame)
             if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > run.begin):
                 recorder.put(frame)
@@ -185,7 +188,7 @@ def _run_again(
                 asked = True
                 if not consent(spent * run.left(space.step) / max(1, space.step - first)):
                     return "declined"
-            if run.difference or frame.step >= run.last:
+            if run.difference or frame.step >= (run.last if recorder is None else run.last_recorded):
                 break
     except KeyboardInterrupt:
         return "stopped by the user"
@@ -197,11 +200,13 @@ class _Comparison:
 
     def __init__(self, recording: Recording, header: Header, begin: int, end: float, only_recorded: bool) -> None:
         table = recording.fingerprints()
+        self.end = end = end + tolerance(end)
         rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
         inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
         self.fingerprints = {step: bits for step, bits, _ in inside}
         self._times = {step: time for step, _, time in inside}
         self.begin, self.last = begin, max(self.fingerprints, default=begin)
+        self.last_recorded = int(table["step"][-1].as_py())
         self.compared = 0
         self.difference: Difference | None = None
         self._recording = recording

@@ -20,7 +20,6 @@ from carom.experiment.engines.engine import Engine
 from carom.experiment.engines.watched import Watched
 from carom.experiment.error import ExperimentError
 from carom.experiment.run import recording_space, simulate
-from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.stored_study import result_entry
@@ -29,6 +28,7 @@ from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
 from carom.physics.error import PhysicsError
 from carom.physics.placement import place
 from carom.recording.errors import RecordingError
+from carom.recording.write.whole_file import write_whole
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
 from carom.scene.schema import Scene

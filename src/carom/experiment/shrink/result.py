@@ -11,8 +11,8 @@ from carom.experiment.environment import versions
 from carom.experiment.shrink.literal import Document
 from carom.experiment.shrink.reducer import Reduction, Stage
 from carom.experiment.shrink.text import commented
-from carom.experiment.whole_file import write_whole
 from carom.recording.errors import RecordingError
+from carom.recording.write.whole_file import write_whole
 from carom.scene.counted import counted
 
 _MARK = re.compile(

@@ -25,6 +25,12 @@ STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matte
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
 MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
 ACCURACIES = ("1e-4", "1e-8")
+METHOD = (  # keys and sections that change how a scene is computed
+    "time",
+    *(f"gravity.{key}" for key in ("method", "opening_angle", "quadrupoles")),
+    *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
+    "model",
+)
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
 
@@ -197,6 +203,8 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     settings = []
     for picked in itertools.product(*axes):
         settings.append(_setting(scene, picked))
+    for choice in choices:
+        _refuse_another_scene(choice.partition("=")[0].strip())
     return settings
 
 
@@ -247,6 +255,16 @@ def _axis(choice: str) -> list[_Choice]:
     if key == THREADS:
         return [_threads(choice, value) for value in parts]
     return [_value(key, value) for value in parts]
+
+
+def _refuse_another_scene(key: str) -> None:
+    """Refuse keys that change the scene, whose error would be measured against another one."""
+    known = (STEP, THREADS, *METHOD)
+    if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
+        raise SceneError(
+            f"--vary {key}: it changes the scene, and not how that is computed; vary "
+            f"{', '.join(known)}; `carom sweep` varies all keys"
+        )
 
 
 def _value(key: str, value: str) -> _Choice:

@@ -22,7 +22,6 @@ from carom.experiment.engines.engine import engine_called
 from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
-from carom.experiment.whole_file import write_whole
 from carom.experiment.work_precision.cost import cost_of
 from carom.experiment.work_precision.error_measures import NAMES
 from carom.experiment.work_precision.pareto_front import pareto_front
@@ -34,6 +33,7 @@ from carom.experiment.work_precision.stored_study import reference_entry, refere
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory, follow, sample_times
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
+from carom.recording.write.whole_file import write_whole
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 

@@ -22,6 +22,7 @@ from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
+from carom.recording.write.whole_file import whole_file
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 
@@ -70,9 +71,8 @@ class Trajectory:
 
     def save(self, path: Path) -> None:
         """Write a ``.npz`` atomically."""
-        unfinished = path.with_suffix(".part.npz")
-        np.savez(unfinished, **{field.name: getattr(self, field.name) for field in fields(self)})
-        unfinished.replace(path)
+        with whole_file(path) as part:
+            np.savez(part, **{field.name: getattr(self, field.name) for field in fields(self)})
 
     @classmethod
     def load(cls, path: Path) -> Self:

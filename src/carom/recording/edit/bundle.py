@@ -17,6 +17,7 @@ from pathlib import Path
 
 from carom.recording.errors import RecordingError
 from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import whole_file
 
 CLIP = "clip.rrd"
 LARGEST = 10_000_000  # bytes of a bundle, a common limit of attachments
@@ -54,20 +55,16 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
 
 
 def _pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
-    part = path.with_name(f".{path.name}.part")
     try:
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
+        with whole_file(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as bundle:
             for name, content in members.items():
                 if isinstance(content, Path):
                     bundle.write(content, name)
                 else:
                     bundle.writestr(name, content)
-        part.replace(path)
         return path.stat().st_size
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 @contextmanager

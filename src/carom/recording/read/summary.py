@@ -33,6 +33,8 @@ def summary(recording: Recording) -> dict[str, Any]:
         "units": recording.units.recorded,
         "bodies": int(recording.info["bodies"]),
         "frames": recording.frames,
+        "first_step": int(frames["step"][0].as_py()) if recording.frames else 0,
+        "begin": float(frames["time"][0].as_py()) if recording.frames else 0.0,
         "steps": int(frames["step"][-1].as_py()) if recording.frames else 0,
         "sim_time": float(frames["time"][-1].as_py()) if recording.frames else 0.0,
         "outcome": recording.outcome,

@@ -13,6 +13,7 @@ import imageio_ffmpeg
 from PIL import Image
 
 from carom.recording.errors import RecordingError
+from carom.recording.write.whole_file import whole_file
 
 _QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")  # thin lines on a dark ground stay legible
 _HUNDREDTHS = 100  # of a second: the unit of time of a GIF
@@ -39,18 +40,14 @@ def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[i
     RecordingError
         If there is no ffmpeg, or the file cannot be written.
     """
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        if path.suffix == ".gif":
-            _write_gif(part, map(_pixels, pictures), delays_of(count, fps))
-        else:
-            _write_mp4(part, map(_pixels, pictures), size, fps)
-        part.replace(path)
+        with whole_file(path) as part:
+            if path.suffix == ".gif":
+                _write_gif(part, map(_pixels, pictures), delays_of(count, fps))
+            else:
+                _write_mp4(part, map(_pixels, pictures), size, fps)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 def require_encoder(path: Path) -> None:

@@ -18,6 +18,7 @@ from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
+from carom.recording.write.whole_file import whole_file
 
 _ALIKE = 3  # equal pictures in a row, after which everything is loaded
 _PAUSE = 0.7  # s, between two pictures
@@ -88,7 +89,8 @@ def render(
     if reports:
         raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
     try:
-        Path(out_png).write_bytes(png)
+        with whole_file(Path(out_png)) as part:
+            part.write_bytes(png)
     except OSError as error:
         raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
     return Picture(moment, missing)
