@@ -93,7 +93,7 @@ def test_friction_turns_the_spheres_as_the_impulse_law_says() -> None:
     assert np.allclose(exact.trajectory.velocity[-1], space.state.velocity, rtol=0, atol=1e-3)
 
 
-def test_two_in_two_out() -> None:
+def test_two_balls_that_hit_the_cradle_send_two_out() -> None:
     scene = Scene.load("newtons-cradle")
     exact = course(scene)
     assert exact.trajectory.velocity[-1, :, 0].tolist() == [0.0] * 5 + [1.0, 1.0]
@@ -108,7 +108,7 @@ def test_a_scene_without_an_exact_reference_says_why(name: str, reason: str) -> 
     assert why_not(Scene.load(name)).startswith(reason) and bool(why_not(Scene.load(name))) is bool(reason)
 
 
-def test_planes_and_boxes_are_refused() -> None:
+def test_the_event_driven_reference_refuses_planes_and_boxes() -> None:
     assert "planes" in why_not(pair(plane=[{"point": [0, 0, -5]}]))
     assert "periodic" in why_not(pair(domain={"boundary": "periodic", "size": [20.0, 20.0, 20.0]}))
 

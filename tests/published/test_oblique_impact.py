@@ -42,7 +42,7 @@ def slip_after(psi: float, restitution: float, static_friction: float, kinetic_f
 
 
 @pytest.mark.parametrize("psi", [0.0, 0.2, 0.5, 1.0, 1.5, 1.8, 1.9, 2.5, 5.0, 20.0])
-def test_slip_after_the_impact(psi: float) -> None:
+def test_slip_after_an_oblique_impact_is_zero_or_what_kinetic_friction_leaves(psi: float) -> None:
     mu, e = 0.3, 0.8
     switch = 3.5 * mu * (1 + e)
     bodies = random_bodies(2, 0)

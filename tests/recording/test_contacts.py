@@ -277,7 +277,8 @@ def test_a_replay_compares_the_bodies_that_are_drawn_at_impacts(recording: Recor
 
 def test_impacts_whose_columns_change_their_type_are_refused_by_a_replay(recording: Recording, tmp_path: Path) -> None:
     parts = messages_of(recording.path)
-    (k,) = (k for k, (kind, body) in enumerate(parts) if kind == CHUNK and is_of(body, "impacts"))
+    chunks = (k for k, (kind, body) in enumerate(parts) if kind == CHUNK and is_of(body, "impacts"))
+    k = max(chunks, key=lambda k: decode(parts[k][1])[1].batch.num_rows)  # a slow machine writes several
     body, batch = parts[k][1], decode(parts[k][1])[1].batch
     rest = batch.slice(5)
     rest = with_column(rest, "mode", rest["mode"].cast(pa.list_(pa.float64())))

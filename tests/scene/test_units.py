@@ -209,7 +209,7 @@ def test_a_number_without_a_dimension_has_no_unit() -> None:
     assert "must be a number" in complaint(ONE_BODY + '[contact]\nrestitution = "0.5 m"\n')
 
 
-def test_words_are_still_words() -> None:
+def test_keys_that_take_words_refuse_quantities_and_misspellings() -> None:
     scene = loaded('[time]\ntarget_dx = "auto"\n[record]\nevery = "step"\n' + ONE_BODY)
     assert (scene.time.target_dx, scene.record.every) == ("auto", "step")
     assert "'auto' or 'step'" in complaint('[record]\nevery = "stepp"\n' + ONE_BODY)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument, seconds, simulated_or_none
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionalTime,
+    OutputOption,
+    RecordingArgument,
+    seconds,
+    simulated_or_none,
+)
 from carom.cli.text import say
 from carom.scene.units.dimension import TIME
 
@@ -16,23 +24,21 @@ if TYPE_CHECKING:
     from carom.recording.edit.clip import Clip
     from carom.scene.units.system import UnitSystem
 
-Seconds = float | None
-
 
 def clip(
     file: RecordingArgument,
     start: Annotated[
-        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time on.")
+        OptionalTime, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time on.")
     ] = None,
     end: Annotated[
-        Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time.")
+        OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time.")
     ] = None,
     around: Annotated[
-        Seconds,
+        OptionalTime,
         typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time; needs --window."),
     ] = None,
     window: Annotated[
-        Seconds,
+        OptionalTime,
         typer.Option("--window", parser=seconds, metavar="W", help="Length of time to keep, with --around."),
     ] = None,
     bodies: Annotated[
@@ -84,7 +90,9 @@ def _reach(made: Clip, units: UnitSystem) -> str:
     return f"steps {made.first_step} to {made.last_step}, {units.span(made.start, made.end, TIME)}"
 
 
-def _interval(start: Seconds, end: Seconds, around: Seconds, window: Seconds) -> tuple[float, float]:
+def _interval(
+    start: OptionalTime, end: OptionalTime, around: OptionalTime, window: OptionalTime
+) -> tuple[float, float]:
     """Return the start and the end of the interval, from either pair of options."""
     from math import inf
 

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, StepTimeOption, seconds, simulated_or_none
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionalTime,
+    RecordingArgument,
+    StepTimeOption,
+    seconds,
+    simulated_or_none,
+)
 from carom.cli.text import say
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
@@ -29,8 +37,6 @@ _MEASURED = (
     ("energy_lost", "lost", ENERGY),
 )
 
-Seconds = float | None
-
 
 def contacts(
     file: RecordingArgument,
@@ -50,9 +56,11 @@ def contacts(
         ),
     ] = False,
     start: Annotated[
-        Seconds, typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts.")
+        OptionalTime, typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts.")
     ] = None,
-    end: Annotated[Seconds, typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts.")] = None,
+    end: Annotated[
+        OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts.")
+    ] = None,
     again: Annotated[
         bool, typer.Option("--replay", help="Run the steps again: all rows and columns, in double precision.")
     ] = False,
@@ -92,7 +100,7 @@ def contacts(
 
 
 def _refuse_contradictions(
-    at: Seconds, impacts: bool, start: Seconds, end: Seconds, bodies: list[str] | None, forms: int
+    at: OptionalTime, impacts: bool, start: OptionalTime, end: OptionalTime, bodies: list[str] | None, forms: int
 ) -> None:
     from carom.recording.errors import RecordingError
 
@@ -108,11 +116,11 @@ def _refuse_contradictions(
 
 def _table(
     recording: Recording,
-    at: Seconds,
+    at: OptionalTime,
     bodies: list[str],
     impacts: bool,
-    start: Seconds,
-    end: Seconds,
+    start: OptionalTime,
+    end: OptionalTime,
     again: bool,
 ) -> pa.Table:
     """Ask the recording, and keep the contacts of the bodies."""
@@ -140,7 +148,7 @@ def _table(
     return table
 
 
-def _hardest(recording: Recording, bodies: list[int]) -> Seconds:
+def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
     """Return when these bodies were hit hardest, as far as impacts are recorded; None if they were not."""
     import numpy as np
 
@@ -203,7 +211,7 @@ def _source(table: pa.Table) -> str:
     return f"{told['source']}{more}"
 
 
-def _print(recording: Recording, table: pa.Table, at: Seconds) -> None:
+def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     """Print contacts of the step that a time (s) is in, or without one impacts."""
     from rich.table import Table
 

@@ -83,7 +83,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         yield "engine", f"{scene['engine']}, of which carom saw the states only"
         if summary["judged"] < summary["bodies"]:
             only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
-            yield "judged", f"{only}; the others are no free spheres"
+            yield "judged", f"{only}; the others are not free spheres"
     if clip:
         of_all = "energies, momenta and numbers of contacts are those of all bodies"
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"

@@ -15,6 +15,9 @@ from carom.scene.units.system import UnitSystem
 _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 
 
+OptionalTime = float | None  # what `seconds` read, or None
+
+
 class Seconds(float):
     """A time that was given with a unit, in s."""
 

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, RecordingArgument, recording_option, seconds, simulated_or_none
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionalTime,
+    RecordingArgument,
+    recording_option,
+    seconds,
+    simulated_or_none,
+)
 from carom.cli.text import say
 from carom.scene.command import command
 from carom.scene.counted import counted
@@ -25,8 +33,6 @@ if TYPE_CHECKING:
 MOST_CAUSES = 12  # of a body that are printed for people
 MOST_EDGES = 8
 
-Seconds = float | None
-
 
 def why(
     file: RecordingArgument,
@@ -34,7 +40,7 @@ def why(
         str | None, typer.Option("--body", metavar="N|NAME", help="The body whose velocity is in question.")
     ] = None,
     at: Annotated[
-        Seconds,
+        OptionalTime,
         typer.Option("--at", parser=seconds, metavar="T", help="Time to ask about. Default: the end."),
     ] = None,
     event: Annotated[
@@ -46,7 +52,7 @@ def why(
         ),
     ] = None,
     start: Annotated[
-        Seconds,
+        OptionalTime,
         typer.Option(
             "--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as a few seconds allow."
         ),
@@ -302,7 +308,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         yield f"  {names.of(first)} {given}: it is the first cause."
     forces = float(cone.from_forces.sum())
     left = float(cone.shares.sum())
-    bodies = f"{others} other {'body' if others == 1 else 'bodies'} of {cone.count - 1}" if others else "no other body"
+    bodies = f"{counted(others, 'other body')} of {cone.count - 1}" if others else "no other body"
     yield f"In all, {bodies} could have had an effect by contacts."
     since = units.text(answer.begin, TIME, ".9g")
     yield f"Behind it all: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."

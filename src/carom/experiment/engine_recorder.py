@@ -99,7 +99,7 @@ class Recorder:
             raise RecordingError(f"last = {last}: keep a whole number of frames, at least one")
         if not isinstance(getattr(source, "model", None), Model) or not callable(getattr(source, "state", None)):
             raise RecordingError(
-                f"{type(source).__name__} is no source: it needs `model`, a carom.record.Model, and a method `state`"
+                f"{type(source).__name__} is not a source: it needs `model`, a carom.record.Model, and a method `state`"
             )
         self.every = source.model.every if every is None else every
         if not _counts(self.every):

@@ -24,6 +24,7 @@ from carom.plan.auto import frame_interval
 from carom.plan.features import Requirements
 from carom.plan.limits import memory_estimate
 from carom.recording.schema.inventory import Content, contents
+from carom.recording.write.impact_plan import FILE_BYTES
 from carom.recording.write.size_probe import Taken, probe
 from carom.scene.forces import FORCES
 from carom.scene.parts import Part
@@ -36,7 +37,6 @@ PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
 FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
-FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 
 # The part of the model for each mark of a step's profile; the second counts if a scene does not have the first.
 MARKS = {

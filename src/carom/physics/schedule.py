@@ -73,12 +73,18 @@ def at(steps: Iterable[int]) -> Schedule:
 
 
 def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
-    """Return after how many steps, and up to which time in s, a schedule is asked next: a stranger sees every step."""
+    """Return after how many steps, and up to which time in s, a schedule must be asked next.
+
+    Schedules of other types are asked after every step.
+    """
     return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause) else (1, time)
 
 
 def looks_before(schedule: Schedule) -> bool:
-    """Tell whether a schedule may look at the state before each step: a stranger is asked before anything moves."""
+    """Tell whether a schedule may look at the state before each step.
+
+    Those of this module do not; schedules of other types may, so no step is taken before they are asked.
+    """
     return not isinstance(schedule, Every | At | Pause)
 
 

@@ -127,7 +127,7 @@ class Space(Simulation):
         PhysicsError
             If the state is no longer finite.
         TypeError
-            If the number is no whole number.
+            If the number is not whole.
         """
         if not isinstance(iteration, int | np.integer):
             raise TypeError(f"iteration: expected the number of the step, got {iteration!r}")

@@ -5,7 +5,8 @@
     dt_p = pull_fraction · τ                             τ, the shortest time scale of gravity, see `pull_time`
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
-    dt_h = min(√(2 held_dx / b_max), 0.01 min r_i/u_i)  in place of dt_a, if longer, for bodies that contacts hold
+    dt_h = min(√(2 held_dx / max(|a|max, b_max)), held_part · min r_i/u_i)
+                                                         in place of dt_a, if longer, for bodies that contacts hold
 
 By default the first two apply where bodies can touch, and the third where they cannot.
 

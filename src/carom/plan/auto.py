@@ -64,7 +64,7 @@ def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
     """Decide when impacts are resolved: at their own times, unless the bodies' own gravity presses them together.
 
     Without forces flight is exact, and a run is exact to rounding with steps many times as long. Under a uniform field
-    a falling heap costs a sixth more and overlaps by a sixth as much. Under self-gravity an impact at its own time
+    a falling heap costs a tenth more and overlaps by a sixth as much. Under self-gravity an impact at its own time
     costs more than it gains (docs/trade.md).
     """
     return "end-of-step" if why_late(scene) else "time-of-impact"

@@ -36,7 +36,7 @@ def _found(source: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Read a scene's file, which is no recording and not too long."""
+    """Read a scene's file; refuse a recording and what is too long."""
     try:
         with path.open("rb") as file:
             if file.read(4) == RECORDED:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.experiment.diff.divergence import Curve
+from carom.physics.periodic_box import minimum_images
 from carom.recording.errors import RecordingError
 from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
@@ -109,7 +110,7 @@ class FrameAlignment:
         """Return the periodic images of other positions that are nearest to some positions."""
         if self._box is None:
             return other
-        return np.asarray(other - self._box * np.round((other - one) / self._box))
+        return one + minimum_images(other - one, self._box)
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².

@@ -15,6 +15,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Branch, Start, start_of
 from carom.experiment.fork.path import OPTION, Path, path_of
 from carom.experiment.shrink.expression import Expression
+from carom.physics.periodic_box import minimum_images
 
 FloatArray = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def apart(a: FloatArray, b: FloatArray, start: Start) -> FloatArray:
     off = a - b
     if start.scene.domain.boundary == "periodic":
         box = np.asarray(start.scene.domain.size, dtype=np.float64)
-        off -= box * np.round(off / box)
+        off = minimum_images(off, box)
     return np.asarray(np.sqrt((off * off).sum(axis=2)))
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.physics.periodic_box import minimum_images
 from carom.recording.source.source import Setup
 
 FloatArray = NDArray[np.float64]
@@ -155,7 +156,7 @@ class Proximity:
     def _image(self, apart: FloatArray) -> FloatArray:
         """Return differences of positions to the nearest image."""
         box = self._setup.box
-        return apart - box * np.round(apart / box) if box[0] > 0.0 else apart
+        return minimum_images(apart, box) if box[0] > 0.0 else apart
 
 
 def _columns(near: Near) -> tuple[Any, ...]:

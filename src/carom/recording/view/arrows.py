@@ -15,12 +15,20 @@ accelerations long and thin.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 TORQUE_REACH = 2.0  # L_max in median body radii
 ANGULAR_ACCELERATION_REACH = 4.0
 _ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and set no scale
+
+
+def part_of_longest(magnitude: Any, unit: Any) -> Any:
+    """Return L / L_max of magnitudes in a unit, both numbers or arrays; 1 where the magnitude is infinite."""
+    s = np.cbrt(magnitude / unit)
+    return 1.0 - 1.0 / (1.0 + s)
 
 
 def longest(radius: NDArray[np.float64], reach: float) -> float:

@@ -21,11 +21,6 @@ class Area:
         """Width over height."""
         return self.width / self.height
 
-    @property
-    def shorter(self) -> float:
-        """Length of the shorter side."""
-        return min(self.width, self.height)
-
 
 @dataclass(frozen=True, slots=True)
 class Canvas:

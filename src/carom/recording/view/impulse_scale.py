@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.recording.view.arrows import part_of_longest
 from carom.recording.view.line_radii import line_radii
 
 FloatArray = NDArray[np.float64]
@@ -35,6 +36,6 @@ def point_radii(radius: FloatArray) -> NDArray[np.float32]:
 
 def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
     """Return the level of each magnitude, 0 to 7; 0 for magnitudes up to zero."""
-    s = np.cbrt(np.maximum(magnitude, 0.0) / reference)
-    u = 1.0 - 1.0 / (1.0 + s)  # 1 where s is infinite
-    return np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
+    u = part_of_longest(np.maximum(magnitude, 0.0), reference)
+    levels: NDArray[np.int64] = np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
+    return levels

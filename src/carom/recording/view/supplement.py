@@ -10,12 +10,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.recording.schema.clock import Clock
+from carom.recording.write.durable_sink import FLUSH
 from carom.recording.write.rerun_compat import send_layout
 from carom.recording.write.rows import Rows
 
 Static = tuple[str, rr.AsComponents]
-
-_FLUSH = 60.0  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,5 +42,5 @@ class Supplement:
             for rows in self.rows:
                 stream.send_columns(rows.path, self.clock.columns(rows.index.steps, rows.index.times), rows.columns)
             send_layout(stream, application, self.layout)
-            stream.flush(timeout_sec=_FLUSH)
+            stream.flush(timeout_sec=FLUSH)
             stream.disconnect()

@@ -18,10 +18,8 @@ from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
-from carom.recording.write.durable_sink import DurableSink
+from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
-
-_FLUSH = 60.0  # s; a disk that takes longer counts as failed
 
 
 class Writer:
@@ -88,7 +86,7 @@ class Writer:
 
     def flush(self) -> None:
         """Wait until everything sent is in the file; raises if it cannot be written."""
-        self._stream.flush(timeout_sec=_FLUSH)
+        self._stream.flush(timeout_sec=FLUSH)
         self._sink.settle()
         self._fail_if_full()
 

@@ -23,6 +23,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 from carom.recording.write.disk_reserve import DiskReserve
 
+FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
 _PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
 _POLL = 0.001  # s

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.parallel.intrinsics import pointer_to
-from carom.physics.parallel.jit import inner, kernel, long_kernel
+from carom.physics.parallel.jit import inline, inner, kernel, long_kernel
+from carom.recording.view.arrows import part_of_longest
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -24,6 +25,8 @@ PAIRS, NORMALS, OVERLAPS, COLOURS, ROWS, IMPACTS = range(6)  # columns of `locat
 
 _reals, _integers = pointer_to(types.float64), pointer_to(types.int64)
 _records = pointer_to(numba.from_dtype(CONTACT_ROW))
+
+_part_of_longest = inline(part_of_longest)  # the same function, compiled: NumPy takes the other for arrays
 
 
 @kernel
@@ -115,8 +118,7 @@ def draw_arrows(
     for f in range(len(each)):
         for _ in range(each[f]):
             i = body[c]
-            s = np.cbrt(magnitude[c] / unit[i])
-            length = (radius[i] + l_max * (1.0 - 1.0 / (1.0 + s))) / magnitude[c]
+            length = (radius[i] + l_max * _part_of_longest(magnitude[c], unit[i])) / magnitude[c]
             for k in range(3):
                 origin[c, k] = points[f, i, k]
                 vector[c, k] = np.float32(torque[f, i, k] * length)
@@ -219,8 +221,7 @@ def write_contacts(
             normal[c] = np.float32(row.normal_impulse)
             tangential[c] = np.float32(np.sqrt(x * x + y * y + z * z))
             mode[c] = row.mode
-            s = np.cbrt(max(0.0, row.normal_impulse) / middle[f])
-            level = min(len(scale) - 1, int(len(scale) * (1.0 - 1.0 / (1.0 + s))))
+            level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middle[f])))
             colour[c], width[c] = scale[level], widths[level]
             c += 1
 
@@ -250,7 +251,7 @@ def middles(addresses: IntArray, each: IntArray, positive: FloatArray, middle: F
 def _median(values: FloatArray) -> float:
     """Return the median; the order of the values changes."""
     half = len(values) // 2
-    middle = _settle(values, half)
+    middle = _select(values, half)
     if len(values) % 2 == 1:
         return middle
     below = values[0]
@@ -260,10 +261,13 @@ def _median(values: FloatArray) -> float:
 
 
 @inner
-def _settle(values: FloatArray, place: int) -> float:
-    """Put the value that has a place in rising order there, smaller ones before it and larger ones behind it."""
+def _select(values: FloatArray, place: int) -> float:
+    """Partition values in place around the one of a place in rising order, and return it: Hoare's quickselect.
+
+    Rejected: np.median and np.partition, which Numba compiles in 3 and 10 s.
+    """
     lo, hi = 0, len(values) - 1
-    while lo < hi:  # Hoare's selection
+    while lo < hi:
         pivot, i, j = values[(lo + hi) // 2], lo, hi
         while i <= j:
             while values[i] < pivot:
@@ -293,7 +297,7 @@ def _pick_strongest(rows: NDArray[np.void], count: int, scratch: FloatArray, cho
         return
     for c in range(m):
         scratch[c] = rows[c].normal_impulse
-    least = _settle(scratch[:m], m - count)
+    least = _select(scratch[:m], m - count)
     equal = count  # how many of those as large as the smallest that is chosen
     for c in range(m):
         equal -= rows[c].normal_impulse > least

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.parallel.jit import long_kernel
+from carom.physics.periodic_box import minimum_image, minimum_images
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -69,7 +70,7 @@ def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame)
 
 def _nearest(apart: FloatArray, box: FloatArray) -> FloatArray:
     """Return vectors to the nearest images."""
-    return apart - box * np.round(apart / box) if box[0] > 0.0 else apart
+    return minimum_images(apart, box) if box[0] > 0.0 else apart
 
 
 @long_kernel
@@ -108,7 +109,7 @@ def _pass_through(
             way[c, 2] = impact.z + reach * impact.nz - start[body, 2]
             if box[0] > 0.0:
                 for k in range(3):
-                    way[c, k] -= box[k] * np.rint(way[c, k] / box[k])
+                    way[c, k] = minimum_image(way[c, k], box[k])
         for m in range(len(times)):
             time, c = times[m], 0  # the corner before, as in `numpy.interp`
             while c < last and clock[c + 1] <= time:

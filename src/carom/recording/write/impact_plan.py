@@ -15,7 +15,7 @@ from carom.recording.write.encoding_kernels import count_moved
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-ONCE = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
+FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
 _ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames of the bodies at impacts
 _ROW = 60  # bytes of a row besides its arrays
@@ -54,7 +54,7 @@ class ImpactPlan:
     def __init__(self, *, everything: bool, oriented: bool, turned: bool) -> None:
         self._model = everything, oriented, turned
         self._budget = np.zeros(1, _BUDGET)
-        self._budget["others"] = ONCE
+        self._budget["others"] = FILE_BYTES
         self._before: NDArray[np.float32] | None = None  # (n, 3) m, as drawn in the frame before
 
     @classmethod

@@ -29,11 +29,10 @@ from carom.recording.write.address_reserve import AddressReserve
 from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.stream import Stream
+from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
 FloatArray = NDArray[np.float64]
 
-_BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
@@ -64,10 +63,10 @@ class Recorder:
         self.frames = 0  # sent so far
         self._continued = continued
         frame_bytes = 300 * header.bodies + 2000
-        self._stream = Stream(self.path, header, batch_bytes=max(_BATCH_BYTES, frame_bytes), live=live)
+        self._stream = Stream(self.path, header, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else Clock.fitting(header.duration, header.shortest_dt_hint)
         room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
-        batch = max(1, min(_BATCH_FRAMES, _BATCH_BYTES // (40 * header.bodies + 500), room // 2))
+        batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
         # a slot is reused once its frame has left the queue, the batch being written, and `_last`; the frame that is

@@ -17,9 +17,8 @@ from carom.recording.schema.header import Header
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.statics import statics
-from carom.recording.write.stream import Stream
+from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
-BATCH_BYTES = 4_000_000  # as the recorder's: a call costs 0.2 ms besides its data
 BATCH_FRAMES = 200
 
 
@@ -47,7 +46,7 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
         entity: sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
         for entity, archetype in statics(header, clock, origin, 1.0)
     }
-    count = max(1, min(BATCH_FRAMES, BATCH_BYTES // (40 * header.bodies + 500)))
+    count = max(1, min(BATCH_FRAMES, frames_in_batch(header.bodies)))
     batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:

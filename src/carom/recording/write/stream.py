@@ -19,7 +19,7 @@ from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write import encoder as entities
-from carom.recording.write.durable_sink import DurableSink
+from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
@@ -27,10 +27,15 @@ from carom.recording.write.rows import Index, Rows
 from carom.recording.write.statics import statics
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
-_FLUSH = 60.0  # s; a disk that takes longer counts as failed
+BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
 _CONTINUED_BYTES = 16_000_000  # that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
+
+
+def frames_in_batch(bodies: int) -> int:
+    """Return how many frames of so many bodies fill a batch; 0 if one is larger."""
+    return BATCH_BYTES // (40 * bodies + 500)
 
 
 class Stream:
@@ -39,7 +44,6 @@ class Stream:
     def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
         self.path = path
         self.payload_bytes = 0
-        self._batch_bytes = batch_bytes
         self._header = header
         self._indexed: Index | None = None
         self._index: list[rr.TimeColumn] = []
@@ -111,7 +115,7 @@ class Stream:
 
     def flush(self) -> None:
         """Wait until everything sent is in the file; raises if it cannot be written."""
-        self._stream.flush(timeout_sec=_FLUSH)
+        self._stream.flush(timeout_sec=FLUSH)
         self._sink.settle()
         self._sink.reserve(self._reserve + _FOOTER_BYTES * self._sink.messages)
         if self._live is not None:

@@ -71,7 +71,7 @@ def numbers_of(called: str, column: str, raw: Raw) -> NDArray[np.float64]:
     Raises
     ------
     SceneError
-        Naming the first row that is no number.
+        Naming the first row that is not a number.
     """
     if raw.dtype.kind in "fiu":
         return raw.astype(np.float64)

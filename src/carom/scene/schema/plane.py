@@ -28,6 +28,6 @@ class Plane(Surface):
     def _has_a_direction(self) -> Self:
         if not any(self.normal):
             raise ValueError(
-                "normal = [0, 0, 0] is no direction; give the direction out of the solid, such as [0, 0, 1]"
+                "normal = [0, 0, 0] has no direction; give the direction out of the solid, such as [0, 0, 1]"
             )
         return self

@@ -264,7 +264,10 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
 
 @inner
 def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
-    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`."""
+    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
+
+    The arm at a plane is the height, which is the radius when a body meets it.
+    """
     x, n = T.x, len(T.x)
     if j >= n:
         height = -T.offset[j - n]

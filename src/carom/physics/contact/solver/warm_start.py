@@ -132,7 +132,7 @@ def _carry(
 
 @inline
 def _set_impulse(contact: Any, ratio: float, normal: float, x: float, y: float, z: float) -> None:
-    """Start from an earlier impulse, N s: scale it, and turn its tangential part into the tangential plane."""
+    """Start from an earlier impulse, N s: scale it, and project its tangential part onto the tangential plane."""
     along = x * contact.nx + y * contact.ny + z * contact.nz
     contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)
     contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
