@@ -44,10 +44,10 @@ def shrink(
         typer.Option(
             "--while",
             metavar="CONDITION",
-            help="The failure to keep. Default: the error that ends the run, or the promise of \\[expect] that it misses. "
-            'Otherwise expect.NAME, PhysicsError, crash, "not finite", "replay differs", "invariance NAME", "impact of A '
-            'and B", "warning KIND", or an expression such as "energy.max_error > 1e-3" over the numbers of `carom '
-            "inspect --json`.",
+            help="The failure to keep. Default: the error that ends the run, or the promise of \\[expect] that "
+            'it misses. Otherwise expect.NAME, PhysicsError, crash, "not finite", "replay differs", '
+            '"invariance NAME", "impact of A and B", "warning KIND", or an expression such as '
+            '"energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
         ),
     ] = None,
     while_command: Annotated[
