@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -110,6 +110,23 @@ def test_a_step_that_a_clip_of_some_bodies_does_not_have_is_replaced_with_the_re
     step = shown_step.shown_step(Recording.open(tmp_path / "clip.rrd"), bounce.moment())
     assert step.time == pytest.approx(1.5, abs=1e-12)
     assert step.missing == "the clip shows only some of the bodies"
+
+
+def test_a_floor_is_drawn_under_the_bodies_that_are_shown(tmp_path: Path) -> None:
+    ball = {"position": [0, 0, 0.1], "velocity": [5, 0, 0], "radius": 0.1}
+    scene = scene_of(
+        [ball], plane=[{}], gravity={"constant": 0.0, "uniform": [0, 0, -9.81]}, time={"duration": 2.0, "max_dt": 0.1}
+    )
+    recording = carom.run(scene, tmp_path / "run.rrd")
+    planes = recording.drawn_planes()
+    np.testing.assert_allclose(planes.normal * np.sign(planes.normal[0, 2]), [[0, 0, 1]], atol=1e-6)  # float32
+    np.testing.assert_allclose(planes.offset, 0.0, atol=1e-6)
+    shown = presentation(recording, 2.0)
+    grid = dict(shown.supplement.statics)[paths.PLANES]
+    lines = cast(Any, grid).strips.as_arrow_array().flatten().flatten().to_numpy().reshape(-1, 3)
+    place = shown_step.shown_step(recording, 2.0).position[0]
+    assert place[0] > 5.0, "far from where it began"
+    np.testing.assert_allclose(lines.mean(axis=0), [place[0], place[1], -recording.origin[2]], atol=0.05)
 
 
 def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounce: Recording) -> None:

@@ -17,6 +17,7 @@ from carom.recording.read.statics import Statics, named
 from carom.recording.schema import paths
 from carom.recording.schema.series import is_recorded, names_below
 from carom.recording.schema.timelines import STEP
+from carom.scene.half_space import HalfSpaces
 
 
 class FrameTables(Statics):
@@ -106,6 +107,21 @@ class FrameTables(Statics):
         if half.shape != (3,) or not np.all((half > 0.0) & np.isfinite(half)):
             raise DamageError(f"/{path} is not one box")
         return 2.0 * half
+
+    @named
+    def drawn_planes(self) -> HalfSpaces:
+        """Return the planes as drawn, without names and sides; none if they are not drawn as grids."""
+        ends = np.asarray(self._entities.static(paths.PLANES)["LineStrips3D:strips"], dtype=np.float64)
+        if ends.size % (2 * paths.PLANE_LINES * 2 * 3):
+            return HalfSpaces([], np.zeros((0, 3)), np.zeros(0))
+        lines = ends.reshape(-1, 2, paths.PLANE_LINES, 2, 3)
+        sides = lines[:, :, 0, 1] - lines[:, :, 0, 0]
+        normal = np.cross(sides[:, 0], sides[:, 1])
+        size = np.sqrt((normal * normal).sum(axis=1))
+        drawn = (size > 0.0) & np.isfinite(size)
+        normal = normal[drawn] / size[drawn, None]
+        point = lines[drawn].mean(axis=(1, 2, 3)) + self.origin
+        return HalfSpaces([""] * len(normal), normal, (normal * point).sum(axis=1))
 
     @cached_property
     def _fingerprints(self) -> pa.Table:

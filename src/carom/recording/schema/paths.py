@@ -8,6 +8,7 @@ WORLD = "world"
 MAGNIFIED = "magnified"  # transforms, by which views magnify small scenes
 BODIES = "world/bodies"
 PLANES = "world/planes"
+PLANE_LINES = 13  # of the grid that shows a plane, in each direction
 WALLS = "world/walls"
 PERIODIC_BOX = "world/box"
 TORQUE = "world/torque"

@@ -32,6 +32,7 @@ from carom.recording.view.supplement import Supplement
 from carom.recording.view.trails import Trails, has_trails
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import Index, Rows
+from carom.recording.write.statics import plane_grids
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
@@ -139,7 +140,9 @@ def presentation(
     trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
-    statics = list(close.statics(header)) if close else []
+    seen = camera.view()
+    statics = [*plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())]  # the recorded ones are
+    statics += list(close.statics(header)) if close else []  # about the bodies at the start
     if trails is not None:
         if not _meet(recording, header):  # orbits: the paths must be inside the view
             trails.show(camera, step.time)

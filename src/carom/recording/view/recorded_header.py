@@ -13,14 +13,12 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.view.colouring import COLOUR_BY
 from carom.scene.forces import FORCES
-from carom.scene.half_space import HalfSpaces
 
 
 def header_of_recording(recording: Recording) -> Header:
     """Return the header of a recorded run, as far as the file has it."""
     info, bodies = recording.info, recording.bodies
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
-    nowhere = HalfSpaces([], np.zeros((0, 3)), np.zeros(0))
     return Header(
         title=recording.title,
         description="",
@@ -49,7 +47,7 @@ def header_of_recording(recording: Recording) -> Header:
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
-        planes=nowhere if paths.PLANES in static else None,
+        planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
     )
 

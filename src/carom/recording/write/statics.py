@@ -25,7 +25,6 @@ Static = tuple[str, rr.AsComponents]
 _THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
-_PLANE_LINES = 13  # in each direction
 _MESH_RINGS = 8  # from pole to pole; enough for a sphere among thousands to look round
 
 
@@ -105,25 +104,36 @@ def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> 
                     fill_mode=FillMode.MajorWireframe,
                 ),
             )
-    if header.planes is not None:
+    yield from plane_grids(header, origin, np.zeros(3), reach)
+
+
+def plane_grids(
+    header: Header, origin: NDArray[np.float64], centre: NDArray[np.float64], reach: float
+) -> Iterable[Static]:
+    """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
+
+    ``reach`` is that of the bodies around the centre, in m.
+    """
+    if header.planes is not None and len(header.planes):
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
-        grids = [_grid(normal, offset - normal @ origin, reach) for normal, offset in planes]
+        grids = [_grid(normal, offset - normal @ origin, centre, reach) for normal, offset in planes]
         yield (
             paths.PLANES,
             rr.LineStrips3D(np.concatenate(grids), colors=palette.GREY, radii=rr.Radius.ui_points(0.6)),
         )
 
 
-def _grid(normal: NDArray[np.float64], offset: float, reach: float) -> NDArray[np.float32]:
-    """Return lines (k, 2, 3) of a square grid on a plane, about the point nearest to the origin."""
+def _grid(normal: NDArray[np.float64], offset: float, centre: NDArray[np.float64], reach: float) -> NDArray[np.float32]:
+    """Return lines (k, 2, 3) of a square grid on a plane, about the point nearest to a centre."""
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)
     along = np.cross(normal, across)
-    marks = np.linspace(-_PLANE_REACH * reach, _PLANE_REACH * reach, _PLANE_LINES)
+    marks = np.linspace(-_PLANE_REACH * reach, _PLANE_REACH * reach, paths.PLANE_LINES)
     ends = np.array([marks[0], marks[-1]])
     one = marks[:, None, None] * across + ends[None, :, None] * along
     other = marks[:, None, None] * along + ends[None, :, None] * across
-    return np.asarray(offset * normal + np.concatenate((one, other)), dtype=np.float32)
+    nearest = centre + (offset - normal @ centre) * normal
+    return np.asarray(nearest + np.concatenate((one, other)), dtype=np.float32)
 
 
 def _two_tone_sphere() -> rr.Mesh3D:
