@@ -206,7 +206,7 @@ def test_a_scene_that_cannot_be_placed_leaves_no_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[body]]\n[[plane]]\nnormal = [0, 0, 0]\n", "normal = [0, 0, 0] is no direction"),
+        ("[[body]]\n[[plane]]\nnormal = [0, 0, 0]\n", "normal = [0, 0, 0] has no direction"),
         ("[[body]]\n[[plane]]\nstatic_friction = 0.1\nkinetic_friction = 0.5\n", "kinetic_friction = 0.5 is above"),
         ("[[body]]\nfixed = true\nvelocity = [1, 0, 0]\n", "fixed = true with a velocity"),
         ("[[body]]\n[[plane]]\nname = 'floor'\n", "reaches 1 m into floor"),

@@ -146,7 +146,7 @@ MISTAKES = {
     ),
     "a plane that faces nowhere": (
         ONE_BODY + "[[plane]]\nnormal = [0, 0, 0]\n",
-        [":3:", "plane.0", "normal = [0, 0, 0] is no direction", "[0, 0, 1]"],
+        [":3:", "plane.0", "normal = [0, 0, 0] has no direction", "[0, 0, 1]"],
     ),
     "a plane on which sliding is harder than sticking": (
         ONE_BODY + "[[plane]]\nstatic_friction = 0.2\nkinetic_friction = 0.5\n",
@@ -498,3 +498,29 @@ def test_overrides_that_are_no_list_are_refused_as_such(overrides: Any) -> None:
 def test_a_scene_whose_title_is_blank_is_untitled(blank: str) -> None:
     document = f'title = "{blank}"\ntime.duration = 1.0\n[[body]]\n'
     assert scene_from_text(document, "scene.toml", []).title == "Untitled scene"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[time]\nduration = 1\n[time]\n[[body]]\n", r"scene\.toml:3: not TOML: .*; merge the two sections \[time\]"),
+        (f"[[body]]\nmass = {'9' * 5000}\n", r"scene\.toml:2: not TOML: a whole number of more than 4300 digits$"),
+    ],
+)
+def test_a_text_that_the_parser_refuses_is_told_with_its_line_and_what_would_be_right(
+    text: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(SceneError, match=said):
+        Scene.load(tmp_path / "scene.toml")
+
+
+def test_a_title_is_shown_in_one_line() -> None:
+    assert Scene.from_dict({"title": "a\nb", "body": [{"radius": 1.0}]}).title == "a b"
+
+
+def test_a_count_that_no_machine_has_room_for_is_refused_with_its_line(tmp_path: Path) -> None:
+    group = '[[group]]\ncount = 1000000000000\nradius = 1\nregion = { shape = "ball", radius = 5 }\n'
+    (tmp_path / "scene.toml").write_text(f"[[body]]\n{group}")
+    with pytest.raises(SceneError, match=r"scene\.toml:3: .* lower the count"):
+        refuse_impossible(Scene.load(tmp_path / "scene.toml"))

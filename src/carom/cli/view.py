@@ -21,7 +21,7 @@ AtOption = Annotated[
         "--at",
         parser=seconds,
         metavar="T",
-        help="Simulated time to show. Default: the hardest impact.",
+        help="Simulated time to show. Default: the hardest impact or, without any, the most contacts.",
     ),
 ]
 EventOption = Annotated[

@@ -54,10 +54,17 @@ def _refuse_impossible(scene: Scene) -> None:
     if needed > there:
         raise SceneError(
             f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
-            f"{there / 1e9:.3g} GB; lower the count"
+            f"{there / 1e9:.3g} GB; lower the count",
+            _largest_count(scene),
         )
     _refuse_small_address_space(scene)
     _refuse_narrow_box(scene)
+
+
+def _largest_count(scene: Scene) -> tuple[str | int, ...]:
+    """Return the key that asks for most bodies; empty without groups."""
+    counts = [group.count for group in scene.group]
+    return ("group", counts.index(max(counts)), "count") if counts else ()
 
 
 def _refuse_times_of_impact(scene: Scene) -> None:

@@ -124,6 +124,10 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # not only TOMLDecodeError: Python refuses whole numbers of thousands of digits
+        digits = re.search(r"\d{4301}", text) if "digits" in str(error) else None
+        if digits:
+            line = text.count("\n", 0, digits.start()) + 1
+            raise SceneError(f"{source}:{line}: not TOML: a whole number of more than 4300 digits") from None
         at = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
         place = f"{source}:{at[1]}" if at else source
         comma = at is not None and _is_decimal_comma(text, int(at[1]), int(at[2]))
@@ -146,6 +150,8 @@ def _meant(error: str) -> str:
     twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
     if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
         return f"; write each of several sections as [[{twice[1]}]]"
+    if twice:
+        return f"; merge the two sections [{twice[1]}]"
     return "; a key is given twice" if error.startswith("Cannot overwrite a value") else ""
 
 

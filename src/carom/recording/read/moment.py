@@ -1,4 +1,7 @@
-"""The default time to look at: the hardest impact of a run or, if unknown, the frame with the most contacts."""
+"""The default time to look at: the hardest impact of a run or, without any, the most contacts.
+
+Of a run that was killed, neither is known: then the frame before which contacts took out most energy.
+"""
 
 from __future__ import annotations
 
@@ -31,9 +34,10 @@ def moment(recording: Recording, at: float | None) -> float:
         return at
     if not recording.shows_all:
         return _moment_of_shown(recording, float(times[-1]))
-    impact = float(recording.closing.get("moments.impact.time", np.nan))
-    if times[0] <= impact <= times[-1]:
-        return impact
+    for name in ("impact", "contacts"):
+        known = float(recording.closing.get(f"moments.{name}.time", np.nan))
+        if times[0] <= known <= times[-1]:
+            return known
     energy = recording.energy()
     if "restitution" in energy.column_names:
         taken = _column(energy, "restitution")

@@ -14,8 +14,8 @@ UNTITLED = "Untitled scene"
 
 
 def called(title: str) -> str:
-    """Return a title, or `UNTITLED` in place of a blank one."""
-    return title if title.strip() else UNTITLED
+    """Return a title in one line, or `UNTITLED` in place of a blank one."""
+    return " ".join(title.splitlines()) if title.strip() else UNTITLED
 
 
 class Heading(Section):
