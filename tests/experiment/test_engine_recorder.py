@@ -348,7 +348,7 @@ def test_a_model_that_records_no_call_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", [None, object(), Toy])
 def test_what_is_no_source_is_named_with_what_it_needs(source: Any, tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="is no source: it needs `model`, a"):
+    with pytest.raises(RecordingError, match="is not a source: it needs `model`, a"):
         carom.record.Recorder(source, tmp_path / "run.rrd")
 
 
@@ -504,7 +504,7 @@ def test_the_loss_of_a_body_which_is_not_judged_is_no_integration_error_and_its_
     lost = energy["total"][0].as_py() - energy["total"][-1].as_py()
     assert lost > 8.0 and energy["restitution"][-1].as_py() == pytest.approx(lost)
     assert summary["contacts"]["impacts"] == 0 and summary["judged"] == 1
-    assert "judged 1 of 2 bodies; the others are no free spheres" in " ".join(
+    assert "judged 1 of 2 bodies; the others are not free spheres" in " ".join(
         command("inspect", "run.rrd", cwd=tmp_path).stdout.split()
     )
 

@@ -14,14 +14,19 @@ UNTITLED = "Untitled scene"
 
 
 def called(title: str) -> str:
-    """Return a title in one line, or `UNTITLED` in place of a blank one."""
-    return " ".join(title.splitlines()) if title.strip() else UNTITLED
+    """Return a title, or `UNTITLED` in place of a blank one."""
+    return title if title.strip() else UNTITLED
+
+
+def in_one_line(title: str) -> str:
+    """Return a title without line breaks, or `UNTITLED` in place of a blank one."""
+    return called(" ".join(title.splitlines()))
 
 
 class Heading(Section):
     """What a scene is called, its seed, its units and its time."""
 
-    title: Annotated[str, AfterValidator(called)] = Field(UNTITLED, description="one line; shown everywhere")
+    title: Annotated[str, AfterValidator(in_one_line)] = Field(UNTITLED, description="one line; shown everywhere")
     description: str = Field("", description="what to look for, shown in the recording")
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
         0, description="seed of the random start; 0 or more, below 2**63"
